@@ -1,0 +1,75 @@
+"""Checks of input: every refusal names the thing, its value and what is allowed."""
+
+from collections.abc import Collection, Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from difflib import get_close_matches
+from numbers import Integral, Real
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+T = TypeVar("T")
+
+
+class InputError(ValueError):
+    """Something that the user gave cannot be used; the message is one line for the user."""
+
+
+def require(name: str, value: float, low: float, high: float, unit: str) -> None:
+    """Refuse a number outside [low, high]; NaN and things that are no number are outside.
+
+    raises  InputError
+    """
+    number = isinstance(value, Real) and not isinstance(value, bool)
+    if not number or not low <= value <= high:  # this way round, so that NaN is refused too
+        raise InputError(f"{name} = {value!r} {unit}; allowed: {low:g} to {high:g} {unit}".replace("  ", " "))
+
+
+def require_whole(name: str, value: int, low: int, high: int, unit: str) -> None:
+    """Refuse anything but a whole number in [low, high].
+
+    raises  InputError
+    """
+    if not isinstance(value, Integral) or isinstance(value, bool) or not low <= value <= high:
+        raise InputError(f"{name} = {value!r} {unit}; allowed: whole numbers from {low} to {high} {unit}")
+
+
+def require_choice(name: str, value: Any, allowed: Collection[Any]) -> None:
+    """Refuse a value that is not among those listed, naming the nearest.
+
+    raises  InputError
+    """
+    if value not in allowed:
+        raise InputError(f"{name} = {value!r}; allowed: {', '.join(map(str, allowed))}{_hint(str(value), allowed)}")
+
+
+def from_table(kind: type[T], table: Mapping[str, Any], what: str) -> T:
+    """A parameter dataclass from a mapping, strict about unknown and missing names.
+
+    table  field name -> value, as a TOML or JSON file gives it
+    what   how the file or object is called in a refusal
+    raises InputError for a misspelt or missing field, or a value its checks refuse
+    """
+    assert is_dataclass(kind)
+    known = {f.name: f for f in fields(kind)}
+    for name in table:
+        if name not in known:
+            raise InputError(f"{what}: unknown field {name!r}{_hint(name, known)}; allowed: {', '.join(known)}")
+    for name, field in known.items():
+        if name not in table and field.default is MISSING and field.default_factory is MISSING:
+            raise InputError(f"{what}: field {name!r} is missing; required: {', '.join(_required(kind))}")
+    try:
+        return kind(**table)
+    except InputError as error:
+        raise InputError(f"{what}: {error}") from None
+
+
+def _required(kind: Any) -> list[str]:
+    return [f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING]
+
+
+def _hint(value: str, allowed: Collection[Any]) -> str:
+    near = get_close_matches(value, [str(a) for a in allowed], n=1)
+    return f" (did you mean {near[0]!r}?)" if near else ""

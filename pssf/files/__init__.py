@@ -1,0 +1,7 @@
+"""The one package that touches the disk.
+
+tables   the package's own data files, and protocols by name or path
+atomic   a file appears whole or not at all
+images   radiographs as TIFF and PNG, and back
+meshes   scenes as STL, PLY and GLB
+"""

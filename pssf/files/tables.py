@@ -1,0 +1,54 @@
+"""The package's data files and protocols by name; read once, then kept."""
+
+import tomllib
+from functools import cache
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from ..checks import InputError
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+
+
+@cache
+def data(name: str) -> dict[str, Any]:
+    """The TOML table pssf/data/<name>.toml."""
+    return tomllib.loads((_PACKAGE / "data" / f"{name}.toml").read_text(encoding="utf-8"))
+
+
+def protocol_names() -> list[str]:
+    """Names of the protocols that come with the package."""
+    return sorted(path.stem for path in _protocol_folder().glob("*.toml"))
+
+
+def read_protocol(name_or_path: str | PathLike[str]) -> tuple[dict[str, Any], str]:
+    """Fields of a protocol file, and what to call it.
+
+    raises  InputError for an unknown name or a file that is not readable TOML
+    """
+    path = Path(name_or_path)
+    if path.suffix != ".toml":
+        if str(name_or_path) not in protocol_names():
+            allowed = ", ".join(protocol_names())
+            raise InputError(f"protocol = {str(name_or_path)!r}; allowed: {allowed}, or the path of a .toml file")
+        path = _protocol_folder() / f"{name_or_path}.toml"
+    return read_toml(path), f"protocol {path.name}"
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """A TOML file as a mapping.
+
+    raises  InputError for a file that is missing, unreadable or not TOML
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"file {path}: {error.strerror}; allowed: a readable TOML file") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"file {path}: not TOML ({error})") from None
+
+
+def _protocol_folder() -> Path:
+    packaged = _PACKAGE / "protocols"
+    return packaged if packaged.is_dir() else _PACKAGE.parent / "protocols"

@@ -1,0 +1,62 @@
+"""Where source, rays and pixels are, in the knee frame (mm; +x medial of a right knee, +y to the detector, +z proximal)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .checks import Array
+from .protocol import Protocol
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """A point source and a flat detector parallel to the x-z plane; columns run towards +x, rows towards -z."""
+
+    source_mm: tuple[float, float, float]
+    centre_mm: tuple[float, float, float]
+    rows: int
+    cols: int
+    pixel_mm: float
+
+    @property
+    def corner_mm(self) -> tuple[float, float, float]:
+        """Centre of the pixel (row 0, column 0)."""
+        x, y, z = self.centre_mm
+        return (x - (self.cols - 1) / 2 * self.pixel_mm, y, z + (self.rows - 1) / 2 * self.pixel_mm)
+
+
+def view_of(protocol: Protocol) -> View:
+    """Source and detector of a protocol.
+
+    The source at (0, -SOD, 0) is turned about the x axis through the origin by beam_angle_deg (positive: it moves
+    proximally, the beam points caudally). The detector stays in the plane y = SDD - SOD and is centred on the central ray.
+    """
+    angle = np.deg2rad(protocol.beam_angle_deg)
+    beyond_mm = protocol.sdd_mm - protocol.sod_mm
+    return View(
+        source_mm=(0.0, float(-protocol.sod_mm * np.cos(angle)), float(protocol.sod_mm * np.sin(angle))),
+        centre_mm=(0.0, beyond_mm, float(-beyond_mm * np.tan(angle))),
+        rows=protocol.rows,
+        cols=protocol.cols,
+        pixel_mm=protocol.pixel_mm,
+    )
+
+
+def project(points_mm: Array, view: View) -> Array:
+    """Where points are seen on the detector.
+
+    points_mm  (n, 3)  knee frame; in front of the source
+    returns    (n, 2)  row, column; pixel centres are whole numbers
+    """
+    source = np.asarray(view.source_mm)
+    corner = np.asarray(view.corner_mm)
+    offset = np.asarray(points_mm, dtype=np.float64) - source
+    scale = (corner[1] - source[1]) / offset[:, 1]
+    x = source[0] + offset[:, 0] * scale
+    z = source[2] + offset[:, 2] * scale
+    return np.column_stack(((corner[2] - z) / view.pixel_mm, (x - corner[0]) / view.pixel_mm))
+
+
+def magnification(view: View) -> float:
+    """Size on the detector over size in the joint plane y = 0."""
+    return (view.centre_mm[1] - view.source_mm[1]) / -view.source_mm[1]

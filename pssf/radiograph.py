@@ -1,0 +1,59 @@
+"""Radiograph: pixels, what is known about them, and what they were made from."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .knee import Knee
+from .protocol import Protocol
+
+
+@dataclass(frozen=True, kw_only=True)
+class Truth:
+    """Labels that are true by construction. Landmarks are (row, column) on this radiograph, in pixels.
+
+    jsw_*_mm      smallest vertical gap of the projected cortical contours under the protocol `reference`, joint plane
+    landmarks_px  name -> (row, column)
+    """
+
+    jsw_medial_mm: float
+    jsw_lateral_mm: float
+    grade: int | None
+    landmarks_px: Mapping[str, tuple[float, float]]
+
+    @property
+    def medial_joint_line_px(self) -> tuple[float, float]:
+        """Middle of the medial joint space, half way across the compartment (row, column)."""
+        return self.landmarks_px["medial_joint_line"]
+
+    @property
+    def lateral_joint_line_px(self) -> tuple[float, float]:
+        """Middle of the lateral joint space, half way across the compartment (row, column)."""
+        return self.landmarks_px["lateral_joint_line"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Radiograph:
+    """One exposure.
+
+    pixels    (rows, cols) uint16, linear in the energy absorbed ("for processing"), row 0 proximal
+    knee      its parameters, or None for a scene of one's own
+    truth     labels, or None for a scene of one's own
+    audit     what the ray caster found and mended; see `raycast.Audit`
+    versions  of the package and of what the pixels depend on
+    kept      what `simulate(keep=...)` asked for; maps (rows, cols) float32
+    seconds   wall time a stage
+    """
+
+    pixels: NDArray[np.uint16]
+    protocol: Protocol
+    seed: int
+    knee: Knee | None = None
+    truth: Truth | None = None
+    audit: Mapping[str, int] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
+    kept: Mapping[str, Any] = field(default_factory=dict)
+    seconds: Mapping[str, float] = field(default_factory=dict)
