@@ -1,0 +1,89 @@
+"""Projected contours of femur and tibia, and the joint space between them."""
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from ..checks import Array
+from ..geometry import View, magnification, project
+
+# Fractions of the tibial half width between which the joint space is measured: clear of the spines and of the margins.
+COMPARTMENT = (0.36, 0.85)
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Joint space of one compartment on the detector, column by column.
+
+    columns_px  (n,)  whole columns within the compartment
+    femur_px    (n,)  row of the femur's lower contour
+    tibia_px    (n,)  row of the tibia's upper contour
+    scale_mm    joint-plane millimetres a pixel
+    """
+
+    columns_px: Array
+    femur_px: Array
+    tibia_px: Array
+    scale_mm: float
+
+    @property
+    def jsw_mm(self) -> float:
+        """Smallest vertical gap, scaled to the joint plane."""
+        return float((self.tibia_px - self.femur_px).min() * self.scale_mm)
+
+    @property
+    def narrowest(self) -> int:
+        """Index of the narrowest column."""
+        return int((self.tibia_px - self.femur_px).argmin())
+
+    def middle_px(self) -> tuple[float, float]:
+        """(row, column) of the middle of the space, half way across the compartment."""
+        k = len(self.columns_px) // 2
+        return (float((self.femur_px[k] + self.tibia_px[k]) / 2), float(self.columns_px[k]))
+
+
+def edges_of(faces: Array) -> Array:
+    """(m, 2)  every edge of a mesh once"""
+    directed = np.sort(np.vstack((faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]])), axis=1)
+    return np.unique(directed, axis=0)
+
+
+def measure_gap(femur: tuple[Array, Array], tibia: tuple[Array, Array], view: View, side_x: int, half_ml_mm: float) -> Gap:
+    """The joint space of a compartment as a detector at `view` sees it.
+
+    femur, tibia  vertices (n, 3) and edges (m, 2)
+    side_x        +1 for the compartment at x > 0, -1 for the other
+    half_ml_mm    half the medio-lateral width of the tibial plateau
+    """
+    ends = np.array([[side_x * f * half_ml_mm, 0.0, 0.0] for f in COMPARTMENT])
+    first, last = np.sort(project(ends, view)[:, 1])
+    columns = np.arange(np.ceil(first), np.floor(last) + 1)
+    outline = [
+        _envelope(project(vertices, view), edges, int(columns[0]), len(columns), lowest)
+        for (vertices, edges), lowest in ((femur, 1.0), (tibia, -1.0))
+    ]
+    return Gap(columns, outline[0], outline[1], view.pixel_mm / magnification(view))
+
+
+def _envelope(points_px: Array, edges: Array, first: int, count: int, lowest: float) -> Array:
+    return _walk_edges(np.ascontiguousarray(points_px), np.ascontiguousarray(edges), first, count, lowest) * lowest
+
+
+@numba.njit(cache=True, nogil=True)
+def _walk_edges(points: Array, edges: Array, first: int, count: int, lowest: float) -> Array:
+    """(count,)  largest lowest*row of any edge at each column; the contour of a polyhedron runs along its edges"""
+    best = np.full(count, -np.inf)
+    for k in range(edges.shape[0]):
+        row_a, col_a = points[edges[k, 0], 0], points[edges[k, 0], 1]
+        row_b, col_b = points[edges[k, 1], 0], points[edges[k, 1], 1]
+        if col_a > col_b:
+            row_a, col_a, row_b, col_b = row_b, col_b, row_a, col_a
+        start = max(int(np.ceil(col_a)), first)
+        stop = min(int(np.floor(col_b)), first + count - 1)
+        for column in range(start, stop + 1):
+            share = (column - col_a) / (col_b - col_a) if col_b > col_a else 0.0
+            row = lowest * (row_a + share * (row_b - row_a))
+            if row > best[column - first]:
+                best[column - first] = row
+    return best

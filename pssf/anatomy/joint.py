@@ -1,0 +1,110 @@
+"""The joint: places the femur over the tibia so that the projected joint spaces are what the knee asks for."""
+
+from dataclasses import dataclass, replace
+
+import manifold3d
+import numpy as np
+
+from ..checks import Array, InputError
+from ..files import tables
+from ..geometry import View, magnification, project, view_of
+from ..knee import Knee
+from ..protocol import load_protocol
+from .bones import Build, condyle
+from .contours import edges_of, measure_gap
+from .solids import Manifold, mesh_of
+
+_TOLERANCE_MM = 1e-4
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where the bones go: the femur is flexed, tilted about y and raised; everything is then moved and turned about z."""
+
+    tilt_deg: float
+    raise_mm: float
+    shift_mm: float
+    flexion_deg: float
+    rotation_deg: float
+    pivot_mm: tuple[float, float, float]
+
+    def femur(self) -> Array:
+        """(3, 4)  transform of femur and patella into the knee frame"""
+        flex = _turn(0, -self.flexion_deg)
+        pivot = np.asarray(self.pivot_mm)
+        matrix = np.column_stack((flex, pivot - flex @ pivot))
+        matrix = _turn(1, self.tilt_deg) @ matrix
+        matrix[2, 3] += self.raise_mm
+        return self._leg(matrix)
+
+    def tibia(self) -> Array:
+        """(3, 4)  transform of tibia and fibula into the knee frame"""
+        return self._leg(np.eye(3, 4))
+
+    def soft(self) -> Array:
+        """(3, 4)  transform of the soft tissue into the knee frame"""
+        return np.column_stack((_turn(2, self.rotation_deg), np.zeros(3)))
+
+    def _leg(self, matrix: Array) -> Array:
+        moved = matrix.copy()
+        moved[2, 3] += self.shift_mm
+        return _turn(2, self.rotation_deg) @ moved
+
+
+def _turn(axis: int, degrees: float) -> Array:
+    angle = np.deg2rad(degrees)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    matrix = np.eye(3)
+    matrix[i, i] = matrix[j, j] = np.cos(angle)
+    matrix[i, j], matrix[j, i] = -np.sin(angle), np.sin(angle)
+    return matrix
+
+
+def moved(vertices_mm: Array, transform: Array) -> Array:
+    """(n, 3)  vertices after a (3, 4) transform"""
+    return vertices_mm @ transform[:, :3].T + transform[:, 3]
+
+
+def half_ml_mm(scale: float) -> float:
+    """Half the medio-lateral width of the tibial plateau."""
+    return tables.data("anatomy")["size"]["male_tibial_ml_mm"] / 2 * scale
+
+
+def solve_pose(knee: Knee, build: Build, tibia: Manifold) -> Pose:
+    """Tilt and height of the femur that give both joint spaces under the protocol `reference` (Newton on the projection).
+
+    tibia   outer solid without osteophytes, plateau at z = 0
+    raises  InputError if the spaces cannot be met, which the ranges of `Knee` exclude
+    """
+    view = view_of(load_protocol("reference"))
+    femur = manifold3d.Manifold.compose([condyle("medial", build, 0.0), condyle("lateral", build, 0.0)])
+    meshes = [(mesh.vertices, edges_of(mesh.faces)) for mesh in (mesh_of(femur), mesh_of(tibia))]
+    wanted = np.array([knee.jsw_medial_mm, knee.jsw_lateral_mm])
+    pose = Pose(0.0, wanted.mean() + 2.0, 0.0, knee.flexion_deg, knee.rotation_deg, (0.0, 2.0 * build.scale, 23.0 * build.scale))
+    for _ in range(40):
+        placed = [(moved(v, t), e) for (v, e), t in zip(meshes, (pose.femur(), pose.tibia()), strict=True)]
+        gaps = [measure_gap(placed[0], placed[1], view, side, half_ml_mm(build.scale)) for side in (+1, -1)]
+        error = wanted - np.array([gap.jsw_mm for gap in gaps])
+        middle = _middle_mm(gaps, view)
+        if np.abs(error).max() < _TOLERANCE_MM and abs(middle) < 1e-3:
+            return pose
+        x = [(gap.columns_px[gap.narrowest] - (view.cols - 1) / 2) * gap.scale_mm for gap in gaps]
+        # A tilt about y by dB lowers a point at x by x dB (right-handed, z' = -x sin B + z cos B).
+        lift, turn = np.linalg.solve([[1.0, -x[0]], [1.0, -x[1]]], error)
+        pose = replace(
+            pose,
+            tilt_deg=pose.tilt_deg + float(np.rad2deg(turn)),
+            raise_mm=pose.raise_mm + float(lift),
+            shift_mm=pose.shift_mm - middle - float(lift) / 2,
+        )
+    raise InputError(
+        f"jsw_medial_mm = {knee.jsw_medial_mm} mm with jsw_lateral_mm = {knee.jsw_lateral_mm} mm: no pose of the femur "
+        f"gives both (left over: {np.abs(error).max():.3g} mm); allowed: spaces closer to each other"
+    )
+
+
+def _middle_mm(gaps: list, view: View) -> float:
+    """Height of the middle of the joint line in the joint plane."""
+    origin_row = project(np.zeros((1, 3)), view)[0, 0]
+    rows = np.mean([gap.middle_px()[0] for gap in gaps])
+    return float((origin_row - rows) * view.pixel_mm / magnification(view))

@@ -1,0 +1,67 @@
+"""Soft tissue of a right knee: skin, subcutaneous fat, and what lies within the fascia."""
+
+import numpy as np
+
+from ..checks import Array
+from ..files import tables
+from ..knee import Knee
+from .bones import Build, lean
+from .solids import Manifold, column
+
+_POWER = 2.25
+# Least tissue between bone and fascia; over the patella and the tibial crest there is hardly more.
+_COVER_MM = 3.0
+
+
+def layers(knee: Knee, build: Build, bone_points_mm: Array) -> dict[str, Manifold]:
+    """Nested solids "skin", "adipose" and "muscle", each filled to its outer surface.
+
+    bone_points_mm  (n, 3)  vertices of all bones in the leg's frame; the limb is made thick enough to hold them
+    """
+    table, size = tables.data("anatomy")["soft"], tables.data("anatomy")["size"]
+    fat, skin = knee.fat_mm, table["skin_mm"]
+    wrap_ml, wrap_ap = fat + skin, max(2.0, fat * table["anterior_fat_share"]) + skin
+    half_ml = size["male_tibial_ml_mm"] / 2 * build.scale + table["capsule_mm"] + wrap_ml
+    rows = [[z, half_ml + more, knee.limb_ap_mm / 2 * share, y, 0.0] for z, more, share, y in table["sections"]]
+    coarse = _follow_shafts(np.array(rows), knee, build)
+    # The patella stands in front of the limb's middle: where bone needs room the section moves there before it grows.
+    fascia = _hold(_resample(coarse) - np.array([0.0, wrap_ml, wrap_ap, 0.0, 0.0]), bone_points_mm)
+    levels = np.linspace(-205.0, 205.0, 103)
+
+    def grown(ml_mm: float, ap_mm: float, name: str) -> Manifold:
+        return column(fascia + np.array([0.0, ml_mm, ap_mm, 0.0, 0.0]), np.zeros_like, levels, name, power=_POWER)
+
+    return {
+        "skin": grown(wrap_ml, wrap_ap, "skin"),
+        "adipose": grown(wrap_ml - skin, wrap_ap - skin, "adipose"),
+        "muscle": grown(0.0, 0.0, "muscle"),
+    }
+
+
+def _resample(sections: Array) -> Array:
+    heights = np.linspace(sections[0, 0], sections[-1, 0], 28)
+    return np.column_stack([heights, *(np.interp(heights, sections[:, 0], sections[:, k]) for k in range(1, 5))])
+
+
+def _hold(sections: Array, points_mm: Array) -> Array:
+    """Sections moved and widened, where they must be, until every point lies within by the least cover."""
+    held = sections.copy()
+    reach = np.abs(np.diff(sections[:, 0])).max() * 1.5
+    for row in held:
+        near = points_mm[np.abs(points_mm[:, 2] - row[0]) < reach]
+        if len(near) == 0:
+            continue
+        for half, centre, axis in ((1, 4, 0), (2, 3, 1)):
+            low, high = near[:, axis].min() - 2 * _COVER_MM, near[:, axis].max() + 2 * _COVER_MM
+            row[centre] = np.clip(row[centre], min(high - row[half], row[centre]), max(low + row[half], row[centre]))
+        x = np.abs(near[:, 0] - row[4]) / (row[1] - _COVER_MM)
+        y = np.abs(near[:, 1] - row[3]) / (row[2] - _COVER_MM)
+        row[1:3] *= max(1.0, float((x**_POWER + y**_POWER).max() ** (1 / _POWER)))
+    return held
+
+
+def _follow_shafts(sections: Array, knee: Knee, build: Build) -> Array:
+    """Thigh and calf lean with their bones."""
+    leaning = lean(lean(sections, 40.0, -build.femur_valgus_deg * 0.6, +1), -25.0, build.tibia_varus_deg, -1)
+    swapped = leaning[:, [0, 1, 2, 4, 3]]
+    return lean(swapped, 20.0, knee.flexion_deg, +1)[:, [0, 1, 2, 4, 3]]

@@ -1,0 +1,109 @@
+"""Building blocks of manifold3d: lofts of sections, hulls, height fields; each checked where it is made."""
+
+from collections.abc import Callable
+
+import manifold3d
+import numpy as np
+import trimesh
+from scipy.interpolate import PchipInterpolator
+
+from ..checks import Array, InputError
+
+Manifold = manifold3d.Manifold
+
+
+def checked(solid: Manifold, name: str) -> Manifold:
+    """The solid itself, or a refusal: manifold3d reports a failure by status and an empty result, never by raising.
+
+    raises  InputError naming the solid, its status and volume
+    """
+    status = solid.status()
+    if status != manifold3d.Error.NoError or not solid.volume() > 0:
+        raise InputError(f"solid {name}: status {status.name}, volume {solid.volume():.6g} mm3; allowed: NoError, above 0 mm3")
+    return solid
+
+
+def solid_of(vertices_mm: Array, faces: Array, name: str) -> Manifold:
+    """A checked solid from vertices (n, 3) and faces (m, 3) with outward winding."""
+    mesh = manifold3d.Mesh64(np.ascontiguousarray(vertices_mm, np.float64), np.ascontiguousarray(faces, np.uint64))
+    return checked(Manifold(mesh), name)
+
+
+def mesh_of(solid: Manifold) -> trimesh.Trimesh:
+    """The boundary of a solid, in float64."""
+    mesh = solid.to_mesh64()
+    return trimesh.Trimesh(mesh.vert_properties[:, :3], mesh.tri_verts.astype(np.int64), process=False)
+
+
+def hull(points_mm: Array, name: str) -> Manifold:
+    """Convex hull of points (n, 3)."""
+    return checked(Manifold.hull_points(np.ascontiguousarray(points_mm, np.float64)), name)
+
+
+def ring(half_x: float, half_y: float, centre: tuple[float, float, float], power: float, count: int) -> Array:
+    """(count, 3)  a superellipse |x/a|^p + |y/b|^p = 1 at one height, counter-clockwise seen from +z"""
+    angle = np.arange(count) * (2 * np.pi / count)
+    cos, sin = np.cos(angle), np.sin(angle)
+    radius = (np.abs(cos) ** power + np.abs(sin) ** power) ** (-1 / power)
+    return np.column_stack(
+        (centre[0] + half_x * radius * cos, centre[1] + half_y * radius * sin, np.full(count, centre[2]))
+    )
+
+
+def loft(rings_mm: Array, name: str) -> Manifold:
+    """A solid through rings (rings, count, 3), counter-clockwise from +z and rising in z, closed by flat caps."""
+    levels, count, _ = rings_mm.shape
+    lower = np.arange(levels - 1)[:, None] * count + np.arange(count)
+    beside = np.arange(levels - 1)[:, None] * count + np.roll(np.arange(count), -1)
+    quads = np.stack((lower, beside, beside + count, lower + count), axis=-1).reshape(-1, 4)
+    bottom, top = levels * count, levels * count + 1
+    first, last = np.arange(count), np.arange(count) + (levels - 1) * count
+    faces = np.vstack(
+        (
+            quads[:, [0, 1, 2]],
+            quads[:, [0, 2, 3]],
+            np.column_stack((np.full(count, bottom), np.roll(first, -1), first)),
+            np.column_stack((np.full(count, top), last, np.roll(last, -1))),
+        )
+    )
+    centres = rings_mm[[0, -1]].mean(axis=1)
+    return solid_of(np.vstack((rings_mm.reshape(-1, 3), centres)), faces, name)
+
+
+def column(
+    sections: Array, inset_mm: Callable[[Array], Array], heights_mm: Array, name: str, power: float = 2.3, count: int = 96
+) -> Manifold:
+    """A loft through superelliptic sections that are interpolated in height and drawn in by a thickness.
+
+    sections    (n, 5)  z, half ML, half AP, centre y, centre x; any order in z
+    inset_mm    height (k,) -> thickness (k,) taken off both half axes
+    heights_mm  (k,)    levels of the rings, rising
+    """
+    table = np.asarray(sections, dtype=np.float64)
+    table = table[np.argsort(table[:, 0])]
+    half_x, half_y, centre_y, centre_x = PchipInterpolator(table[:, 0], table[:, 1:])(heights_mm).T
+    inset = inset_mm(heights_mm)
+    a, b = np.maximum(half_x - inset, 0.05), np.maximum(half_y - inset, 0.05)
+    rings = [
+        ring(a[i], b[i], (centre_x[i], centre_y[i], heights_mm[i]), power, count) for i in range(len(heights_mm))
+    ]
+    return loft(np.array(rings), name)
+
+
+def height_field(x_mm: Array, y_mm: Array, top_mm: Array, bottom_mm: float, name: str) -> Manifold:
+    """Everything between a relief and a flat bottom.
+
+    x_mm, y_mm  (nx,), (ny,)  grid, rising
+    top_mm      (nx, ny)      height of the relief, above bottom_mm everywhere
+    """
+    nx, ny = top_mm.shape
+    gx, gy = np.meshgrid(x_mm, y_mm, indexing="ij")
+    upper = np.column_stack((gx.ravel(), gy.ravel(), top_mm.ravel()))
+    lower = np.column_stack((gx.ravel(), gy.ravel(), np.full(nx * ny, bottom_mm)))
+    index = np.arange(nx * ny).reshape(nx, ny)
+    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
+    sheet = np.vstack((np.column_stack((a, b, c)), np.column_stack((a, c, d))))
+    border = np.concatenate((index[:, 0], index[-1, 1:], index[-2::-1, -1], index[0, -2:0:-1]))
+    after, drop = np.roll(border, -1), nx * ny
+    walls = np.vstack((np.column_stack((border, border + drop, after + drop)), np.column_stack((border, after + drop, after))))
+    return solid_of(np.vstack((upper, lower)), np.vstack((sheet, sheet[:, ::-1] + drop, walls)), name)
