@@ -1,0 +1,43 @@
+"""Knee radiographs from physics, with labels that are true by construction, and the study they exist for.
+
+knee       Knee, Osteophyte, draw_knee                parameters of a knee, checked at birth
+protocol   Protocol, load_protocol                    how it is taken
+anatomy    build(knee)                 -> Scene       closed meshes between named materials
+scene      Scene, Surface                             anybody's closed meshes
+raycast    trace(scene, protocol)      -> Paths       path length per material and pixel, audited
+simulate   simulate(knee, protocol)    -> Radiograph  pixels and labels
+files      save, load, export_meshes                  the only part that touches the disk
+cohort     plan and make a cohort of radiographs
+radiomics  region and features                        (extra "study")
+study      models, statistics, report                 (extra "study")
+"""
+
+from .anatomy import build
+from .checks import InputError
+from .files.images import load, save
+from .files.meshes import export_meshes
+from .knee import Knee, Osteophyte, draw_knee
+from .protocol import Protocol, load_protocol
+from .radiograph import Radiograph, Truth
+from .raycast import trace
+from .scene import Scene, Surface
+from .simulate import simulate
+
+__all__ = [
+    "InputError",
+    "Knee",
+    "Osteophyte",
+    "Protocol",
+    "Radiograph",
+    "Scene",
+    "Surface",
+    "Truth",
+    "build",
+    "draw_knee",
+    "export_meshes",
+    "load",
+    "load_protocol",
+    "save",
+    "simulate",
+    "trace",
+]

@@ -109,7 +109,9 @@ def _check_nesting(placed: dict[str, bones.Bone], muscle: Manifold) -> None:
         shells += [("marrow", part.canal, part.inner)] if part.canal is not None else []
         for what, inside, host in shells:
             if (inside - host).volume() > 1e-6:
-                raise InputError(f"{name}: its {what} leaves its host by {(inside - host).volume():.3g} mm3; allowed: 0")
+                raise InputError(
+                    f"{name}: its {what} leaves its host by {(inside - host).volume():.3g} mm3; allowed: 0"
+                )
     names = list(placed)
     for i, one in enumerate(names):
         for other in names[i + 1 :]:

@@ -78,8 +78,8 @@ def condyle(side: str, build: Build, inset_mm: float) -> Manifold:
     arcs = []
     for radius, shift, start, end in (
         (distal, 0.0, front, back),
-        (part["posterior"], part["back_y"], back, np.deg2rad(150)),
-        (part["anterior"], part["front_y"], np.deg2rad(-130), front),
+        (part["posterior"], part["back_y"], back, np.deg2rad(125)),
+        (part["anterior"], part["front_y"], np.deg2rad(-110), front),
     ):
         angle = np.linspace(start, end, 40)
         # The smaller circles touch the distal one from inside where the arcs meet.
@@ -88,13 +88,17 @@ def condyle(side: str, build: Build, inset_mm: float) -> Manifold:
         cz = distal - (distal - radius) * np.cos(meet) if radius != distal else distal
         arcs.append((cy, cz, radius, angle))
     u = np.sin(np.linspace(-np.pi / 2, np.pi / 2, 41))
-    drop = table["crown_mm"] * u**2 + table["rounding_mm"] * u**8
+    outward = u * np.sign(part["centre_x"])
+    drop = sum(fall * np.maximum(outward, 0) ** power for fall, power in table["outer_fall"])
+    drop += sum(fall * np.maximum(-outward, 0) ** power for fall, power in table["inner_fall"])
     points = []
     for offset, fall in zip(u, drop, strict=True):
         x = part["centre_x"] * s + offset * (part["half_width"] * s - inset_mm)
         for cy, cz, radius, angle in arcs:
             r = (radius - fall) * s - inset_mm
-            points.append(np.column_stack((np.full(len(angle), x), cy * s + r * np.sin(angle), cz * s - r * np.cos(angle))))
+            points.append(
+                np.column_stack((np.full(len(angle), x), cy * s + r * np.sin(angle), cz * s - r * np.cos(angle)))
+            )
     return hull(np.vstack(points), f"femur {side} condyle")
 
 
@@ -123,7 +127,9 @@ def femur(build: Build) -> Bone:
     low, high = sections[0, 0], SHAFT_END_MM
 
     def assembled(levels: Array, inset: Callable[[Array], Array], shell_mm: float) -> Manifold:
-        body = column(sections, inset, levels, "femur body")
+        # The underside is nearly flat: there the shell is a rise of the sections, not only a drawing in.
+        rise = shell_mm * np.clip((30.0 * s - sections[:, :1]) / (10.0 * s), 0, 1)
+        body = column(sections + rise * np.eye(5)[0], inset, levels, "femur body")
         both = condyle("medial", build, shell_mm) + condyle("lateral", build, shell_mm)
         return checked(body + both - _notch(build, shell_mm), "femur")
 
@@ -169,7 +175,9 @@ def relief(x_mm: Array, y_mm: Array, build: Build) -> Array:
 def tibia_column(build: Build, grow_mm: float) -> Manifold:
     """The tibia without its relief, grown by `grow_mm`; used to keep the fibula clear of it."""
     sections = _tibia_sections(build)
-    return column(sections, lambda z: np.full_like(z, -grow_mm), _levels(-SHAFT_END_MM - 10.0, 4.0, 3.0), "tibia column")
+    return column(
+        sections, lambda z: np.full_like(z, -grow_mm), _levels(-SHAFT_END_MM - 10.0, 4.0, 3.0), "tibia column"
+    )
 
 
 def _tibia_sections(build: Build) -> Array:

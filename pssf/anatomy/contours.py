@@ -49,7 +49,9 @@ def edges_of(faces: Array) -> Array:
     return np.unique(directed, axis=0)
 
 
-def measure_gap(femur: tuple[Array, Array], tibia: tuple[Array, Array], view: View, side_x: int, half_ml_mm: float) -> Gap:
+def measure_gap(
+    femur: tuple[Array, Array], tibia: tuple[Array, Array], view: View, side_x: int, half_ml_mm: float
+) -> Gap:
     """The joint space of a compartment as a detector at `view` sees it.
 
     femur, tibia  vertices (n, 3) and edges (m, 2)

@@ -80,7 +80,9 @@ def solve_pose(knee: Knee, build: Build, tibia: Manifold) -> Pose:
     femur = manifold3d.Manifold.compose([condyle("medial", build, 0.0), condyle("lateral", build, 0.0)])
     meshes = [(mesh.vertices, edges_of(mesh.faces)) for mesh in (mesh_of(femur), mesh_of(tibia))]
     wanted = np.array([knee.jsw_medial_mm, knee.jsw_lateral_mm])
-    pose = Pose(0.0, wanted.mean() + 2.0, 0.0, knee.flexion_deg, knee.rotation_deg, (0.0, 2.0 * build.scale, 23.0 * build.scale))
+    pose = Pose(
+        0.0, wanted.mean() + 2.0, 0.0, knee.flexion_deg, knee.rotation_deg, (0.0, 2.0 * build.scale, 23.0 * build.scale)
+    )
     for _ in range(40):
         placed = [(moved(v, t), e) for (v, e), t in zip(meshes, (pose.femur(), pose.tibia()), strict=True)]
         gaps = [measure_gap(placed[0], placed[1], view, side, half_ml_mm(build.scale)) for side in (+1, -1)]

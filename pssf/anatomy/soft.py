@@ -1,6 +1,7 @@
 """Soft tissue of a right knee: skin, subcutaneous fat, and what lies within the fascia."""
 
 import numpy as np
+from scipy import ndimage
 
 from ..checks import Array
 from ..files import tables
@@ -47,16 +48,21 @@ def _hold(sections: Array, points_mm: Array) -> Array:
     """Sections moved and widened, where they must be, until every point lies within by the least cover."""
     held = sections.copy()
     reach = np.abs(np.diff(sections[:, 0])).max() * 1.5
-    for row in held:
-        near = points_mm[np.abs(points_mm[:, 2] - row[0]) < reach]
-        if len(near) == 0:
-            continue
-        for half, centre, axis in ((1, 4, 0), (2, 3, 1)):
+    bands = [points_mm[np.abs(points_mm[:, 2] - z) < reach] for z in sections[:, 0]]
+    for row, near in zip(held, bands, strict=True):
+        for half, centre, axis in ((1, 4, 0), (2, 3, 1)) if len(near) else ():
             low, high = near[:, axis].min() - 2 * _COVER_MM, near[:, axis].max() + 2 * _COVER_MM
             row[centre] = np.clip(row[centre], min(high - row[half], row[centre]), max(low + row[half], row[centre]))
-        x = np.abs(near[:, 0] - row[4]) / (row[1] - _COVER_MM)
-        y = np.abs(near[:, 1] - row[3]) / (row[2] - _COVER_MM)
-        row[1:3] *= max(1.0, float((x**_POWER + y**_POWER).max() ** (1 / _POWER)))
+    held[:, 3:] = ndimage.uniform_filter1d(held[:, 3:], 5, axis=0, mode="nearest")
+    growth = np.ones(len(held))
+    for k, near in enumerate(bands):
+        if len(near):
+            x = np.abs(near[:, 0] - held[k, 4]) / (held[k, 1] - _COVER_MM)
+            y = np.abs(near[:, 1] - held[k, 3]) / (held[k, 2] - _COVER_MM)
+            growth[k] = max(1.0, float((x**_POWER + y**_POWER).max() ** (1 / _POWER)))
+    # The mean of a running maximum of the same width is never below the growth itself, and has no steps.
+    growth = ndimage.uniform_filter1d(ndimage.maximum_filter1d(growth, 9, mode="nearest"), 9, mode="nearest")
+    held[:, 1:3] *= growth[:, None]
     return held
 
 

@@ -19,7 +19,9 @@ def checked(solid: Manifold, name: str) -> Manifold:
     """
     status = solid.status()
     if status != manifold3d.Error.NoError or not solid.volume() > 0:
-        raise InputError(f"solid {name}: status {status.name}, volume {solid.volume():.6g} mm3; allowed: NoError, above 0 mm3")
+        raise InputError(
+            f"solid {name}: status {status.name}, volume {solid.volume():.6g} mm3; allowed: NoError, above 0 mm3"
+        )
     return solid
 
 
@@ -71,7 +73,12 @@ def loft(rings_mm: Array, name: str) -> Manifold:
 
 
 def column(
-    sections: Array, inset_mm: Callable[[Array], Array], heights_mm: Array, name: str, power: float = 2.3, count: int = 96
+    sections: Array,
+    inset_mm: Callable[[Array], Array],
+    heights_mm: Array,
+    name: str,
+    power: float = 2.3,
+    count: int = 96,
 ) -> Manifold:
     """A loft through superelliptic sections that are interpolated in height and drawn in by a thickness.
 
@@ -84,9 +91,7 @@ def column(
     half_x, half_y, centre_y, centre_x = PchipInterpolator(table[:, 0], table[:, 1:])(heights_mm).T
     inset = inset_mm(heights_mm)
     a, b = np.maximum(half_x - inset, 0.05), np.maximum(half_y - inset, 0.05)
-    rings = [
-        ring(a[i], b[i], (centre_x[i], centre_y[i], heights_mm[i]), power, count) for i in range(len(heights_mm))
-    ]
+    rings = [ring(a[i], b[i], (centre_x[i], centre_y[i], heights_mm[i]), power, count) for i in range(len(heights_mm))]
     return loft(np.array(rings), name)
 
 
@@ -105,5 +110,7 @@ def height_field(x_mm: Array, y_mm: Array, top_mm: Array, bottom_mm: float, name
     sheet = np.vstack((np.column_stack((a, b, c)), np.column_stack((a, c, d))))
     border = np.concatenate((index[:, 0], index[-1, 1:], index[-2::-1, -1], index[0, -2:0:-1]))
     after, drop = np.roll(border, -1), nx * ny
-    walls = np.vstack((np.column_stack((border, border + drop, after + drop)), np.column_stack((border, after + drop, after))))
+    walls = np.vstack(
+        (np.column_stack((border, border + drop, after + drop)), np.column_stack((border, after + drop, after)))
+    )
     return solid_of(np.vstack((upper, lower)), np.vstack((sheet, sheet[:, ::-1] + drop, walls)), name)

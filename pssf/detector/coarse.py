@@ -1,0 +1,27 @@
+"""Coarse maps of smooth things: block means, and back by linear interpolation."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..checks import Array
+
+
+def block_mean(image: NDArray[np.float32], step: int) -> Array:
+    """(ceil(rows/step), ceil(cols/step))  means of blocks; those at the lower and right edge may be smaller"""
+    sums = np.add.reduceat(image.astype(np.float64), np.arange(0, image.shape[0], step), axis=0)
+    sums = np.add.reduceat(sums, np.arange(0, image.shape[1], step), axis=1)
+    sizes = [np.diff(np.append(np.arange(0, n, step), n)) for n in image.shape]
+    return sums / np.outer(*sizes)
+
+
+def enlarge(coarse: Array, step: int, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """(rows, cols)  a coarse map by linear interpolation between the centres of its blocks"""
+    fine = coarse
+    for axis in (0, 1):
+        place = np.clip((np.arange(shape[axis]) + 0.5) / step - 0.5, 0, coarse.shape[axis] - 1)
+        low = np.minimum(place.astype(int), max(coarse.shape[axis] - 2, 0))
+        share = place - low
+        high = np.minimum(low + 1, coarse.shape[axis] - 1)
+        weight = share[:, None] if axis == 0 else share[None, :]
+        fine = np.take(fine, low, axis) * (1 - weight) + np.take(fine, high, axis) * weight
+    return fine.astype(np.float32)

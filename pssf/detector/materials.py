@@ -1,0 +1,81 @@
+"""Attenuation of tissues and compounds (xraylib)."""
+
+from functools import cache
+
+import numpy as np
+import xraylib
+
+from ..checks import Array, InputError, require, require_choice
+from ..files import tables
+
+_CM_PER_MM = 0.1
+
+
+def attenuation_per_mm(material: str, energies_kev: Array) -> Array:
+    """(bins,)  linear attenuation with coherent scattering, 1/mm
+
+    material  a tissue of `data/tissues.toml`, or "FORMULA@DENSITY" in g/cm3
+    raises    InputError for an unknown material
+    """
+    density, weights = _recipe(material)
+    return density * _mass_attenuation(weights, energies_kev) * _CM_PER_MM
+
+
+def density_g_per_cm3(material: str) -> float:
+    """Density of a tissue or compound.
+
+    raises  InputError for an unknown material
+    """
+    return _recipe(material)[0]
+
+
+def absorbed_fraction(formula: str, mg_per_cm2: float, energies_kev: Array) -> Array:
+    """(bins,)  photons that interact, other than coherently, in a layer of a compound"""
+    compound = xraylib.CompoundParser(formula)
+    parts = zip(compound["Elements"], compound["massFractions"], strict=True)
+    mu = sum(w * np.array([xraylib.CS_Photo(z, e) + xraylib.CS_Compt(z, e) for e in energies_kev]) for z, w in parts)
+    return 1 - np.exp(-mu * mg_per_cm2 / 1000)
+
+
+@cache
+def _recipe(material: str) -> tuple[float, tuple[tuple[int, float], ...]]:
+    """Density (g/cm3) and mass fraction of each element."""
+    tissues = tables.data("tissues")
+    if "@" in material:
+        return _compound(material)
+    require_choice("material", material, (*tissues, "FORMULA@DENSITY"))
+    if material not in tissues:
+        raise InputError(f"material = {material!r}; allowed: a formula and a density in g/cm3, such as Ti@4.51")
+    entry = tissues[material]
+    if "mix" in entry:
+        return _mixture(entry["mix"])
+    total = sum(entry["composition"].values())
+    weights = ((xraylib.SymbolToAtomicNumber(s), w / total) for s, w in entry["composition"].items())
+    return float(entry["density"]), tuple(weights)
+
+
+def _mixture(volumes: dict[str, float]) -> tuple[float, tuple[tuple[int, float], ...]]:
+    density, masses = 0.0, {}
+    for name, share in volumes.items():
+        part_density, weights = _recipe(name)
+        density += share * part_density
+        for z, w in weights:
+            masses[z] = masses.get(z, 0.0) + share * part_density * w
+    return density, tuple((z, mass / density) for z, mass in masses.items())
+
+
+def _compound(material: str) -> tuple[float, tuple[tuple[int, float], ...]]:
+    formula, _, text = material.partition("@")
+    try:
+        density = float(text)
+        parsed = xraylib.CompoundParser(formula)
+    except ValueError:
+        raise InputError(
+            f"material = {material!r}; allowed: a formula and a density in g/cm3, such as Ti@4.51"
+        ) from None
+    require(f"density of {formula}", density, 1e-6, 30, "g/cm3")
+    return density, tuple(zip(parsed["Elements"], parsed["massFractions"], strict=True))
+
+
+def _mass_attenuation(weights: tuple[tuple[int, float], ...], energies_kev: Array) -> Array:
+    return np.sum([w * np.array([xraylib.CS_Total(z, float(e)) for e in energies_kev]) for z, w in weights], axis=0)

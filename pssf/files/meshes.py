@@ -1,0 +1,98 @@
+"""Scenes as mesh files: STL and PLY, one file a surface, and GLB, one node a surface with name, material and colour."""
+
+from pathlib import Path
+
+import trimesh
+from trimesh.visual.material import PBRMaterial
+
+from ..checks import InputError, require_choice
+from ..scene import Scene, Surface
+from .atomic import folder, write_bytes
+
+FORMATS = ("stl", "ply", "glb")
+# Half-transparent shells, so that the nesting is seen: red, green, blue, opacity.
+_COLOURS = {
+    "cortical_bone": (236, 226, 198, 140),
+    "trabecular_bone": (214, 168, 120, 150),
+    "marrow": (232, 196, 90, 200),
+    "cartilage": (160, 200, 230, 160),
+    "muscle": (170, 60, 55, 60),
+    "adipose": (240, 214, 120, 40),
+    "skin": (224, 172, 140, 40),
+}
+_OTHER = (150, 150, 160, 120)
+
+
+def export_meshes(
+    scene: Scene, directory: str | Path, *, formats: tuple[str, ...] = FORMATS, stem: str = "knee"
+) -> list[Path]:
+    """Write the surfaces of a scene, in mm: <stem>.glb with one named node each, and <stem>-<surface>.stl and .ply.
+
+    formats  any of "stl", "ply", "glb"
+    returns  the files written
+    raises   InputError for another format, or a disk that is full or cannot be written
+    """
+    for name in formats:
+        require_choice("format", name, FORMATS)
+    directory = folder(Path(directory))
+    names = _unique_names(scene)
+    written = []
+    for kind in formats:
+        if kind == "glb":
+            path = directory / f"{stem}.glb"
+            write_bytes(path, glb(scene))
+            written.append(path)
+            continue
+        for name, surface in zip(names, scene.surfaces, strict=True):
+            path = directory / f"{stem}-{name}.{kind}"
+            write_bytes(path, surface.mesh.export(file_type=kind))
+            written.append(path)
+    return written
+
+
+def glb(scene: Scene) -> bytes:
+    """The scene as binary glTF; millimetres, one node a surface, innermost last."""
+    nodes = trimesh.Scene()
+    for name, surface in zip(_unique_names(scene), scene.surfaces, strict=True):
+        nodes.add_geometry(_coloured(surface), node_name=name, geom_name=name)
+    return bytes(nodes.export(file_type="glb"))
+
+
+def read_mesh(path: str | Path) -> trimesh.Trimesh:
+    """A mesh file (STL, PLY, OBJ, GLB ...), millimetres; equal corners are welded, as STL needs it.
+
+    raises  InputError for a file that is missing or not a mesh
+    """
+    path = Path(path)
+    try:
+        return trimesh.load_mesh(path, process=True)
+    except OSError as error:
+        raise InputError(f"file {path}: {error.strerror or error}; allowed: a readable mesh file") from None
+    except Exception as error:  # mesh readers fail in many ways on a damaged file
+        raise InputError(f"file {path}: not a mesh ({type(error).__name__}); allowed: STL, PLY, OBJ or GLB") from None
+
+
+def _coloured(surface: Surface) -> trimesh.Trimesh:
+    red, green, blue, opacity = _COLOURS.get(surface.inside, _OTHER)
+    material = PBRMaterial(
+        name=surface.inside,
+        baseColorFactor=[red, green, blue, opacity],
+        alphaMode="BLEND",
+        metallicFactor=0.0,
+        roughnessFactor=0.7,
+        doubleSided=True,
+    )
+    mesh = trimesh.Trimesh(surface.mesh.vertices, surface.mesh.faces, process=False)
+    mesh.visual = trimesh.visual.TextureVisuals(material=material)
+    mesh.metadata = {"inside": surface.inside, "outside": surface.outside, "unit": "mm"}
+    return mesh
+
+
+def _unique_names(scene: Scene) -> list[str]:
+    names: list[str] = []
+    for surface in scene.surfaces:
+        name, count = surface.name, 2
+        while name in names:
+            name, count = f"{surface.name}_{count}", count + 1
+        names.append(name)
+    return names

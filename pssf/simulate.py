@@ -1,0 +1,79 @@
+"""simulate: a knee, or any scene, and a protocol -> a radiograph."""
+
+from collections.abc import Collection
+from dataclasses import asdict
+from functools import cache
+from importlib.metadata import version
+from time import perf_counter
+
+import numpy as np
+
+from . import anatomy, detector, raycast
+from .checks import require_choice, require_whole
+from .geometry import view_of
+from .knee import Knee
+from .protocol import Protocol
+from .radiograph import Radiograph
+from .scene import Scene
+
+KEEP = ("path_mm", "primary", "scatter", "noise_free")
+# Streams below a radiograph's seed; shape and pose are drawn with the knee, before it.
+_NOISE = 3
+
+
+def simulate(
+    knee: Knee | Scene,
+    protocol: Protocol,
+    *,
+    seed: int = 0,
+    keep: Collection[str] = (),
+    engine: str = "embree",
+    workers: int = 2,
+    scene: Scene | None = None,
+) -> Radiograph:
+    """A radiograph of a knee, or of a scene of one's own.
+
+    seed     of the noise; the same seed gives the same bytes on any number of workers
+    keep     maps to hold in `kept`, of "path_mm", "primary", "scatter", "noise_free"
+    engine   "embree" or "scanline"
+    workers  threads
+    scene    what `build(knee)` gave, where several protocols see the same knee
+    raises   InputError for an unknown name in keep, an unknown engine or material, a scene that cannot be traced
+    """
+    require_whole("seed", seed, 0, 2**63 - 1, "")
+    for name in keep:
+        require_choice("keep", name, KEEP)
+    start = perf_counter()
+    if isinstance(knee, Scene):
+        scene, who = knee, None
+    else:
+        scene, who = scene or anatomy.build(knee), knee
+    seconds = {"anatomy": perf_counter() - start}
+    start = perf_counter()
+    paths = raycast.trace(scene, protocol, engine=engine, workers=workers)
+    seconds["rays"] = perf_counter() - start
+    gap_mm = max(0.0, view_of(protocol).centre_mm[1] - float(scene.bounds_mm[1, 1]))
+    noise = np.random.SeedSequence(seed, spawn_key=(_NOISE,))
+    pixels, kept, stages = detector.expose(
+        paths.path_mm, protocol, gap_mm=gap_mm, seed=noise, keep=keep, workers=workers
+    )
+    if "path_mm" in keep:
+        kept["path_mm"] = paths.path_mm
+    return Radiograph(
+        pixels=pixels,
+        protocol=protocol,
+        seed=seed,
+        knee=who,
+        truth=None if who is None else anatomy.truth_of(who, scene, protocol),
+        audit=asdict(paths.audit),
+        versions=versions(),
+        kept=kept,
+        seconds={**seconds, **stages},
+    )
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Versions of the package and of all that its pixels depend on."""
+    names = ("pssf", "embreex", "manifold3d", "numba", "numpy", "scipy", "spekpy", "trimesh", "xraylib")
+    return {name: version(name) for name in names}
