@@ -33,7 +33,9 @@ def require_whole(name: str, value: int, low: int, high: int, unit: str) -> None
     raises  InputError
     """
     if not isinstance(value, Integral) or isinstance(value, bool) or not low <= value <= high:
-        raise InputError(f"{name} = {value!r} {unit}; allowed: whole numbers from {low} to {high} {unit}")
+        raise InputError(
+            f"{name} = {value!r} {unit}; allowed: whole numbers from {low} to {high} {unit}".replace("  ", " ").rstrip()
+        )
 
 
 def require_choice(name: str, value: Any, allowed: Collection[Any]) -> None:

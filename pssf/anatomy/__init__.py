@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import trimesh
+from manifold3d import Manifold
 
 from ..checks import InputError
 from ..files import tables
@@ -22,7 +23,7 @@ from . import bones, soft
 from .contours import edges_of, measure_gap
 from .joint import half_ml_mm, solve_pose
 from .osteophytes import add_osteophytes
-from .solids import Manifold, checked, mesh_of
+from .solids import checked, mesh_of
 
 __all__ = ["build", "truth_of"]
 
@@ -117,7 +118,8 @@ def _check_nesting(placed: dict[str, bones.Bone], muscle: Manifold) -> None:
         for other in names[i + 1 :]:
             shared = (placed[one].outer ^ placed[other].outer).volume()
             if shared > 1e-6:
-                raise InputError(f"{one} and {other} overlap by {shared:.3g} mm3; allowed: 0")
+                why = "joint spaces, osteophytes and pose leave them no room"
+                raise InputError(f"{one} and {other} overlap by {shared:.3g} mm3 ({why}); allowed: 0 mm3")
 
 
 def _surface(solid: Manifold, inside: str, outside: str, name: str, knee: Knee) -> Surface:

@@ -4,11 +4,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from manifold3d import Manifold
 
 from ..checks import Array
 from ..files import tables
-from .solids import Manifold, checked, column, height_field, hull, loft, ring
-
+from .solids import checked, column, height_field, hull, loft, ring
 
 # Shafts end here, outside the beam of any protocol in the package and within the soft tissue's own length.
 SHAFT_END_MM = 180.0

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass, replace
 
-import manifold3d
 import numpy as np
+from manifold3d import Manifold
 
 from ..checks import Array, InputError
 from ..files import tables
@@ -12,7 +12,7 @@ from ..knee import Knee
 from ..protocol import load_protocol
 from .bones import Build, condyle
 from .contours import edges_of, measure_gap
-from .solids import Manifold, mesh_of
+from .solids import mesh_of
 
 _TOLERANCE_MM = 1e-4
 
@@ -77,7 +77,7 @@ def solve_pose(knee: Knee, build: Build, tibia: Manifold) -> Pose:
     raises  InputError if the spaces cannot be met, which the ranges of `Knee` exclude
     """
     view = view_of(load_protocol("reference"))
-    femur = manifold3d.Manifold.compose([condyle("medial", build, 0.0), condyle("lateral", build, 0.0)])
+    femur = Manifold.compose([condyle("medial", build, 0.0), condyle("lateral", build, 0.0)])
     meshes = [(mesh.vertices, edges_of(mesh.faces)) for mesh in (mesh_of(femur), mesh_of(tibia))]
     wanted = np.array([knee.jsw_medial_mm, knee.jsw_lateral_mm])
     pose = Pose(

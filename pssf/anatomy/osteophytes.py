@@ -1,11 +1,11 @@
 """Osteophytes: beaks at the joint margins, each with a cortex of its own."""
 
-import manifold3d
 import numpy as np
+from manifold3d import Manifold
 
 from ..knee import Osteophyte
 from .bones import Bone
-from .solids import Manifold, checked, mesh_of
+from .solids import checked, mesh_of
 
 _CORTEX_MM = 0.5
 # Height band (mm at scale 1) in which a bone's margin is looked for, height of the tip, and of the base.
@@ -51,4 +51,4 @@ def _beak(name: str, direction: float, margin_mm: float, size_mm: float, inset_m
 
 
 def _ball(centre_mm: tuple[float, float, float], radius_mm: float) -> Manifold:
-    return manifold3d.Manifold.sphere(radius_mm, 32).translate(np.asarray(centre_mm))
+    return Manifold.sphere(radius_mm, 32).translate(np.asarray(centre_mm))

@@ -1,13 +1,14 @@
 """Soft tissue of a right knee: skin, subcutaneous fat, and what lies within the fascia."""
 
 import numpy as np
+from manifold3d import Manifold
 from scipy import ndimage
 
 from ..checks import Array
 from ..files import tables
 from ..knee import Knee
 from .bones import Build, lean
-from .solids import Manifold, column
+from .solids import column
 
 _POWER = 2.25
 # Least tissue between bone and fascia; over the patella and the tibial crest there is hardly more.

@@ -5,11 +5,10 @@ from collections.abc import Callable
 import manifold3d
 import numpy as np
 import trimesh
+from manifold3d import Manifold
 from scipy.interpolate import PchipInterpolator
 
 from ..checks import Array, InputError
-
-Manifold = manifold3d.Manifold
 
 
 def checked(solid: Manifold, name: str) -> Manifold:

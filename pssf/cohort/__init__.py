@@ -1,0 +1,11 @@
+"""cohort.plan_cohort   preset, seed    -> who is in it, and how each knee is taken
+cohort.make_cohort   plan, folder    -> images and a manifest; goes on where an earlier run stopped
+
+A cohort's folder holds cohort.json (what was asked for), images/*.tif, records/*.json (one a knee, written after its
+images) and, when all is made, manifest.csv with one row a radiograph.
+"""
+
+from .make import make_cohort
+from .plan import Case, Plan, Shot, plan_cohort, preset_names
+
+__all__ = ["Case", "Plan", "Shot", "make_cohort", "plan_cohort", "preset_names"]

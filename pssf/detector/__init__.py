@@ -62,7 +62,7 @@ def expose(
         lap("focal spot")
     blur = (lambda image: detector_blur(image, protocol.pixel_mm, workers)) if protocol.detector_blur == "csi" else None
     if "noise_free" in keep:
-        kept["noise_free"] = readout(blur(kev) if blur else kev, None)
+        kept["noise_free"] = readout(blur(kev) if blur else kev, protocol.pixel_mm, None)
     streams = [np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, k)) for k in (0, 1)]
     noisy = protocol.noise == "quantum"
     if noisy:
@@ -71,6 +71,6 @@ def expose(
     if blur:
         kev = blur(kev)
         lap("detector blur")
-    pixels = readout(kev, streams[1] if noisy else None, workers)
+    pixels = readout(kev, protocol.pixel_mm, streams[1] if noisy else None, workers)
     lap("readout")
     return pixels, {name: kept[name] for name in keep if name in kept}, seconds

@@ -52,8 +52,11 @@ def quantum_noise(kev: Map, photon_kev: Map, seed: np.random.SeedSequence, worke
     return _in_bands(kev.shape, seed, draw, workers)
 
 
-def readout(kev: Map, seed: np.random.SeedSequence | None, workers: int = 2) -> NDArray[np.uint16]:
-    """(rows, cols) uint16  gain, readout noise (Gaussian, electrons), offset, saturation; no noise without a seed"""
+def readout(kev: Map, pixel_mm: float, seed: np.random.SeedSequence | None, workers: int = 2) -> NDArray[np.uint16]:
+    """(rows, cols) uint16  gain, readout noise (Gaussian, electrons), offset, saturation; no noise without a seed
+
+    pixel_mm  a larger pixel holds charge in proportion to its area
+    """
     table = tables.data("detector")["csi"]
     electrons = kev * np.float32(table["electrons_per_kev"])
     if seed is not None:
@@ -64,7 +67,7 @@ def readout(kev: Map, seed: np.random.SeedSequence | None, workers: int = 2) -> 
             lambda rng, rows: rng.standard_normal((rows.stop - rows.start, kev.shape[1]), np.float32),
             workers,
         )
-    numbers = electrons / np.float32(table["electrons_per_dn"]) + np.float32(table["offset_dn"])
+    numbers = electrons / np.float32(table["electrons_per_dn_mm2"] * pixel_mm**2) + np.float32(table["offset_dn"])
     return np.clip(np.rint(numbers), 0, 65535).astype(np.uint16)
 
 
@@ -104,10 +107,10 @@ def _in_bands(
 
 def _filter(image: Map, response: Callable[[Array, Array], Array], workers: int) -> Map:
     """Multiplication in frequency; the margin mirrors the image, so that its far sides do not bleed into each other."""
-    margin = [min(_MARGIN_PX, n) for n in image.shape]
-    padded = np.pad(image, [(m, m) for m in margin], mode="symmetric")
-    shape = [fft.next_fast_len(n, real=True) for n in padded.shape]
-    spectrum = fft.rfft2(padded, shape, workers=workers)
+    shape = [fft.next_fast_len(n + 2 * min(_MARGIN_PX, n), real=True) for n in image.shape]
+    before = [(long - n) // 2 for long, n in zip(shape, image.shape, strict=True)]
+    margins = [(b, long - n - b) for b, long, n in zip(before, shape, image.shape, strict=True)]
+    spectrum = fft.rfft2(np.pad(image, margins, mode="symmetric"), workers=workers)
     spectrum *= response(np.fft.fftfreq(shape[0]), np.fft.rfftfreq(shape[1])).astype(np.float32)
     back = fft.irfft2(spectrum, shape, workers=workers)
-    return back[margin[0] : margin[0] + image.shape[0], margin[1] : margin[1] + image.shape[1]]
+    return back[before[0] : before[0] + image.shape[0], before[1] : before[1] + image.shape[1]]

@@ -31,7 +31,7 @@ def scatter_kev(
         mass += block_mean(lengths, step) * (density_g_per_cm3(name) / 10.0)
     table = tables.data("scatter")
     power = float(np.interp(protocol.tube_kv, table["tube_kv"], table["kv_factor"]))
-    strength = power * (mass / table["reference_thickness_cm"]) ** table["thickness_power"]
+    strength = table["limb_factor"] * power * (mass / table["reference_thickness_cm"]) ** table["thickness_power"]
     source = primary * strength
     spread = np.zeros_like(source)
     for weight, width_cm in _kernel(gap_mm):

@@ -45,7 +45,7 @@ def export_meshes(
             continue
         for name, surface in zip(names, scene.surfaces, strict=True):
             path = directory / f"{stem}-{name}.{kind}"
-            write_bytes(path, surface.mesh.export(file_type=kind))
+            write_bytes(path, bytes(surface.mesh.export(file_type=kind)))
             written.append(path)
     return written
 
@@ -65,11 +65,14 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
     """
     path = Path(path)
     try:
-        return trimesh.load_mesh(path, process=True)
+        mesh = trimesh.load_mesh(path, process=True)
     except OSError as error:
         raise InputError(f"file {path}: {error.strerror or error}; allowed: a readable mesh file") from None
     except Exception as error:  # mesh readers fail in many ways on a damaged file
         raise InputError(f"file {path}: not a mesh ({type(error).__name__}); allowed: STL, PLY, OBJ or GLB") from None
+    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+        raise InputError(f"file {path}: holds no faces; allowed: STL, PLY, OBJ or GLB with a closed mesh")
+    return mesh
 
 
 def _coloured(surface: Surface) -> trimesh.Trimesh:

@@ -1,0 +1,143 @@
+"""The radiomics study of a cohort: `run` takes a manifest to a report.
+
+split.split_subjects      subjects, grades       -> training, validation, test subjects
+selection.preparation     name of a selection    -> pipeline: prune, standardise, select
+models.tune               training, validation   -> fitted model
+metrics.score             truth, probability     -> AUC, balanced accuracy, macro F1
+scenarios.one_split       features of a cohort   -> predictions within, across and over all protocols
+reliability.reliability   features of a cohort   -> ICC of every feature
+importance.by_family      importances            -> share of each family
+localisation.summarise    found and known places -> error by protocol and grade
+figures                   tables                 -> PNG
+report.render             all of these           -> one HTML page
+pipeline.run_study        all of these, in order; what `run` calls
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..checks import InputError, require, require_choice, require_whole
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from ..radiomics.region import Template
+
+Progress = Callable[[str, int, int], None]
+_SELECTIONS, _MODELS = ("l1", "mrmr"), ("lr", "rf", "xgb")
+_NEEDED = {
+    "radiomics": "pyradiomics",
+    "sklearn": "scikit-learn",
+    "xgboost": "xgboost-cpu",
+    "feature_engine": "feature-engine",
+    "pandas": "pandas",
+    "matplotlib": "matplotlib",
+    "skimage": "scikit-image",
+    "jinja2": "jinja2",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudySettings:
+    """What the results depend on, beside the cohort.
+
+    region_px      side of the region about the medial joint line
+    bins           of grey value, for texture
+    min_score      a template match below it is refused, and counted as a failure
+    repeats        splits of the subjects
+    rho            |Spearman's rho| above which the later of two features is left out
+    most_features  that a selection may keep
+    reference      protocol of the within-protocol scenario, and that ICCs are paired with
+    raises         InputError for a value out of range
+    """
+
+    region_px: int = 512
+    bins: int = 64
+    min_score: float = 0.5
+    repeats: int = 10
+    seed: int = 0
+    rho: float = 0.9
+    most_features: int = 10
+    selections: tuple[str, ...] = _SELECTIONS
+    models: tuple[str, ...] = _MODELS
+    reference: str = "reference"
+
+    def __post_init__(self) -> None:
+        require_whole("region_px", self.region_px, 16, 4096, "pixels")
+        require_whole("bins", self.bins, 8, 256, "grey values")
+        require("min_score", self.min_score, -1, 1, "(correlation)")
+        require_whole("repeats", self.repeats, 1, 1000, "splits")
+        require_whole("seed", self.seed, 0, 2**63 - 1, "")
+        require("rho", self.rho, 0.1, 1, "(correlation)")
+        require_whole("most_features", self.most_features, 1, 100, "features")
+        for name, given, allowed in (("selections", self.selections, _SELECTIONS), ("models", self.models, _MODELS)):
+            if not given:
+                raise InputError(f"{name} = (); allowed: one or more of {', '.join(allowed)}")
+            for choice in given:
+                require_choice(name, choice, allowed)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyResult:
+    """Where everything is, and the tables that the report was made from.
+
+    pictures      name -> PNG
+    tables        name -> CSV
+    scores        one row an arm: mean and spread of AUC, balanced accuracy, macro F1
+    reliability   one row a feature and set of protocols: ICC(2,1), ICC(3,1)
+    localisation  one row a protocol and grade
+    seconds       wall time of each stage, those before the study included
+    """
+
+    report: Path
+    pictures: dict[str, Path]
+    tables: dict[str, Path]
+    scores: "pd.DataFrame"
+    reliability: "pd.DataFrame"
+    localisation: "pd.DataFrame"
+    seconds: dict[str, float]
+
+
+def require_extra() -> None:
+    """Refuse to start without the libraries of the extra `study`, and say how to get them.
+
+    raises  InputError
+    """
+    missing = [package for module, package in _NEEDED.items() if find_spec(module) is None]
+    if missing:
+        raise InputError(
+            f"the study needs {', '.join(missing)}; install with: uv pip install 'pssf[study]' (in the source folder: "
+            "uv sync --extra study); plain pip cannot build pyradiomics unless numpy is installed first"
+        )
+
+
+def run(
+    manifest: "pd.DataFrame",
+    load_pixels: Callable[[str], Any],
+    template: "Template",
+    settings: StudySettings,
+    out: Path,
+    *,
+    seconds: dict[str, float] | None = None,
+    workers: int = 1,
+    progress: Progress | None = None,
+) -> StudyResult:
+    """Find the regions, measure them, train and test, and write report, pictures and tables into `out`.
+
+    manifest     one row a radiograph: radiograph, subject, knee, side, grade, protocol, file, sha256, pixel_mm, sdd_mm,
+                 sod_mm, truth_medial_row_px, truth_medial_col_px
+    load_pixels  entry of the column `file` -> (rows, cols) uint16, linear; picklable if workers > 1
+    seconds      wall time of the stages before this one, for the report
+    workers      processes; no result depends on them
+    progress     is told stage, done, of how many
+    raises       InputError for a manifest that lacks a column or has too few subjects, or a missing library
+    """
+    require_extra()
+    from .pipeline import run_study
+
+    return run_study(
+        manifest, load_pixels, template, settings, out, seconds=seconds or {}, workers=workers, progress=progress
+    )

@@ -1,0 +1,138 @@
+"""The command line: pssf simulate | meshes | cohort | study | accuracy."""
+
+import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from .checks import InputError, require_whole
+from .files import tables
+from .knee import Knee, draw_knee, knee_from
+
+app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help=__doc__)
+
+Out = Annotated[Path, typer.Option("--out", help="Folder for what is made; made if need be.")]
+Seed = Annotated[int, typer.Option(help="Seed of all chance; the same seed gives the same bytes.")]
+Grade = Annotated[int, typer.Option(help="KL-like grade of the drawn knee: 0, 1 or 2.")]
+KneeFile = Annotated[
+    Path | None, typer.Option("--knee", help="TOML file with the parameters of a knee, instead of a draw.")
+]
+Workers = Annotated[int, typer.Option(help="Processes or threads; they do not change the result.")]
+Engine = Annotated[str, typer.Option(help="Ray caster: embree or scanline.")]
+Preset = Annotated[str, typer.Option(help="Cohort: quick (24 subjects) or paper (180 subjects).")]
+
+
+def main() -> None:
+    """Run the command line; bad input ends in one line and exit code 2."""
+    try:
+        app()
+    except InputError as error:
+        print(f"pssf: {error}", file=sys.stderr)
+        sys.exit(2)
+    except BrokenProcessPool:
+        print("pssf: a worker process was killed (memory?); run the same command to go on from there", file=sys.stderr)
+        sys.exit(1)
+    except KeyboardInterrupt:
+        print("pssf: stopped; run the same command to go on from there", file=sys.stderr)
+        sys.exit(130)
+
+
+@app.command()
+def simulate(
+    out: Out,
+    grade: Grade = 0,
+    protocol: Annotated[str, typer.Option(help="Protocol by name, or the path of a TOML file.")] = "reference",
+    seed: Seed = 0,
+    knee: KneeFile = None,
+    engine: Engine = "embree",
+    workers: Workers = 2,
+) -> None:
+    """One radiograph: 16-bit TIFF, PNG for eyes, and the parameters as JSON."""
+    from .files.images import save, save_parameters
+    from .protocol import load_protocol
+    from .simulate import simulate as run
+
+    technique = load_protocol(protocol)
+    subject, name = _knee_of(knee, grade, seed)
+    radiograph = run(subject, technique, seed=seed, engine=engine, workers=workers)
+    stem = out / f"{name}_{technique.name}_seed{seed}"
+    print(save(radiograph, f"{stem}.tif"), save(radiograph, f"{stem}.png"), sep="\n")
+    print(save_parameters(radiograph, f"{stem}.json"))
+
+
+@app.command()
+def meshes(
+    out: Out,
+    grade: Grade = 0,
+    seed: Seed = 0,
+    knee: KneeFile = None,
+    kinds: Annotated[str, typer.Option("--formats", help="Any of stl, ply, glb, with commas.")] = "stl,ply,glb",
+) -> None:
+    """The solids of a knee as STL, PLY and GLB, in mm."""
+    from .anatomy import build
+    from .files.meshes import export_meshes
+
+    subject, name = _knee_of(knee, grade, seed)
+    for path in export_meshes(build(subject), out, formats=tuple(kinds.split(",")), stem=name):
+        print(path)
+
+
+@app.command()
+def cohort(out: Out, preset: Preset = "quick", seed: Seed = 0, workers: Workers = 2, engine: Engine = "embree") -> None:
+    """Radiographs of a whole cohort and their manifest; goes on where an earlier run stopped."""
+    from .cohort import make_cohort, plan_cohort
+
+    plan = plan_cohort(preset, seed=seed)
+    with _bar("radiographs", sum(len(case.shots) for case in plan.cases)) as made:
+        manifest = make_cohort(plan, out, workers=workers, engine=engine, progress=made)
+    print(f"manifest  {manifest}")
+
+
+@app.command()
+def study(out: Out, preset: Preset = "quick", seed: Seed = 0, workers: Workers = 2, engine: Engine = "embree") -> None:
+    """The whole study: cohort, regions, features, models, report."""
+    from .experiment import run_experiment
+
+    result = run_experiment(out, preset=preset, seed=seed, workers=workers, engine=engine, bar=_bar)
+    print(f"report    {result.report}")
+    for path in result.pictures.values():
+        print(f"picture   {path}")
+
+
+@app.command()
+def accuracy(out: Out, workers: Workers = 2) -> None:
+    """Error against run time on this machine, as tables (CSV)."""
+    from .accuracy import measure
+
+    for path in measure(out, workers=workers):
+        print(path)
+
+
+def _knee_of(path: Path | None, grade: int, seed: int) -> tuple[Knee, str]:
+    """A knee from a file, or drawn by grade and seed; and a name for its files."""
+    require_whole("seed", seed, 0, 2**63 - 1, "")
+    if path is not None:
+        return knee_from(tables.read_toml(path), f"knee {path.name}"), path.stem
+    return draw_knee(grade=grade, rng=np.random.default_rng(seed)), f"knee_grade{grade}"
+
+
+@contextmanager
+def _bar(what: str, total: int) -> Iterator[Callable[[int], None]]:
+    """A progress bar on standard error; yields a function that moves it on."""
+    columns = (
+        TextColumn("{task.description:<12}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        task = progress.add_task(what, total=total)
+        yield lambda made: progress.advance(task, made)

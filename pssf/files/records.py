@@ -1,0 +1,125 @@
+"""A cohort's records: what was asked for, a record a knee, and the manifest."""
+
+import csv
+import hashlib
+import io
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..checks import InputError
+from .atomic import write_bytes
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Row = dict[str, Any]
+
+
+def sha256(path: Path) -> str:
+    """Hex digest of a file.
+
+    raises  InputError for a file that cannot be read
+    """
+    try:
+        with open(path, "rb") as handle:
+            return hashlib.file_digest(handle, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"file {path}: {error.strerror or error}; allowed: a readable file") from None
+
+
+def claim(path: Path, asked: dict[str, Any]) -> None:
+    """Write down what a folder is for; refuse a folder that is for something else.
+
+    raises  InputError naming the first entry that differs
+    """
+    if not path.exists():
+        write_bytes(path, (json.dumps(asked, indent=1) + "\n").encode())
+        return
+    found = read_json(path)
+    if found != asked:
+        place, old, new = _difference(found, asked)
+        what = f"{place} = {old!r}, asked for {new!r}"
+        raise InputError(f"folder {path.parent} holds another cohort: {what}; allowed: a new folder")
+
+
+def read_json(path: Path) -> Any:
+    """The content of a JSON file.
+
+    raises  InputError for a file that cannot be read or is not JSON
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"file {path}: {error.strerror or error}; allowed: a readable file") from None
+    except ValueError as error:
+        raise InputError(f"file {path}: damaged ({error}); delete it to have it made again") from None
+
+
+def write_rows(folder: Path, knee: int, rows: list[Row]) -> None:
+    """Write the record of one knee; its images stand by then."""
+    write_bytes(_record(folder, knee), (json.dumps(rows, indent=1) + "\n").encode())
+
+
+def read_rows(folder: Path, knee: int) -> list[Row] | None:
+    """The record of one knee with its images checked against their hashes, or None where it is still to be made.
+
+    raises  InputError naming a record or an image that is damaged
+    """
+    path = _record(folder, knee)
+    if not path.exists():
+        return None
+    rows = read_json(path)
+    try:
+        expected = {folder / row["file"]: row["sha256"] for row in rows}
+    except (TypeError, KeyError):
+        raise InputError(f"file {path}: damaged (not a record); delete it to have it made again") from None
+    if not all(file.exists() for file in expected):
+        return None
+    for file, digest in expected.items():
+        found = sha256(file)
+        if found != digest:
+            told = f"sha256 {found[:12]}..., recorded {digest[:12]}..."
+            raise InputError(f"file {file}: damaged ({told}); delete it to have it made again")
+    return rows
+
+
+def write_csv(path: Path, rows: list[Row]) -> None:
+    """Write rows as CSV with a header, columns in the order of the first row."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_bytes(path, text.getvalue().encode())
+
+
+def _record(folder: Path, knee: int) -> Path:
+    return folder / "records" / f"k{knee:04d}.json"
+
+
+def _difference(old: Any, new: Any, place: str = "") -> tuple[str, Any, Any]:
+    """Where two JSON values first differ."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        for name in [*new, *(n for n in old if n not in new)]:
+            if old.get(name) != new.get(name):
+                return _difference(old.get(name), new.get(name), f"{place}.{name}" if place else name)
+    if isinstance(old, list) and isinstance(new, list):
+        if len(old) != len(new):
+            return f"number of {place}", len(old), len(new)
+        for k, (a, b) in enumerate(zip(old, new, strict=True)):
+            if a != b:
+                return _difference(a, b, f"{place}[{k}]")
+    return place, old, new
+
+
+def read_manifest(path: Path) -> "pd.DataFrame":
+    """A cohort's manifest as a data frame (needs pandas, of the extra `study`).
+
+    raises  InputError for a file that cannot be read
+    """
+    import pandas as pd
+
+    try:
+        return pd.read_csv(path)
+    except (OSError, ValueError) as error:
+        raise InputError(f"file {path}: not a manifest ({error}); allowed: manifest.csv of a cohort") from None

@@ -1,0 +1,49 @@
+"""Results of a study on disk: tables, JSON, pages and pictures. Each file appears whole or not at all."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..checks import InputError
+from .atomic import write_bytes
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def save_table(path: Path, table: "pd.DataFrame") -> None:
+    """CSV without the index; every float with as many digits as give it back."""
+    save_text(path, table.to_csv(index=False, lineterminator="\n"))
+
+
+def load_table(path: Path, text_columns: tuple[str, ...] = ()) -> "pd.DataFrame | None":
+    """The CSV, bit for bit as it was saved, or None where there is no such file.
+
+    raises  InputError for a file that is not a table
+    """
+    import pandas as pd
+
+    if not path.exists():
+        return None
+    try:
+        return pd.read_csv(path, float_precision="round_trip", dtype=dict.fromkeys(text_columns, str))
+    except OSError as error:
+        raise InputError(f"file {path}: {error.strerror or error}; allowed: a readable table") from None
+    except ValueError as error:  # of which pandas' own are kinds
+        reason = str(error).splitlines()[0]
+        raise InputError(f"file {path}: damaged ({reason}); delete it to have it made again") from None
+
+
+def save_json(path: Path, value: Any) -> None:
+    """JSON, indented, keys in the order given."""
+    save_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
+
+
+def save_text(path: Path, text: str) -> None:
+    """UTF-8 text."""
+    write_bytes(path, text.encode("utf-8"))
+
+
+def save_picture(path: Path, png: bytes) -> None:
+    """A PNG as it is."""
+    write_bytes(path, png)

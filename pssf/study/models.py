@@ -1,0 +1,110 @@
+"""Three classifiers, each tuned on the validation subjects over a small grid."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from sklearn.base import BaseEstimator, TransformerMixin
+from sklearn.ensemble import RandomForestClassifier
+from sklearn.linear_model import LogisticRegression
+from sklearn.metrics import log_loss
+from sklearn.pipeline import Pipeline
+from sklearn.utils.class_weight import compute_sample_weight
+from xgboost import XGBClassifier
+
+from ..checks import Array, require_choice
+
+MODELS = {"lr": "Logistic regression", "rf": "Random forest", "xgb": "XGBoost"}
+_GRIDS: dict[str, list[dict[str, Any]]] = {
+    "lr": [{"C": c} for c in (0.01, 0.1, 1.0, 10.0)],
+    "rf": [{"min_samples_leaf": leaf} for leaf in (1, 4)],
+    "xgb": [{"max_depth": depth} for depth in (2, 4)],
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fitted:
+    """A model and all that was learnt before it.
+
+    pipeline    from all features to probabilities of the classes
+    parameters  what the validation subjects chose
+    importance  feature -> share of the model's importance; the shares sum to 1
+    """
+
+    pipeline: Pipeline
+    parameters: dict[str, Any]
+    importance: dict[str, float]
+
+
+def tune(
+    prepared: Pipeline,
+    model: str,
+    training: tuple[pd.DataFrame, NDArray[np.int64]],
+    validation: tuple[pd.DataFrame, NDArray[np.int64]],
+    *,
+    seed: int,
+) -> Fitted:
+    """The model whose parameters do best on the validation radiographs; it has learnt from the training ones alone.
+
+    Best is the least logarithmic loss: with a few validation knees the AUC has too few values to choose by.
+
+    prepared  fitted `selection.preparation`, of the same training radiographs
+    training, validation   features (rows, features), class index (rows,)
+    """
+    require_choice("model", model, MODELS)
+    (X, y), (X_check, y_check) = ((prepared.transform(X).to_numpy(), y) for X, y in (training, validation))
+    weight, weight_check = (compute_sample_weight("balanced", classes) for classes in (y, y_check))
+    best: tuple[float, Any, dict[str, Any]] | None = None
+    for parameters in _GRIDS[model]:
+        candidate = _unfitted(model, parameters, seed).fit(X, y, sample_weight=weight)
+        loss = log_loss(y_check, candidate.predict_proba(X_check), sample_weight=weight_check, labels=np.unique(y))
+        if best is None or loss < best[0]:
+            best = loss, candidate, parameters
+    assert best is not None
+    names = prepared.named_steps["select"].kept_
+    shares = _importance(best[1])
+    return Fitted(
+        pipeline=Pipeline([*prepared.steps, ("values", _Values()), ("model", best[1])]),
+        parameters=best[2],
+        importance=dict(zip(names, shares.tolist(), strict=True)),
+    )
+
+
+class _Values(TransformerMixin, BaseEstimator):
+    """Step of a pipeline: a table's values without their names, as the models were fitted."""
+
+    def fit(self, X: pd.DataFrame, y: Any = None) -> "_Values":
+        return self
+
+    def transform(self, X: pd.DataFrame) -> Array:
+        return X.to_numpy()
+
+    def __sklearn_is_fitted__(self) -> bool:
+        return True
+
+
+def _unfitted(model: str, parameters: dict[str, Any], seed: int) -> Any:
+    make: dict[str, Callable[[], Any]] = {
+        "lr": lambda: LogisticRegression(solver="newton-cholesky", **parameters),
+        "rf": lambda: RandomForestClassifier(n_estimators=100, n_jobs=1, random_state=seed, **parameters),
+        "xgb": lambda: XGBClassifier(
+            n_estimators=60,
+            learning_rate=0.1,
+            tree_method="hist",
+            n_jobs=1,
+            random_state=seed,
+            verbosity=0,
+            **parameters,
+        ),
+    }
+    return make[model]()
+
+
+def _importance(model: Any) -> Array:
+    """(features,) shares: |coefficients| of standardised features, impurity (forest) or gain (boosting)."""
+    raw = np.abs(model.coef_).mean(axis=0) if hasattr(model, "coef_") else model.feature_importances_
+    raw = np.nan_to_num(np.asarray(raw, dtype=np.float64))
+    return raw / raw.sum() if raw.sum() > 0 else np.full(len(raw), 1 / len(raw))

@@ -1,0 +1,52 @@
+"""Training, validation and test subjects. A subject is in one of them with all its knees and radiographs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..checks import InputError
+
+PARTS = ("training", "validation", "test")
+_SHARES = (0.70, 0.15, 0.15)
+
+
+@dataclass(frozen=True)
+class Split:
+    """Subjects of each part, sorted; no subject is in two."""
+
+    training: NDArray[np.int64]
+    validation: NDArray[np.int64]
+    test: NDArray[np.int64]
+
+
+def split_subjects(subjects: Sequence[int], grades: Sequence[int], *, seed: int, repeat: int = 0) -> Split:
+    """70/15/15 per cent of the subjects, with every grade in every part.
+
+    subjects  (rows,) subject of each radiograph or knee
+    grades    (rows,) its grade; a subject counts under the highest of its knees
+    repeat    another split of the same seed; it does not depend on how many there are
+    raises    InputError for a grade of fewer than three subjects
+    """
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(repeat,)))
+    by_subject: dict[int, int] = {}
+    for subject, grade in zip(subjects, grades, strict=True):
+        by_subject[int(subject)] = max(int(grade), by_subject.get(int(subject), int(grade)))
+    parts: dict[str, list[int]] = {part: [] for part in PARTS}
+    for grade in sorted(set(by_subject.values())):
+        members = sorted(subject for subject, worst in by_subject.items() if worst == grade)
+        if len(members) < len(PARTS):
+            raise InputError(
+                f"grade {grade} has {len(members)} subjects with a region; allowed: {len(PARTS)} or more, one a part"
+            )
+        order = rng.permutation(members)
+        for part, chosen in zip(PARTS, np.split(order, _cuts(len(members))), strict=True):
+            parts[part].extend(int(subject) for subject in chosen)
+    return Split(*(np.array(sorted(parts[part]), dtype=np.int64) for part in PARTS))
+
+
+def _cuts(count: int) -> list[int]:
+    """Where to cut `count` members in three, each part at least one."""
+    validation, test = (max(1, round(share * count)) for share in _SHARES[1:])
+    return [count - validation - test, count - test]

@@ -1,0 +1,132 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from manifold3d import Manifold
+from numpy.testing import assert_allclose
+
+import pssf
+from pssf import anatomy
+from pssf.anatomy import bones
+from pssf.anatomy.contours import edges_of, measure_gap
+from pssf.anatomy.solids import checked, height_field, loft, mesh_of, ring
+from pssf.geometry import view_of
+
+REFERENCE = pssf.load_protocol("reference")
+MEAN = bones.Build(scale=1.0, cortex=1.0, plate=1.0, slope_deg=5.0, femur_valgus_deg=5.0, tibia_varus_deg=0.0)
+
+
+def gaps_mm(knee, scene, protocol=REFERENCE):
+    """Medial and lateral joint space as the protocol's detector sees it."""
+    meshes = {s.name: s.mesh for s in scene.surfaces}
+    femur, tibia = ((meshes[n].vertices, edges_of(meshes[n].faces)) for n in ("femur", "tibia"))
+    half = anatomy.half_ml_mm(anatomy._shape(knee).scale)
+    medial = 1 if knee.side == "right" else -1
+    return [measure_gap(femur, tibia, view_of(protocol), side, half).jsw_mm for side in (medial, -medial)]
+
+
+def test_a_loft_of_circles_has_the_volume_of_its_prism():
+    rings = np.array([ring(3.0, 3.0, (0.0, 0.0, z), 2.0, 64) for z in (0.0, 2.0, 5.0)])
+    area = 0.5 * 64 * 9.0 * np.sin(2 * np.pi / 64)
+    assert_allclose(loft(rings, "prism").volume(), 5.0 * area, rtol=1e-12)
+
+
+def test_a_height_field_has_the_volume_under_its_relief():
+    x, y = np.linspace(0, 2, 5), np.linspace(0, 3, 7)
+    tops = np.add.outer(x, 2 * y) + 4.0
+    assert_allclose(height_field(x, y, tops, 1.0, "ramp").volume(), 6.0 * (1.0 + 3.0 + 3.0), rtol=1e-12)
+
+
+def test_an_empty_solid_is_refused_with_its_status_and_volume():
+    with pytest.raises(pssf.InputError, match="solid nothing: status NoError, volume 0 mm3"):
+        checked(Manifold(), "nothing")
+
+
+@given(seed=st.integers(0, 2**32), grade=st.sampled_from([0, 1, 2]))
+@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+def test_every_drawn_knee_builds_nested_and_shows_its_joint_spaces(seed, grade):
+    knee = pssf.draw_knee(grade=grade, rng=np.random.default_rng(seed))
+    scene = pssf.build(knee)
+    assert_allclose(gaps_mm(knee, scene), [knee.jsw_medial_mm, knee.jsw_lateral_mm], atol=0.01)
+    for surface in scene.surfaces:
+        assert surface.mesh.is_watertight
+        assert surface.mesh.volume > 0
+
+
+@pytest.mark.parametrize("corner", [(1400.0, 0.85, 90.0, 2.0, -8.0, -10.0), (2100.0, 1.15, 180.0, 30.0, 8.0, 10.0)])
+def test_knees_at_the_corners_of_their_ranges_build(corner):
+    stature, scale, limb, fat, varus, rotation = corner
+    knee = pssf.Knee(
+        stature_mm=stature, bone_scale=scale, limb_ap_mm=limb, fat_mm=fat, varus_deg=varus, rotation_deg=rotation,
+        flexion_deg=15.0, tibial_slope_deg=12.0, jsw_medial_mm=2.5, jsw_lateral_mm=5.5, subchondral_plate=1.6,
+        osteophytes=tuple(pssf.Osteophyte(site=site, size_mm=3.0) for site in pssf.knee.SITES),
+    )  # fmt: skip
+    assert_allclose(gaps_mm(knee, pssf.build(knee)), [2.5, 5.5], atol=0.01)
+
+
+def test_a_knee_without_room_for_its_osteophytes_is_refused():
+    beaks = tuple(pssf.Osteophyte(site=site, size_mm=6.0) for site in pssf.knee.SITES)
+    with pytest.raises(pssf.InputError, match="femur and tibia overlap"):
+        pssf.build(pssf.Knee(
+            jsw_medial_mm=1.0, jsw_lateral_mm=1.0, stature_mm=1400.0, bone_scale=0.85, osteophytes=beaks,
+            tibial_slope_deg=12.0, flexion_deg=15.0, rotation_deg=-10.0, varus_deg=-8.0,
+        ))  # fmt: skip
+
+
+def test_a_left_knee_is_the_mirror_image_of_a_right_one(knee, scene):
+    mirrored = pssf.build(dataclasses.replace(knee, side="left"))
+    for right, left in zip(scene.surfaces, mirrored.surfaces, strict=True):
+        assert_allclose(left.mesh.vertices * [-1, 1, 1], right.mesh.vertices, atol=1e-12)
+        assert_allclose(left.mesh.volume, right.mesh.volume, rtol=1e-9)
+
+
+def test_landmarks_of_a_left_knee_mirror_those_of_a_right_one(knee, scene):
+    left = dataclasses.replace(knee, side="left")
+    there = anatomy.truth_of(knee, scene, REFERENCE).medial_joint_line_px
+    here = anatomy.truth_of(left, pssf.build(left), REFERENCE).medial_joint_line_px
+    assert here[1] == pytest.approx(REFERENCE.cols - 1 - there[1], abs=1.0)
+    assert here[0] == pytest.approx(there[0], abs=0.5)
+
+
+def test_the_joint_line_lies_at_the_origin(knee, scene):
+    row, _ = anatomy.truth_of(knee, scene, REFERENCE).landmarks_px["joint_centre"]
+    assert row == pytest.approx((REFERENCE.rows - 1) / 2, abs=0.5)
+
+
+def test_an_osteophyte_stands_out_of_its_margin_by_its_size():
+    from pssf.anatomy.osteophytes import add_osteophytes
+
+    bare = bones.tibia(MEAN)
+    for size in (0.5, 1.0, 3.0):
+        beak = pssf.Osteophyte(site="medial_tibia", size_mm=size)
+        grown = add_osteophytes(bare, "tibia", (beak,), 1.0)
+        reach = mesh_of(grown.outer).vertices[:, 0].max() - mesh_of(bare.outer).vertices[:, 0].max()
+        assert reach == pytest.approx(size, abs=0.1)
+        assert grown.outer.volume() > bare.outer.volume()
+
+
+def test_a_thicker_subchondral_plate_takes_its_volume_from_trabecular_bone():
+    thick = dataclasses.replace(MEAN, plate=1.5)
+    assert bones.tibia(thick).inner.volume() < bones.tibia(MEAN).inner.volume()
+    assert_allclose(bones.tibia(thick).outer.volume(), bones.tibia(MEAN).outer.volume(), rtol=1e-12)
+
+
+def shaft_angle_deg(knee):
+    """Angle between femoral and tibial shaft in the frontal plane; more is more valgus."""
+    axes = {}
+    for surface in pssf.build(dataclasses.replace(knee, rotation_deg=0.0, flexion_deg=0.0)).surfaces:
+        if surface.name in ("femur", "tibia"):
+            z, x = surface.mesh.vertices[:, 2], surface.mesh.vertices[:, 0]
+            heights = [110.0, 170.0] if surface.name == "femur" else [-110.0, -170.0]
+            mids = [(x[abs(z - h) < 3].max() + x[abs(z - h) < 3].min()) / 2 for h in heights]
+            axes[surface.name] = np.rad2deg(np.arctan2(mids[1] - mids[0], abs(heights[1] - heights[0])))
+    return -(axes["femur"] + axes["tibia"])
+
+
+@pytest.mark.parametrize("varus", [-5.0, 0.0, 5.0])
+def test_varus_is_the_angle_of_the_shafts_whatever_the_joint_spaces(varus):
+    for medial in (2.5, 5.0):
+        measured = shaft_angle_deg(pssf.Knee(varus_deg=varus, jsw_medial_mm=medial))
+        assert measured == pytest.approx(5.0 - varus, abs=0.4)

@@ -1,0 +1,101 @@
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import pssf
+
+SMALL = {"rows": 64, "cols": 64, "pixel_mm": 4.8}
+
+
+def run(*arguments):
+    script = [sys.executable, "-m", "pssf", *map(str, arguments)]
+    return subprocess.run(script, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture
+def protocol_file(tmp_path):
+    path = tmp_path / "small.toml"
+    text = (Path(pssf.__file__).parents[1] / "protocols" / "reference.toml").read_text()
+    for name, value in SMALL.items():
+        text = "\n".join(f"{name} = {value}" if line.startswith(f"{name} =") else line for line in text.splitlines())
+    path.write_text(text)
+    return path
+
+
+def test_simulate_writes_tiff_png_and_parameters(protocol_file, tmp_path):
+    done = run("simulate", "--grade", 2, "--protocol", protocol_file, "--seed", 3, "--out", tmp_path / "o")
+    assert done.returncode == 0, done.stderr
+    stem = "knee_grade2_reference_seed3"
+    assert sorted(p.name for p in (tmp_path / "o").iterdir()) == [f"{stem}.json", f"{stem}.png", f"{stem}.tif"]
+    assert json.loads((tmp_path / "o" / f"{stem}.json").read_text())["knee"]["grade"] == 2
+    assert pssf.load(tmp_path / "o" / f"{stem}.tif").seed == 3
+
+
+def test_a_knee_file_is_taken_as_it_stands(protocol_file, tmp_path):
+    knee = tmp_path / "mine.toml"
+    knee.write_text('jsw_medial_mm = 2.8\nosteophytes = [{ site = "medial_tibia", size_mm = 1.5 }]\n')
+    assert run("simulate", "--knee", knee, "--protocol", protocol_file, "--out", tmp_path / "o").returncode == 0
+    loaded = pssf.load(tmp_path / "o" / "mine_reference_seed0.tif")
+    assert loaded.knee == pssf.Knee(jsw_medial_mm=2.8, osteophytes=(pssf.Osteophyte(site="medial_tibia", size_mm=1.5),))
+
+
+def test_meshes_writes_what_is_asked_for(tmp_path):
+    done = run("meshes", "--grade", 2, "--formats", "glb", "--out", tmp_path / "m")
+    assert done.returncode == 0, done.stderr
+    assert [p.name for p in (tmp_path / "m").iterdir()] == ["knee_grade2.glb"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (("simulate", "--grade", 5), "pssf: grade = 5; allowed: 0, 1, 2"),
+        (
+            ("simulate", "--protocol", "refrence"),
+            "pssf: protocol = 'refrence'; allowed: geometry_shift, low_dose, reference",
+        ),
+        (
+            ("simulate", "--engine", "embre"),
+            "pssf: engine = 'embre'; allowed: embree, scanline (did you mean 'embree'?)",
+        ),
+        (("simulate", "--seed", "-1"), "pssf: seed = -1; allowed: whole numbers from 0"),
+        (("simulate", "--knee", "nowhere.toml"), "pssf: file nowhere.toml: No such file or directory"),
+        (("meshes", "--formats", "obj3"), "pssf: format = 'obj3'; allowed: stl, ply, glb"),
+        (("cohort", "--preset", "quik"), "pssf: preset = 'quik'; allowed: quick, paper (did you mean 'quick'?)"),
+        (("study", "--preset", "quik"), "pssf: preset = 'quik'; allowed: quick, paper (did you mean 'quick'?)"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2_and_leaves_nothing(arguments, line, tmp_path):
+    done = run(*arguments, "--out", tmp_path / "o")
+    assert done.returncode == 2
+    assert done.stderr.startswith(line)
+    assert done.stderr.count("\n") == 1
+    assert not list(tmp_path.rglob("*"))
+
+
+def test_an_unknown_option_is_answered_with_exit_code_2(tmp_path):
+    done = run("simulate", "--grad", 2, "--out", tmp_path)
+    assert done.returncode == 2
+    assert "No such option" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "word"), [("jsw_medal_mm = 3.0", "jsw_medal_mm"), ("jsw_medial_mm = nan", "jsw_medial_mm")]
+)
+def test_a_bad_knee_file_is_answered_with_the_field(text, word, tmp_path):
+    path = tmp_path / "knee.toml"
+    path.write_text(text)
+    done = run("simulate", "--knee", path, "--out", tmp_path / "o")
+    assert done.returncode == 2
+    assert word in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_an_unwritable_folder_is_answered_with_one_line(protocol_file, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    done = run("simulate", "--protocol", protocol_file, "--out", tmp_path / "file")
+    assert done.returncode == 2
+    assert "allowed: a folder that can be written" in done.stderr

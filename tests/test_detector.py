@@ -1,0 +1,204 @@
+import dataclasses
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+import pssf
+from pssf import detector
+from pssf.detector import panel
+from pssf.detector.coarse import block_mean, enlarge
+from pssf.detector.materials import attenuation_per_mm, density_g_per_cm3
+from pssf.detector.primary import transmit
+from pssf.detector.scatter import scatter_kev
+from pssf.detector.spectrum import Beam, beam_of, tube_spectrum
+from pssf.geometry import view_of
+
+# ICRU 46 compositions at 40 and 60 keV, with coherent scattering, 1/cm (xraylib, computed apart from the package).
+KNOWN_MU = {
+    "cortical_bone": (1.2778, 0.6045), "muscle": (0.2820, 0.2150), "adipose": (0.2276, 0.1875),
+    "marrow": (0.2326, 0.1929), "skin": (0.2853, 0.2208), "cartilage": (0.3115, 0.2292), "water": (0.2683, 0.2059),
+    "trabecular_bone": (0.3893, 0.2546),
+}  # fmt: skip
+# SpekPy 2.5.4 at 3.0 mm Al, 12 deg: photons/mm2/mAs at 1 m, mean keV.
+KNOWN_SPECTRA = {60.0: (641803, 36.85), 70.0: (971629, 40.38), 80.0: (1365119, 43.93)}
+SEED = np.random.SeedSequence(1)
+
+
+@pytest.mark.parametrize("name", KNOWN_MU)
+def test_attenuation_agrees_with_the_tabulated_values(name):
+    assert_allclose(attenuation_per_mm(name, np.array([40.0, 60.0])) * 10, KNOWN_MU[name], rtol=5e-3)
+
+
+def test_a_compound_with_a_density_is_a_material():
+    fifty = np.array([50.0])
+    # The tissue "water" has ICRU's rounded composition.
+    assert_allclose(attenuation_per_mm("H2O@1.0", fifty), attenuation_per_mm("water", fifty), rtol=1e-3)
+    assert density_g_per_cm3("Ti@4.51") == 4.51
+
+
+@pytest.mark.parametrize("name", ["bone", "Xx@2.0", "Ti@heavy", "Ti@-1", "Ti@nan", "Ti"])
+def test_an_unknown_material_is_refused_by_name(name):
+    with pytest.raises(pssf.InputError, match=name.split("@")[0]):
+        attenuation_per_mm(name, np.array([50.0]))
+
+
+@pytest.mark.parametrize("kv", KNOWN_SPECTRA)
+def test_the_spectrum_is_spekpys(kv):
+    energies, photons = tube_spectrum(kv, 12.0, 3.0)
+    assert_allclose([photons.sum(), (energies * photons).sum() / photons.sum()], KNOWN_SPECTRA[kv], rtol=0.02)
+
+
+def test_folding_the_spectrum_changes_no_signal_by_a_thousandth():
+    protocol = pssf.load_protocol("reference")
+    beam = beam_of(protocol)
+    energies, photons = tube_spectrum(protocol.tube_kv, protocol.anode_angle_deg, protocol.filtration_mm_al)
+    from pssf.detector.spectrum import _response
+
+    signal, _ = _response(energies)
+    for mix in ({"muscle": 120}, {"muscle": 80, "cortical_bone": 10}, {"adipose": 40}, {"cortical_bone": 40}):
+        folded = sum(-attenuation_per_mm(m, beam.energies_kev) * t for m, t in mix.items())
+        whole = sum(-attenuation_per_mm(m, energies) * t for m, t in mix.items())
+        assert_allclose(
+            (beam.photons_per_mm2 * beam.signal_kev * np.exp(folded)).sum(),
+            (photons * protocol.mas * signal * np.exp(whole)).sum(),
+            rtol=1e-3,
+        )
+
+
+@given(a=st.floats(0, 80), b=st.floats(0, 80))
+@settings(max_examples=25, deadline=None)
+def test_two_slabs_attenuate_one_energy_as_the_product_of_each(a, b):
+    view = dataclasses.replace(view_of(pssf.load_protocol("reference")), rows=1, cols=1)
+    beam = Beam(np.array([50.0]), np.array([1e6]), np.array([40.0]), np.array([1600.0]))
+
+    def kev(**lengths):
+        return float(transmit({k: np.full((1, 1), v, np.float32) for k, v in lengths.items()}, beam, view).kev[0, 0])
+
+    assert_allclose(kev(muscle=a, water=b) * kev(), kev(muscle=a) * kev(water=b), rtol=1e-5)
+
+
+def test_the_open_beam_falls_with_the_square_of_distance_and_the_slant():
+    protocol = dataclasses.replace(pssf.load_protocol("reference"), rows=3, cols=2001, mono_kev=50.0)
+    view = view_of(protocol)
+    kev = transmit({}, beam_of(protocol), view).kev[1]
+    slant = np.hypot((np.arange(2001) - 1000) * 0.15, 1150.0)
+    assert_allclose(kev / kev[1000], (1150.0 / slant) ** 3, rtol=1e-5)
+
+
+@pytest.mark.parametrize("setting", [{"mas": 0.0}, {"mono_kev": 60.0}, {"tube_kv": 60.0}])
+def test_a_metre_of_lead_or_no_current_gives_finite_pixels_without_a_warning(setting, small):
+    lead = {"Pb@11.35": np.full((256, 256), 1000.0, np.float32)}
+    with np.errstate(all="raise", under="ignore"):
+        pixels, _, _ = detector.expose(lead, dataclasses.replace(small, **setting), gap_mm=100.0, seed=SEED)
+    assert pixels.max() < 200
+
+
+def test_stages_that_are_not_asked_for_are_not_run(small):
+    bare = dataclasses.replace(
+        small, focal_spot_mm=0.0, scatter="none", detector_blur="none", noise="none", mono_kev=60.0
+    )
+    _, _, seconds = detector.expose({}, bare, gap_mm=100.0, seed=SEED)
+    assert set(seconds) == {"spectrum", "attenuation", "readout"}
+
+
+def test_noise_has_the_variance_of_the_beam_and_leaves_the_mean():
+    kev = np.full((512, 512), 3000.0, np.float32)
+    drawn = panel.quantum_noise(kev, np.full_like(kev, 50.0), SEED)
+    n, variance = kev.size, 3000.0 * 50.0 / 0.83
+    assert abs(drawn.mean() - 3000.0) < 5 * np.sqrt(variance / n)
+    assert abs(drawn.var() / variance - 1) < 5 * np.sqrt(2 / n)
+
+
+@pytest.mark.parametrize("photons", [0.0, 1e-6, 1.0, 1e9])
+def test_any_count_is_drawn_without_overflow_or_negative_signal(photons):
+    kev = np.full((64, 64), photons * 50.0, np.float32)
+    drawn = panel.quantum_noise(kev, np.full_like(kev, 50.0), SEED)
+    assert np.isfinite(drawn).all()
+    assert (drawn >= 0).all()
+    assert abs(drawn.mean() / 50.0 - photons) <= 6 * np.sqrt(photons / 0.83 / drawn.size) + 1e-2 * (photons < 1e-3)
+
+
+def test_noise_does_not_depend_on_the_number_of_workers():
+    kev = np.full((600, 100), 1000.0, np.float32)
+    one, four = (panel.quantum_noise(kev, kev / 20, SEED, workers) for workers in (1, 4))
+    assert (one == four).all()
+
+
+def test_the_detector_blurs_a_slanted_edge_by_its_stated_mtf():
+    n, pixel = 512, 0.15
+    x = np.arange(n) - n / 2
+    wave = 1 + 0.5 * np.cos(2 * np.pi * 1.0 * pixel * x)[None, :] * np.ones((64, 1))
+    blurred = panel.detector_blur(wave.astype(np.float32), pixel)
+    passed = np.ptp(blurred[32, 100:400]) / np.ptp(wave[32, 100:400])
+    assert passed == pytest.approx(1 / (1 + (1.0 / 1.29) ** 2.095), rel=0.02)
+
+
+def test_the_focal_spot_blurs_by_its_magnified_width():
+    protocol = dataclasses.replace(pssf.load_protocol("reference"), pixel_mm=0.01)
+    edge = np.where(np.arange(400) < 200, 1.0, 0.0).astype(np.float32)[None, :] * np.ones((40, 1), np.float32)
+    blurred = panel.focal_spot_blur(edge, 1.2, view_of(protocol))[20]
+    width = (blurred[100:300].sum() - 100, -np.diff(blurred[100:300]).min())
+    assert width[1] == pytest.approx(0.01 / (1.2 * (1150 / 950 - 1)), rel=0.2)
+
+
+def test_blurs_conserve_the_signal_of_a_flat_field():
+    flat = np.full((100, 130), 7.0, np.float32)
+    assert_allclose(panel.detector_blur(flat, 0.15), 7.0, rtol=1e-5)
+    assert_allclose(panel.focal_spot_blur(flat, 1.2, view_of(pssf.load_protocol("reference"))), 7.0, rtol=1e-5)
+
+
+def test_scatter_behind_a_limb_agrees_with_monte_carlo_within_15_percent():
+    # Scatter over open beam behind the bone of an elliptic limb (70 % muscle, 30 % fat; core 17 % cortical in marrow).
+    known = {(60, 104, 15): 0.0461, (70, 120, 15): 0.0486, (70, 120, 140): 0.0264, (80, 140, 140): 0.0265}
+    for (kv, thick, gap), expected in known.items():
+        assert_allclose(limb_scatter(kv, thick, gap), expected, rtol=0.15)
+
+
+def limb_scatter(kv, thick_mm, gap_mm):
+    protocol = dataclasses.replace(
+        pssf.load_protocol("reference"), tube_kv=float(kv), rows=300, cols=180, pixel_mm=1.0,
+        sod_mm=1150.0 - gap_mm - thick_mm / 2,
+    )  # fmt: skip
+    view, beam = view_of(protocol), beam_of(protocol)
+
+    def chord(half_x, half_y):
+        x = np.arange(180) - 89.5
+        a = (x / half_x) ** 2 + (1150.0 / half_y) ** 2
+        b, c = -2 * protocol.sod_mm * 1150.0 / half_y**2, (protocol.sod_mm / half_y) ** 2 - 1
+        return np.sqrt(np.maximum(b * b - 4 * a * c, 0)) / a * np.hypot(x, 1150.0)
+
+    limb, core = chord(0.6 * thick_mm, 0.5 * thick_mm), chord(0.36 * thick_mm, 0.225 * thick_mm)
+    parts = {
+        "muscle": 0.7 * (limb - core),
+        "adipose": 0.3 * (limb - core),
+        "cortical_bone": 0.17 * core,
+        "marrow": 0.83 * core,
+    }
+    paths = {name: np.tile(line.astype(np.float32), (300, 1)) for name, line in parts.items()}
+    scattered = scatter_kev(transmit(paths, beam, view).kev, paths, float(gap_mm), protocol)
+    return scattered[150, 90] / transmit({}, beam, view).kev[150, 90]
+
+
+def test_a_coarse_map_keeps_its_mean_and_a_ramp_its_slope():
+    ramp = np.add.outer(np.arange(70.0), 2 * np.arange(45.0)).astype(np.float32)
+    coarse = block_mean(ramp, 8)
+    assert_allclose(enlarge(coarse, 8, ramp.shape)[4:60, 4:36], ramp[4:60, 4:36], rtol=1e-5, atol=1e-3)
+
+
+def test_presentation_shows_bone_brighter_than_muscle_brighter_than_air():
+    pixels = np.full((300, 300), 40000, np.uint16)
+    pixels[:, 60:240], pixels[:, 120:180] = 6000, 2200
+    shown = detector.present(pixels).astype(int)
+    assert shown[150, 150] > shown[150, 90] + 30 > shown[150, 20] + 60
+
+
+def test_the_data_files_say_where_their_numbers_come_from():
+    for path in (Path(pssf.__file__).parent / "data").glob("*.toml"):
+        text = path.read_text()
+        assert tomllib.loads(text)
+        assert text.startswith("#"), path.name

@@ -1,0 +1,142 @@
+import errno
+import json
+import os
+
+import numpy as np
+import pytest
+import tifffile
+import trimesh
+from PIL import Image
+
+import pssf
+from pssf.files import atomic, images, meshes, records
+
+
+@pytest.fixture(scope="module")
+def radiograph(knee, scene, small):
+    return pssf.simulate(knee, small, seed=7, scene=scene)
+
+
+def test_a_tiff_reads_back_into_the_same_objects(radiograph, tmp_path):
+    path = pssf.save(radiograph, tmp_path / "knee.tif")
+    back = pssf.load(path)
+    assert (back.pixels == radiograph.pixels).all()
+    assert back.pixels.dtype == np.uint16
+    for name in ("knee", "protocol", "seed", "truth", "audit", "versions"):
+        assert getattr(back, name) == getattr(radiograph, name), name
+
+
+def test_simulating_again_from_a_file_gives_the_same_pixels(radiograph, tmp_path):
+    back = pssf.load(pssf.save(radiograph, tmp_path / "knee.tif"))
+    assert (pssf.simulate(back.knee, back.protocol, seed=back.seed).pixels == radiograph.pixels).all()
+
+
+def test_a_tiff_says_its_pixel_size_and_versions(radiograph, tmp_path):
+    with tifffile.TiffFile(pssf.save(radiograph, tmp_path / "knee.tif")) as tiff:
+        tags = tiff.pages[0].tags
+        assert tags["XResolution"].value[0] / tags["XResolution"].value[1] == pytest.approx(10 / 1.2)
+        assert set(json.loads(tiff.pages[0].description)["versions"]) >= {"pssf", "embreex", "manifold3d", "spekpy"}
+
+
+def test_the_same_radiograph_gives_the_same_file(radiograph, tmp_path):
+    one, two = (pssf.save(radiograph, tmp_path / f"{k}.tif").read_bytes() for k in "ab")
+    assert one == two
+
+
+def test_a_png_is_8_bit_of_the_same_size(radiograph, tmp_path):
+    with Image.open(pssf.save(radiograph, tmp_path / "knee.png")) as image:
+        assert (image.mode, image.size) == ("L", (256, 256))
+
+
+def test_another_suffix_is_refused(radiograph, tmp_path):
+    with pytest.raises(pssf.InputError, match=r"suffix '.jpg'; allowed: .tif"):
+        pssf.save(radiograph, tmp_path / "knee.jpg")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("damage", ["cut", "foreign", "text", "missing"])
+def test_a_damaged_file_is_refused_by_name(radiograph, tmp_path, damage):
+    path = tmp_path / "knee.tif"
+    whole = pssf.save(radiograph, path).read_bytes()
+    if damage == "cut":
+        path.write_bytes(whole[: len(whole) // 2])
+    elif damage == "foreign":
+        tifffile.imwrite(path, np.zeros((4, 4), np.uint16), description="other")
+    elif damage == "text":
+        path.write_text("hello")
+    else:
+        path.unlink()
+    with pytest.raises(pssf.InputError, match="knee.tif"):
+        pssf.load(path)
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EACCES])
+def test_a_full_or_unwritable_disk_leaves_nothing_half_written(radiograph, tmp_path, monkeypatch, code):
+    def fail(*_):
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(atomic.os, "fsync", fail)
+    with pytest.raises(pssf.InputError, match=r"knee.tif: .*; allowed: a folder that can be written"):
+        pssf.save(radiograph, tmp_path / "knee.tif")
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_existing_file_survives_a_failed_write(radiograph, tmp_path, monkeypatch):
+    path = tmp_path / "knee.tif"
+    path.write_bytes(b"earlier")
+    monkeypatch.setattr(images.tifffile, "imwrite", lambda *a, **k: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        pssf.save(radiograph, path)
+    assert [p.name for p in tmp_path.iterdir()] == ["knee.tif"]
+    assert path.read_bytes() == b"earlier"
+
+
+def test_exported_meshes_read_back_with_their_volumes(scene, tmp_path):
+    written = pssf.export_meshes(scene, tmp_path)
+    assert len(written) == 2 * len(scene.surfaces) + 1
+    for surface in scene.surfaces:
+        for kind in ("stl", "ply"):
+            mesh = meshes.read_mesh(tmp_path / f"knee-{surface.name}.{kind}")
+            assert mesh.volume == pytest.approx(surface.mesh.volume, rel=1e-4)
+
+
+def test_a_glb_has_one_named_node_a_surface_with_its_material(scene, tmp_path):
+    pssf.export_meshes(scene, tmp_path, formats=("glb",))
+    loaded = trimesh.load(tmp_path / "knee.glb")
+    assert set(loaded.geometry) == {surface.name for surface in scene.surfaces}
+    for surface in scene.surfaces:
+        assert loaded.geometry[surface.name].visual.material.name == surface.inside
+        assert loaded.geometry[surface.name].visual.material.alphaMode == "BLEND"
+
+
+def test_an_exported_scene_traces_like_the_one_it_came_from(scene, small, tmp_path):
+    pssf.export_meshes(scene, tmp_path, formats=("stl",))
+    again = pssf.Scene([
+        pssf.Surface(meshes.read_mesh(tmp_path / f"knee-{s.name}.stl"), inside=s.inside, outside=s.outside, name=s.name)
+        for s in scene.surfaces
+    ])  # fmt: skip
+    one, two = (pssf.trace(s, small, engine="scanline").path_mm["cortical_bone"] for s in (scene, again))
+    # STL rounds corners to float32, which moves outlines by microns.
+    assert abs(one - two).max() < 0.2
+    assert abs(one - two).mean() < 1e-4
+
+
+@pytest.mark.parametrize("content", [None, b"not a mesh"])
+def test_a_file_that_is_no_mesh_is_refused(tmp_path, content):
+    path = tmp_path / "bone.stl"
+    if content:
+        path.write_bytes(content)
+    with pytest.raises(pssf.InputError, match="bone.stl"):
+        meshes.read_mesh(path)
+
+
+def test_an_unknown_mesh_format_is_refused(scene, tmp_path):
+    with pytest.raises(pssf.InputError, match="format = 'obj3'; allowed: stl, ply, glb"):
+        pssf.export_meshes(scene, tmp_path, formats=("obj3",))
+
+
+def test_a_folder_of_another_cohort_is_refused_with_the_difference_named(tmp_path):
+    records.claim(tmp_path / "cohort.json", {"seed": 1, "knees": [{"a": 1}, {"a": 2}]})
+    records.claim(tmp_path / "cohort.json", {"seed": 1, "knees": [{"a": 1}, {"a": 2}]})
+    with pytest.raises(pssf.InputError, match=r"knees\[1\].a = 2, asked for 3"):
+        records.claim(tmp_path / "cohort.json", {"seed": 1, "knees": [{"a": 1}, {"a": 3}]})

@@ -1,0 +1,74 @@
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pssf import InputError, Knee, Osteophyte, draw_knee
+from pssf.files import tables
+from pssf.knee import knee_from, knee_table
+
+
+@given(seed=st.integers(0, 2**32), grade=st.sampled_from([0, 1, 2]))
+@settings(max_examples=200)
+def test_a_drawn_knee_keeps_within_the_table_of_its_grade(seed, grade):
+    knee = draw_knee(grade=grade, rng=np.random.default_rng(seed))
+    ranges = tables.data("grades")["grade"][str(grade)]
+    for name in ("jsw_medial_mm", "jsw_lateral_mm", "subchondral_plate", "varus_deg"):
+        assert ranges[name][0] <= getattr(knee, name) <= ranges[name][1]
+
+    assert len(knee.osteophytes) <= ranges["osteophyte_count"][1]
+    assert all(beak.size_mm <= ranges["largest_osteophyte_mm"][1] for beak in knee.osteophytes)
+    assert knee.grade == grade
+
+
+def test_a_grade_2_knee_always_has_an_osteophyte_of_a_millimetre():
+    for seed in range(200):
+        knee = draw_knee(grade=2, rng=np.random.default_rng(seed))
+        assert max(beak.size_mm for beak in knee.osteophytes) >= 1.0
+
+
+def test_the_same_stream_draws_the_same_knee():
+    one, two = (draw_knee(grade=2, rng=np.random.default_rng(5)) for _ in range(2))
+    assert one == two
+    assert one != draw_knee(grade=2, rng=np.random.default_rng(6))
+
+
+def test_holding_one_field_leaves_the_draw_of_the_others_alone():
+    free = draw_knee(grade=1, rng=np.random.default_rng(3))
+    held = draw_knee(grade=1, rng=np.random.default_rng(3), jsw_medial_mm=4.0)
+    assert held == dataclasses.replace(free, jsw_medial_mm=4.0)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("jsw_medial_mm", math.nan),
+        ("jsw_medial_mm", 0.0),
+        ("side", "up"),
+        ("stature_mm", 1.75),
+        ("grade", 4),
+        ("varus_deg", "2"),
+    ],
+)
+def test_a_field_out_of_range_is_named(field, value):
+    with pytest.raises(InputError, match=f"{field} = "):
+        Knee(**{field: value})
+
+
+def test_two_osteophytes_at_one_site_are_refused():
+    beak = Osteophyte(site="medial_tibia", size_mm=1.0)
+    with pytest.raises(InputError, match="allowed: one a site"):
+        Knee(osteophytes=(beak, beak))
+
+
+def test_a_knee_survives_its_table():
+    knee = draw_knee(grade=2, rng=np.random.default_rng(1))
+    assert knee_from(knee_table(knee)) == knee
+
+
+def test_a_misspelt_field_of_a_drawn_knee_is_refused():
+    with pytest.raises(InputError, match="unknown field 'jsw_medal_mm'"):
+        draw_knee(grade=0, rng=np.random.default_rng(1), jsw_medal_mm=3.0)

@@ -1,0 +1,116 @@
+import dataclasses
+import hashlib
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.testing import assert_allclose
+
+import pssf
+
+DIGEST = """
+import dataclasses, hashlib, pssf
+protocol = dataclasses.replace(pssf.load_protocol("reference"), rows=128, cols=128, pixel_mm=2.4)
+radiograph = pssf.simulate(pssf.Knee(jsw_medial_mm=3.1), protocol, seed=7, workers={workers})
+print(hashlib.sha256(radiograph.pixels.tobytes()).hexdigest())
+"""
+
+
+def digest_in_a_new_process(workers):
+    script = [sys.executable, "-c", DIGEST.format(workers=workers)]
+    return subprocess.run(script, capture_output=True, text=True, check=True).stdout.strip()
+
+
+def test_the_same_seed_gives_the_same_bytes_in_two_processes_with_any_number_of_workers():
+    assert digest_in_a_new_process(1) == digest_in_a_new_process(2)
+
+
+def test_another_seed_gives_other_noise_of_the_same_scene(knee, scene, small):
+    one, two = (pssf.simulate(knee, small, seed=s, scene=scene, keep=("noise_free",)) for s in (1, 2))
+    assert (one.kept["noise_free"] == two.kept["noise_free"]).all()
+    assert (one.pixels != two.pixels).mean() > 0.5
+
+
+def test_both_engines_give_the_same_noise_free_image(knee, scene, small):
+    quiet = dataclasses.replace(small, noise="none")
+    one, two = (pssf.simulate(knee, quiet, scene=scene, engine=e).pixels.astype(int) for e in ("embree", "scanline"))
+    assert abs(one - two).max() <= 1
+
+
+def test_only_what_is_listed_is_kept(knee, scene, small):
+    assert pssf.simulate(knee, small, scene=scene).kept == {}
+    wanted = ("path_mm", "primary", "scatter", "noise_free")
+    kept = pssf.simulate(knee, small, scene=scene, keep=wanted).kept
+    assert tuple(sorted(kept)) == tuple(sorted(wanted))
+    assert kept["path_mm"]["cortical_bone"].shape == (256, 256)
+    assert kept["path_mm"]["cortical_bone"].dtype == np.float32
+
+
+def test_an_unknown_name_in_keep_is_refused(knee, scene, small):
+    with pytest.raises(pssf.InputError, match="keep = 'path'"):
+        pssf.simulate(knee, small, scene=scene, keep=("path",))
+
+
+def test_no_ray_is_left_unrepaired_under_any_protocol(knee, scene):
+    for name in ("reference", "low_dose", "geometry_shift"):
+        protocol = dataclasses.replace(pssf.load_protocol(name), rows=256, cols=256, pixel_mm=1.2)
+        assert pssf.simulate(knee, protocol, scene=scene).audit["unrepaired"] == 0
+
+
+def test_truth_carries_labels_and_the_medial_joint_line(knee, scene, small):
+    truth = pssf.simulate(knee, small, scene=scene).truth
+    assert (truth.jsw_medial_mm, truth.jsw_lateral_mm, truth.grade) == (3.1, 5.0, 2)
+    row, col = truth.medial_joint_line_px
+    assert row == pytest.approx(127.5, abs=2)
+    assert col > 140
+
+
+def test_the_joint_space_is_darker_bone_than_the_bones_above_and_below(knee, scene, small):
+    bare = dataclasses.replace(small, noise="none", scatter="none", detector_blur="none", focal_spot_mm=0.0)
+    kept = pssf.simulate(knee, bare, scene=scene, keep=("path_mm",)).kept["path_mm"]
+    bone = kept["cortical_bone"] + kept["trabecular_bone"]
+    row, col = (round(v) for v in anatomy_spot(knee, scene, small))
+    assert bone[row, col] == 0
+    assert bone[row - 12, col] > 20
+    assert bone[row + 12, col] > 20
+
+
+def anatomy_spot(knee, scene, protocol):
+    return pssf.simulate(knee, protocol, scene=scene).truth.medial_joint_line_px
+
+
+def test_anybodys_meshes_make_a_radiograph_without_labels(small):
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=60)
+    core = trimesh.creation.box(extents=(20, 20, 20))
+    scene = pssf.Scene([
+        pssf.Surface(ball, inside="muscle", outside="air", name="ball"),
+        pssf.Surface(core, inside="Ti@4.51", outside="muscle", name="core"),
+    ])  # fmt: skip
+    radiograph = pssf.simulate(scene, small, seed=3)
+    assert radiograph.truth is None
+    assert radiograph.knee is None
+    assert radiograph.pixels[128, 128] < radiograph.pixels[128, 160] < radiograph.pixels[5, 5]
+
+
+def test_an_unknown_material_is_refused_by_name(small):
+    ball = trimesh.creation.icosphere(radius=20)
+    scene = pssf.Scene([pssf.Surface(ball, inside="mucsle", outside="air")])
+    with pytest.raises(pssf.InputError, match="material = 'mucsle'.*did you mean 'muscle'"):
+        pssf.simulate(scene, small)
+
+
+def test_halving_the_current_halves_the_signal(knee, scene, small):
+    quiet = dataclasses.replace(small, noise="none")
+    half = dataclasses.replace(quiet, mas=1.0)
+    full_px, half_px = (pssf.simulate(knee, p, scene=scene).pixels.astype(float) - 100 for p in (quiet, half))
+    assert_allclose(half_px, full_px / 2, atol=1.01)
+
+
+def test_a_knee_drawn_and_taken_twice_has_one_digest(small):
+    digests = set()
+    for _ in range(2):
+        knee = pssf.draw_knee(grade=1, rng=np.random.default_rng(4))
+        digests.add(hashlib.sha256(pssf.simulate(knee, small, seed=9).pixels.tobytes()).hexdigest())
+    assert len(digests) == 1
