@@ -31,7 +31,7 @@ def run_experiment(out: Path, *, preset: str, seed: int, workers: int, engine: s
     out      folder: the cohort goes into out/cohort, report, tables and pictures beside it
     workers  processes; no result depends on them
     bar      shows the progress of a stage
-    raises   InputError for an unknown preset, a missing library, a folder that holds something else or cannot be written
+    raises   InputError for an unknown preset, a missing library, a folder that holds something else or is unwritable
     """
     require_extra()
     plan = plan_cohort(preset, seed=seed)

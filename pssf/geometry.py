@@ -1,4 +1,4 @@
-"""Where source, rays and pixels are, in the knee frame (mm; +x medial of a right knee, +y to the detector, +z proximal)."""
+"""Where source, rays and pixels are, in the knee frame (mm; +x medial of a right knee, +y to detector, +z proximal)."""
 
 from dataclasses import dataclass
 
@@ -29,7 +29,7 @@ def view_of(protocol: Protocol) -> View:
     """Source and detector of a protocol.
 
     The source at (0, -SOD, 0) is turned about the x axis through the origin by beam_angle_deg (positive: it moves
-    proximally, the beam points caudally). The detector stays in the plane y = SDD - SOD and is centred on the central ray.
+    proximally, the beam points caudally). The detector stays in the plane y = SDD - SOD, centred on the central ray.
     """
     angle = np.deg2rad(protocol.beam_angle_deg)
     beyond_mm = protocol.sdd_mm - protocol.sod_mm

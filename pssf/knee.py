@@ -140,4 +140,4 @@ def _draw_osteophytes(
 
 
 def _uniform(rng: np.random.Generator, bounds: list[float]) -> float:
-    return round(float(rng.uniform(*bounds)), 4)
+    return round(float(rng.uniform(bounds[0], bounds[1])), 4)

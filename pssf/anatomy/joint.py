@@ -19,7 +19,7 @@ _TOLERANCE_MM = 1e-4
 
 @dataclass(frozen=True)
 class Pose:
-    """Where the bones go: the femur is flexed, tilted about y and raised; everything is then moved and turned about z."""
+    """Where the bones go: the femur is flexed, tilted about y and raised; all is then moved and turned about z."""
 
     tilt_deg: float
     raise_mm: float
@@ -71,7 +71,7 @@ def half_ml_mm(scale: float) -> float:
 
 
 def solve_pose(knee: Knee, build: Build, tibia: Manifold) -> Pose:
-    """Tilt and height of the femur that give both joint spaces under the protocol `reference` (Newton on the projection).
+    """Tilt and height of the femur that give both joint spaces under `reference` (Newton on the projection).
 
     tibia   outer solid without osteophytes, plateau at z = 0
     raises  InputError if the spaces cannot be met, which the ranges of `Knee` exclude

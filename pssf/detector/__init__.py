@@ -39,7 +39,8 @@ def expose(
     keep     any of "primary", "scatter" (keV a pixel, before blur) and "noise_free" (pixels without noise)
     returns  pixels (rows, cols) uint16; kept maps; seconds a stage
     """
-    view, seconds, kept = view_of(protocol), {}, {}
+    view, seconds = view_of(protocol), dict[str, float]()
+    kept: dict[str, Any] = {}
     clock = perf_counter()
 
     def lap(stage: str) -> None:

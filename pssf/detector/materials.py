@@ -55,7 +55,7 @@ def _recipe(material: str) -> tuple[float, tuple[tuple[int, float], ...]]:
 
 
 def _mixture(volumes: dict[str, float]) -> tuple[float, tuple[tuple[int, float], ...]]:
-    density, masses = 0.0, {}
+    density, masses = 0.0, dict[int, float]()
     for name, share in volumes.items():
         part_density, weights = _recipe(name)
         density += share * part_density

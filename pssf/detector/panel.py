@@ -18,13 +18,13 @@ _MARGIN_PX = 32
 
 
 def focal_spot_blur(image: Map, focal_spot_mm: float, view: View, workers: int = 2) -> Map:
-    """(rows, cols)  blurred by a square spot, at the magnification of the joint plane: width a (M - 1) on the detector"""
+    """(rows, cols)  blurred by a square spot, magnified as in the joint plane: width a (M - 1)"""
     width_px = focal_spot_mm * (magnification(view) - 1) / view.pixel_mm
     return _filter(image, lambda fy, fx: np.sinc(width_px * fy)[:, None] * np.sinc(width_px * fx), workers)
 
 
 def detector_blur(image: Map, pixel_mm: float, workers: int = 2) -> Map:
-    """(rows, cols)  blurred by the presampled MTF 1 / (1 + (f/f0)^p) of the panel (fitted to Marshall 2011, Samei 2003)"""
+    """(rows, cols)  blurred by the panel's presampled MTF 1 / (1 + (f/f0)^p) (fit to Marshall 2011, Samei 2003)"""
     table = tables.data("detector")["csi"]
 
     def mtf(fy: Array, fx: Array) -> Array:
@@ -111,6 +111,7 @@ def _filter(image: Map, response: Callable[[Array, Array], Array], workers: int)
     before = [(long - n) // 2 for long, n in zip(shape, image.shape, strict=True)]
     margins = [(b, long - n - b) for b, long, n in zip(before, shape, image.shape, strict=True)]
     spectrum = fft.rfft2(np.pad(image, margins, mode="symmetric"), workers=workers)
-    spectrum *= response(np.fft.fftfreq(shape[0]), np.fft.rfftfreq(shape[1])).astype(np.float32)
+    fy, fx = (np.asarray(f, np.float64) for f in (np.fft.fftfreq(shape[0]), np.fft.rfftfreq(shape[1])))
+    spectrum *= response(fy, fx).astype(np.float32)
     back = fft.irfft2(spectrum, shape, workers=workers)
     return back[before[0] : before[0] + image.shape[0], before[1] : before[1] + image.shape[1]]

@@ -40,11 +40,11 @@ def transmit(path_mm: Mapping[str, NDArray[np.float32]], beam: Beam, view: View,
     kev = np.empty((view.rows, view.cols), np.float32)
     photon_kev = np.empty((view.rows, view.cols), np.float32)
     weights = beam.photons_per_mm2 * beam.signal_kev, beam.photons_per_mm2 * beam.square_kev2
-    place = (np.asarray(view.source_mm), np.asarray(view.corner_mm), view.pixel_mm)
+    source, corner = np.asarray(view.source_mm), np.asarray(view.corner_mm)
 
     def band(start: int) -> None:
         stop = min(start + _BAND_ROWS, view.rows)
-        _transmit(stack, mu, *weights, *place, start, stop, kev, photon_kev)
+        _transmit(stack, mu, *weights, source, corner, view.pixel_mm, start, stop, kev, photon_kev)
 
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(band, range(0, view.rows, _BAND_ROWS)))

@@ -1,4 +1,4 @@
-"""Scatter by a kernel that depends on thickness, air gap and tube voltage; computed on a coarse grid, for it is smooth."""
+"""Scatter by a kernel that depends on thickness, air gap and tube voltage; on a coarse grid, for it is smooth."""
 
 from collections.abc import Mapping
 

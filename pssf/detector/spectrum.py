@@ -45,7 +45,7 @@ def beam_of(protocol: Protocol) -> Beam:
 
 @lru_cache(maxsize=64)
 def tube_spectrum(tube_kv: float, anode_angle_deg: float, filtration_mm_al: float) -> tuple[Array, Array]:
-    """(bins,) keV and (bins,) photons/mm2/mAs at 1 m of a tungsten anode behind aluminium, no air (SpekPy 2, "casim")."""
+    """(bins,) keV and (bins,) photons/mm2/mAs at 1 m: tungsten behind aluminium, no air (SpekPy 2, "casim")."""
     from spekpy import Spek  # slow to import, and a monochromatic protocol does without
 
     source = Spek(kvp=tube_kv, th=anode_angle_deg, dk=0.5, mas=1.0, z=100.0)
@@ -67,7 +67,7 @@ def _fold(energies: Array, photons: Array, signal: Array, square: Array) -> tupl
     # Behind a limb the hard end carries the image, so nodes share out the root of the signal, not the signal.
     share = np.cumsum(np.sqrt(photons * signal))
     group = np.minimum((share / share[-1] * _NODES).astype(int), _NODES - 1)
-    total = np.bincount(group, photons, _NODES)
+    total = np.bincount(group, photons, _NODES).astype(np.float64)
     used = total > 0
     means = [np.bincount(group, photons * value, _NODES)[used] / total[used] for value in (energies, signal, square)]
     return means[0], total[used], means[1], means[2]

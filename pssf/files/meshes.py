@@ -45,7 +45,9 @@ def export_meshes(
             continue
         for name, surface in zip(names, scene.surfaces, strict=True):
             path = directory / f"{stem}-{name}.{kind}"
-            write_bytes(path, bytes(surface.mesh.export(file_type=kind)))
+            content = surface.mesh.export(file_type=kind)
+            assert isinstance(content, bytes)
+            write_bytes(path, content)
             written.append(path)
     return written
 

@@ -2,6 +2,8 @@
 
 paths     what comes back
 sheets    surfaces as a detector sees them
+rays      their lengths, and where they meet a box
+outline   pixels at the border of a surface, where float32 is in doubt
 scanline  engine: triangles projected and accumulated in float64
 embree    engine: rays cast hit by hit, audited, repaired by scanline
 """
@@ -11,7 +13,6 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ..checks import Array, require_choice, require_whole
@@ -19,7 +20,8 @@ from ..geometry import View, view_of
 from ..protocol import Protocol
 from ..scene import Scene, Surface
 from .paths import Audit, Paths, total
-from .sheets import BAND_ROWS, Sheet, box_span, frame_of, sheet_of
+from .rays import add_box, to_mm
+from .sheets import BAND_ROWS, Sheet, frame_of, sheet_of
 
 __all__ = ["Audit", "Paths", "trace"]
 
@@ -93,26 +95,7 @@ def _band(
                 touched.add(material)
     frame = frame_of(view)
     if scene.ambient in sums:
-        _add_box(frame, scene.bounds_mm, first, sums[scene.ambient])
+        add_box(frame, scene.bounds_mm, first, sums[scene.ambient])
     for material in touched & sums.keys():
-        _to_mm(sums[material], frame, first, path_mm[material][first:stop])
+        to_mm(sums[material], frame, first, path_mm[material][first:stop])
     return total(audits)
-
-
-@njit(cache=True, nogil=True)
-def _add_box(frame: Array, bounds: Array, first: int, fraction: Array) -> None:
-    """Add the part of each ray inside a box (2, 3) to `fraction` (rows, cols), which starts at row `first`."""
-    for row in range(fraction.shape[0]):
-        for col in range(fraction.shape[1]):
-            near, far = box_span(frame, bounds[0], bounds[1], first + row, col)
-            fraction[row, col] += max(far - near, 0.0)
-
-
-@njit(cache=True, nogil=True)
-def _to_mm(fraction: Array, frame: Array, first: int, path_mm: NDArray[np.float32]) -> None:
-    """Fractions of the way from source to pixel (rows, cols) times its length, into `path_mm` (rows, cols)."""
-    for row in range(fraction.shape[0]):
-        z = frame[5] - (first + row) * frame[6]
-        for col in range(fraction.shape[1]):
-            x = frame[3] + col * frame[6]
-            path_mm[row, col] = fraction[row, col] * np.sqrt(x * x + frame[4] * frame[4] + z * z)

@@ -24,7 +24,8 @@ from ..checks import Array
 from . import scanline
 from .outline import outline
 from .paths import Audit
-from .sheets import Sheet, box_span
+from .rays import start
+from .sheets import Sheet
 
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int32]
@@ -62,7 +63,7 @@ def caster(sheet: Sheet) -> Callable[[int, int], tuple[Array, Audit]]:
         chord, signs, doubt = np.zeros(shape), np.zeros(shape, np.int32), np.zeros(shape, np.bool_)
         window = np.array([first, sheet.cols[0], shape[1]])
         rays = _Rays(chord.size)
-        count = _start(sheet.frame, centre, low, high, window, chord.size, *rays.state)
+        count = start(sheet.frame, centre, low, high, window, chord.size, *rays.state)
         for _ in range(HIT_LIMIT):
             if count == 0:
                 break
@@ -115,38 +116,6 @@ def _repair(sheet: Sheet, first: int, chord: Array, signs: Ints, doubt: NDArray[
         repaired=int(bad.sum()) - unrepaired,
         unrepaired=unrepaired,
     )
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _start(
-    frame: Array,
-    centre: Array,
-    low: Array,
-    high: Array,
-    window: NDArray[np.int64],
-    size: int,
-    origins: Floats,
-    directions: Floats,
-    pixels: Ints,
-    depths: Array,
-    triangles: Ints,
-    again: Ints,
-) -> int:
-    """Put the rays of a window (first row, first column, columns) where they enter the box; returns their count."""
-    count = 0
-    for pixel in range(size):
-        row, col = window[0] + pixel // window[2], window[1] + pixel % window[2]
-        near, far = box_span(frame, low, high, row, col)
-        if near >= far:
-            continue
-        way = frame[3] + col * frame[6], frame[4], frame[5] - row * frame[6]
-        length = math.sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2])
-        for axis in range(3):
-            origins[count, axis] = frame[axis] - centre[axis] + near * way[axis]
-            directions[count, axis] = way[axis] / length
-        pixels[count], depths[count], triangles[count], again[count] = pixel, near, -1, 0
-        count += 1
-    return count
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")

@@ -137,24 +137,3 @@ def _bin(
             order[free[band]] = k
             free[band] += 1
     return order, starts
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def box_span(frame: Array, low: Array, high: Array, row: int, col: int) -> tuple[float, float]:
-    """Depths at which the ray to a pixel enters and leaves an axis-parallel box; it misses if it leaves first."""
-    near, far = 0.0, 1.0
-    for axis in range(3):
-        way = frame[3 + axis]
-        if axis == 0:
-            way += col * frame[6]
-        elif axis == 2:
-            way -= row * frame[6]
-        if way == 0.0:
-            # Parallel to the slab: its lower side counts as inside and its upper one as outside.
-            if not low[axis] <= frame[axis] < high[axis]:
-                return 1.0, 0.0
-            continue
-        one, other = (low[axis] - frame[axis]) / way, (high[axis] - frame[axis]) / way
-        near = max(near, min(one, other))
-        far = min(far, max(one, other))
-    return near, far
