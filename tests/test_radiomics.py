@@ -176,9 +176,7 @@ def test_what_is_measured_already_is_kept_until_its_settings_change():
         return load_phantom(file)
 
     saved: list[list[dict]] = []
-    first, _ = extract_all(
-        jobs(3)[:2], load_pixels=load, template=TEMPLATE, how=How(region_px=96), save=saved.append
-    )
+    first, _ = extract_all(jobs(3)[:2], load_pixels=load, template=TEMPLATE, how=How(region_px=96), save=saved.append)
     assert saved[-1] == first
     known = {record["sha256"]: record for record in first}
     loaded.clear()

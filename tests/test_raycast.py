@@ -264,6 +264,23 @@ def test_pixels_a_hair_beside_an_edge_on_side_are_on_the_right_side_of_it(engine
 
 
 @pytest.mark.parametrize("engine", ENGINES)
+def test_the_edge_of_a_blade_is_exact_where_float32_misses_entry_and_exit_both(engine):
+    # 512 mm deep and a twentieth of a pixel wide; column 40 is inside its edge by a ten-millionth of a pixel.
+    pixels = [
+        (s, r, c) for r in (-400.3, 450.7) for s, c in ((0.5, 40 + 1e-7), (0.5, 39.9), (0.25, 39.95), (0.75, 39.95))
+    ]
+    points = [(s * (c - 32.0), s * 1024.0 - 512.0, s * (32.0 - r)) for s, r, c in pixels]
+    blade = trimesh.Trimesh(points, process=False).convex_hull
+    for seed in range(10):
+        shift = np.random.default_rng(seed).uniform(-50, 50, 3)
+        source, centre = (tuple(np.add(place, shift).tolist()) for place in (HALVED.source_mm, HALVED.centre_mm))
+        view, mesh = replace(HALVED, source_mm=source, centre_mm=centre), moved(blade, shift)
+        exact = convex_chord(mesh, view)
+        assert exact[:, 40].min() > 1.2e-3
+        assert_allclose(trace(alone(mesh), view, engine=engine).path_mm["water"], exact, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize(("rows", "cols"), [(1, 1), (1, 4096), (4096, 1), (BAND_ROWS + 1, 7)])
 def test_detectors_of_odd_shape_serve(engine, rows, cols):
     protocol = detector(rows=rows, cols=cols, pixel_mm=0.05)

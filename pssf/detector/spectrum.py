@@ -31,15 +31,15 @@ class Beam:
     square_kev2: Array
 
 
-def beam_of(protocol: Protocol) -> Beam:
-    """The beam of a protocol, its spectrum folded to few nodes of equal signal; one node when monochromatic."""
+def beam_of(protocol: Protocol, nodes: int = _NODES) -> Beam:
+    """The beam of a protocol, its spectrum folded to at most so many nodes; one node when monochromatic."""
     if protocol.mono_kev is not None:
         energies, photons = np.array([protocol.mono_kev]), np.array([_MONO_PHOTONS_PER_MM2_MAS])
     else:
         energies, photons = tube_spectrum(protocol.tube_kv, protocol.anode_angle_deg, protocol.filtration_mm_al)
     signal, square = _response(energies)
-    if len(energies) > _NODES:
-        energies, photons, signal, square = _fold(energies, photons, signal, square)
+    if len(energies) > nodes:
+        energies, photons, signal, square = _fold(energies, photons, signal, square, nodes)
     return Beam(energies, photons * protocol.mas, signal, square)
 
 
@@ -62,12 +62,14 @@ def _response(energies_kev: Array) -> tuple[Array, Array]:
     return fraction * energies_kev, fraction * energies_kev**2
 
 
-def _fold(energies: Array, photons: Array, signal: Array, square: Array) -> tuple[Array, Array, Array, Array]:
+def _fold(
+    energies: Array, photons: Array, signal: Array, square: Array, nodes: int
+) -> tuple[Array, Array, Array, Array]:
     """Neighbouring bins merged into nodes; each keeps its photons, and the signal and mean energy of its photons."""
     # Behind a limb the hard end carries the image, so nodes share out the root of the signal, not the signal.
     share = np.cumsum(np.sqrt(photons * signal))
-    group = np.minimum((share / share[-1] * _NODES).astype(int), _NODES - 1)
-    total = np.bincount(group, photons, _NODES).astype(np.float64)
+    group = np.minimum((share / share[-1] * nodes).astype(int), nodes - 1)
+    total = np.bincount(group, photons, nodes).astype(np.float64)
     used = total > 0
-    means = [np.bincount(group, photons * value, _NODES)[used] / total[used] for value in (energies, signal, square)]
+    means = [np.bincount(group, photons * value, nodes)[used] / total[used] for value in (energies, signal, square)]
     return means[0], total[used], means[1], means[2]

@@ -34,7 +34,7 @@ def claim(path: Path, asked: dict[str, Any]) -> None:
     raises  InputError naming the first entry that differs
     """
     if not path.exists():
-        write_bytes(path, (json.dumps(asked, indent=1) + "\n").encode())
+        write_json(path, asked)
         return
     found = read_json(path)
     if found != asked:
@@ -58,7 +58,7 @@ def read_json(path: Path) -> Any:
 
 def write_rows(folder: Path, knee: int, rows: list[Row]) -> None:
     """Write the record of one knee; its images stand by then."""
-    write_bytes(_record(folder, knee), (json.dumps(rows, indent=1) + "\n").encode())
+    write_json(_record(folder, knee), rows)
 
 
 def read_rows(folder: Path, knee: int) -> list[Row] | None:
@@ -82,6 +82,11 @@ def read_rows(folder: Path, knee: int) -> list[Row] | None:
             told = f"sha256 {found[:12]}..., recorded {digest[:12]}..."
             raise InputError(f"file {file}: damaged ({told}); delete it to have it made again")
     return rows
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write a value as JSON."""
+    write_bytes(path, (json.dumps(content, indent=1) + "\n").encode())
 
 
 def write_csv(path: Path, rows: list[Row]) -> None:

@@ -19,6 +19,7 @@ def save_table(path: Path, table: "pd.DataFrame") -> None:
 def load_table(path: Path, text_columns: tuple[str, ...] = ()) -> "pd.DataFrame | None":
     """The CSV, bit for bit as it was saved, or None where there is no such file.
 
+    text_columns  that hold text; all others hold floats, an empty cell is NaN
     raises  InputError for a file that is not a table
     """
     import pandas as pd
@@ -26,7 +27,11 @@ def load_table(path: Path, text_columns: tuple[str, ...] = ()) -> "pd.DataFrame 
     if not path.exists():
         return None
     try:
-        return pd.read_csv(path, float_precision="round_trip", dtype=dict.fromkeys(text_columns, str))
+        table = pd.read_csv(path, dtype=str, keep_default_na=False)
+        numbers = table.columns.difference(text_columns)
+        # Python's own reading of a number is exact; that of read_csv depends on the version of pandas.
+        table[numbers] = table[numbers].replace("", "nan").astype(float)
+        return table
     except OSError as error:
         raise InputError(f"file {path}: {error.strerror or error}; allowed: a readable table") from None
     except ValueError as error:  # of which pandas' own are kinds

@@ -13,9 +13,9 @@ _BASELINE_SHARE = 1 / 64
 def bone_mask(region: NDArray[np.generic]) -> NDArray[np.bool_]:
     """Where bone is: what attenuates more than the soft tissue of its column, by Otsu's threshold (Otsu 1979).
 
-    The soft tissue of a column is the brightest of its middle half, where the joint space is; so the fall of soft tissue
-    towards the skin, a larger step than bone, is taken out. Holes are filled, and pieces of less than 5 % of the bone
-    left out.
+    The soft tissue of a column is the brightest of its middle half, where the joint space is; so the fall of soft
+    tissue towards the skin, a larger step than bone, is taken out. Holes are filled; pieces of less than 5 % of the
+    bone are left out.
 
     region   (size, size) linear
     returns  (size, size); all True for a region of one grey value

@@ -9,10 +9,10 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
-from sklearn.metrics import roc_auc_score, roc_curve
+from sklearn.metrics import roc_curve
 
 from ..radiomics.features import FAMILIES, family
-from .metrics import confusion
+from .metrics import auc, confusion
 from .models import MODELS
 from .reliability import ICC_FORMS
 from .scenarios import TASKS, truth_and_probability
@@ -61,8 +61,10 @@ def roc(predictions: pd.DataFrame, selection: str) -> bytes:
     """ROC curves of 0 vs 2, predictions of all splits pooled; a panel a scenario, a curve a model and test protocol."""
     part = predictions[(predictions["task"] == "0 vs 2") & (predictions["selection"] == selection)]
     scenarios = [name for name in ("within", "cross", "multi") if (part["scenario"] == name).any()]
-    figure = Figure(figsize=(3.6 * max(1, len(scenarios)), 4.9), layout="constrained")
+    width, height, below = 3.6 * max(1, len(scenarios)), 5.4, 2.05  # inches; the legends stand below the panels
+    figure = Figure(figsize=(width, height))
     axes = figure.subplots(1, max(1, len(scenarios)), squeeze=False)[0]
+    figure.subplots_adjust(left=0.6 / width, right=1 - 0.1 / width, bottom=below / height, top=1 - 0.3 / height)
     for axis, scenario in zip(axes, scenarios, strict=False):
         of = part[part["scenario"] == scenario]
         tests = [name for name in dict.fromkeys(of["tested_on"]) if name != "all"]
@@ -74,11 +76,12 @@ def roc(predictions: pd.DataFrame, selection: str) -> bytes:
                 if len(set(truth)) < 2:
                     continue
                 false, true, _ = roc_curve(truth, probability[:, 1])
-                label = f"{model.upper()}, {_plain(tested_on)}: {roc_auc_score(truth, probability[:, 1]):.2f}"
+                label = f"{model.upper()}, {_plain(tested_on)}: {auc(truth == 1, probability[:, 1]):.2f}"
                 axis.plot(false, true, dash, color=_COLOURS[model], linewidth=1.6, label=label)
-        axis.set(xlim=(0, 1), ylim=(0, 1.01), aspect="equal", title=_title(scenario), xlabel="1 − specificity")
+        axis.set(xlim=(-0.01, 1), ylim=(0, 1.01), title=_title(scenario), xlabel="1 − specificity")
+        axis.set_box_aspect(1)
         if axis.get_legend_handles_labels()[0]:
-            axis.legend(fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, -0.16), frameon=False)
+            axis.legend(fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, -0.18), frameon=False)
     axes[0].set_ylabel("sensitivity")
     return _png(figure)
 
@@ -88,7 +91,7 @@ def confusions(predictions: pd.DataFrame, selection: str) -> bytes:
     part = predictions[(predictions["task"] == "0/1/2") & (predictions["selection"] == selection)]
     arms = [arm for arm in dict.fromkeys(zip(part["scenario"], part["tested_on"], strict=True)) if _shown(arm)]
     models = list(dict.fromkeys(part["model"]))
-    figure = Figure(figsize=(2.9 * max(1, len(models)), 2.75 * max(1, len(arms))), layout="constrained")
+    figure = Figure(figsize=(2.7 * max(1, len(models)), 2.45 * max(1, len(arms))), layout="constrained")
     axes = figure.subplots(max(1, len(arms)), max(1, len(models)), squeeze=False)
     for row, (scenario, tested_on) in enumerate(arms):
         for col, model in enumerate(models):
@@ -118,14 +121,14 @@ def heat_map(reliability: pd.DataFrame) -> bytes:
         block = values[start : start + half]
         axis.set_facecolor("0.82")  # what shows through where an ICC is undefined
         shown = axis.imshow(block, cmap="viridis", vmin=0, vmax=1, aspect="auto", interpolation="nearest")
-        axis.set_xticks(range(len(columns)), [f"{form}\n{_plain(label)}" for form, label in columns], fontsize=6.5)
+        axis.set_xticks(range(len(columns)), [f"{form}, {_plain(label)}" for form, label in columns], fontsize=6.5)
         axis.tick_params(axis="x", rotation=90)
         axis.set_yticks(range(len(block)), order[start : start + half], fontsize=6)
         for row, name in enumerate(order[start : start + half]):
             if row and family(name) != family(order[start + row - 1]):
                 axis.axhline(row - 0.5, color="white", linewidth=1.5)
         axis.axvline(len(sets) - 0.5, color="white", linewidth=1.5)
-    bar = figure.colorbar(shown, ax=axes, shrink=0.5, pad=0.01)
+    bar = figure.colorbar(shown, ax=axes, shrink=0.5, pad=0.01, extend="min")
     bar.ax.axhline(0.9, color="white", linewidth=1.5)
     bar.set_label("ICC (line: 0.90; grey: undefined)", fontsize=8)
     return _png(figure)

@@ -12,6 +12,7 @@ from . import StudySettings, figures
 from .figures import Shot
 from .importance import by_family
 from .report import Picture
+from .scenarios import protocols_of
 from .selection import SELECTIONS
 
 _SHRINK = 4  # of the radiographs in the panel; the file stays small and the joint can be seen
@@ -47,7 +48,7 @@ def gallery(
 
 
 def _panel(located: pd.DataFrame, load_pixels: Load, settings: StudySettings) -> Picture:
-    protocols = sorted(located["protocol"].unique(), key=lambda name: (name != settings.reference, name))
+    protocols = protocols_of(located, settings.reference)
     lines, labels = [], []
     for grade, part in located.groupby("grade", sort=True):
         knee = part["knee"].iloc[0]

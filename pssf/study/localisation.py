@@ -30,7 +30,8 @@ def summarise(table: pd.DataFrame) -> pd.DataFrame:
     """
     rows = [
         {"protocol": protocol, "grade": str(grade), **_row(part)}
-        for (protocol, grade), part in table.groupby(["protocol", "grade"], sort=True)
+        for protocol, of_protocol in table.groupby("protocol", sort=False)
+        for grade, part in of_protocol.groupby("grade")
     ]
     return pd.DataFrame([*rows, {"protocol": "all", "grade": "all", **_row(table)}])
 

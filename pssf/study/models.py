@@ -20,7 +20,7 @@ from ..checks import Array, require_choice
 MODELS = {"lr": "Logistic regression", "rf": "Random forest", "xgb": "XGBoost"}
 _GRIDS: dict[str, list[dict[str, Any]]] = {
     "lr": [{"C": c} for c in (0.01, 0.1, 1.0, 10.0)],
-    "rf": [{"min_samples_leaf": leaf} for leaf in (1, 4)],
+    "rf": [{"min_samples_leaf": leaf} for leaf in (4, 1)],
     "xgb": [{"max_depth": depth} for depth in (2, 4)],
 }
 
@@ -52,15 +52,17 @@ def tune(
     Best is the least logarithmic loss: with a few validation knees the AUC has too few values to choose by.
 
     prepared  fitted `selection.preparation`, of the same training radiographs
-    training, validation   features (rows, features), class index (rows,)
+    training, validation   features (rows, features), class index (rows,); without validation rows the first, most
+                           cautious, parameters are taken
     """
     require_choice("model", model, MODELS)
-    (X, y), (X_check, y_check) = ((prepared.transform(X).to_numpy(), y) for X, y in (training, validation))
-    weight, weight_check = (compute_sample_weight("balanced", classes) for classes in (y, y_check))
+    X, y = prepared.transform(training[0]).to_numpy(), training[1]
+    X_check = prepared.transform(validation[0]).to_numpy() if len(validation[1]) else None
+    weight = compute_sample_weight("balanced", y)
     best: tuple[float, Any, dict[str, Any]] | None = None
     for parameters in _GRIDS[model]:
         candidate = _unfitted(model, parameters, seed).fit(X, y, sample_weight=weight)
-        loss = log_loss(y_check, candidate.predict_proba(X_check), sample_weight=weight_check, labels=np.unique(y))
+        loss = 0.0 if X_check is None else _loss(candidate, X_check, validation[1], np.unique(y))
         if best is None or loss < best[0]:
             best = loss, candidate, parameters
     assert best is not None
@@ -71,6 +73,10 @@ def tune(
         parameters=best[2],
         importance=dict(zip(names, shares.tolist(), strict=True)),
     )
+
+
+def _loss(model: Any, X: Array, y: NDArray[np.int64], classes: NDArray[np.int64]) -> float:
+    return log_loss(y, model.predict_proba(X), sample_weight=compute_sample_weight("balanced", y), labels=classes)
 
 
 class _Values(TransformerMixin, BaseEstimator):

@@ -57,6 +57,8 @@ def run_study(
     with _timed(seconds, "training and testing"):
         outcomes = _outcomes(usable, names, settings, workers, tell)
     predictions = pd.concat([outcome.predictions for outcome in outcomes], ignore_index=True)
+    if predictions.empty:
+        raise InputError("regions found = too few to train on; allowed: grades 0 and 2 found among training subjects")
     importances = pd.concat([outcome.importances for outcome in outcomes], ignore_index=True)
     with _timed(seconds, "reliability and figures"):
         tables = _tables(located, usable, names, settings, predictions, importances)
@@ -117,7 +119,7 @@ def _measured(
         progress=partial(tell, "regions and features"),
     )
     found = pd.DataFrame(records).drop(columns="sha256")
-    return manifest.merge(found, on="radiograph", how="left", validate="one_to_one"), work
+    return manifest.merge(found, on="radiograph", how="left", validate="one_to_one").copy(), work
 
 
 def _outcomes(
@@ -167,7 +169,7 @@ def _findings(
     usable = located[located["status"] == "found"]
     importance = tables["importance"]
     leading = importance[importance["selection"] == settings.selections[0]].groupby("model", sort=False).head(5)
-    grouped = located.groupby(["protocol", "grade"], sort=True)
+    grouped = located.groupby("grade")
     composition = grouped.agg(subjects=("subject", "nunique"), knees=("knee", "nunique"), radiographs=("knee", "size"))
     counts = {name: int(located[column].nunique()) for name, column in _COUNTED.items()}
     tested = tables["splits"]["test_subjects"]

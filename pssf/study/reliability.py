@@ -5,6 +5,7 @@ from itertools import combinations
 import pandas as pd
 
 from ..checks import Array
+from .scenarios import protocols_of
 from .selection import is_degenerate
 
 ICC_FORMS = ("ICC(2,1)", "ICC(3,1)")
@@ -38,7 +39,7 @@ def reliability(table: pd.DataFrame, names: list[str], reference: str) -> pd.Dat
     table    one row a radiograph: knee, protocol, features; knees that lack a protocol are left out
     returns  feature, protocols, knees, ICC(2,1), ICC(3,1)
     """
-    protocols = sorted(table["protocol"].unique(), key=lambda name: (name != reference, name))
+    protocols = protocols_of(table, reference)
     sets = [protocols] if len(protocols) == 2 else [protocols, *([a, b] for a, b in combinations(protocols, 2))]
     rows = []
     for chosen in sets:

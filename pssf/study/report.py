@@ -40,7 +40,7 @@ class Findings:
     """All that the page tells.
 
     counts        label -> number, of the cohort
-    composition   protocol, grade, knees, radiographs
+    composition   grade, subjects, knees, radiographs
     localisation  of `localisation.summarise`
     scores        of `scenarios.summarise`
     stable        of `reliability.count_stable`
@@ -93,13 +93,14 @@ def render(findings: Findings) -> str:
 
 
 def _score_tables(scores: pd.DataFrame) -> dict[str, dict[str, Any]]:
-    """Task -> {arms: (model, selection) of each column; rows: scenario, tests, and a line of cells a metric}."""
+    """Task -> {selections, models: of the columns, models within selections; rows: scenario, and a line a metric}."""
     tables = {}
     for task in TASKS:
         part = scores[scores["task"] == task]
         if part.empty:
             continue
-        arms = list(dict.fromkeys(zip(part["model"], part["selection"], strict=True)))
+        selections, models = list(dict.fromkeys(part["selection"])), list(dict.fromkeys(part["model"]))
+        arms = [(model, selection) for selection in selections for model in models]
         rows = []
         for (scenario, trained_on, tested_on), block in part.groupby(
             ["scenario", "trained_on", "tested_on"], sort=False
@@ -117,7 +118,7 @@ def _score_tables(scores: pd.DataFrame) -> dict[str, dict[str, Any]]:
                     "lines": {metric: [_spread(cells.get(arm, {}), metric) for arm in arms] for metric in METRICS},
                 }
             )
-        tables[task] = {"arms": arms, "rows": rows}
+        tables[task] = {"selections": selections, "models": models, "rows": rows}
     return tables
 
 
@@ -129,4 +130,5 @@ def _spread(line: dict[str, Any], metric: str) -> str:
 
 
 def _fixed(value: Any, digits: int = 2) -> str:
-    return "n/a" if pd.isna(value) else f"{value:.{digits}f}".replace("-", "−")
+    # Adding 0 to what was rounded turns a negative zero into a plain one.
+    return "n/a" if pd.isna(value) else f"{round(float(value), digits) + 0.0:.{digits}f}".replace("-", "−")

@@ -50,6 +50,8 @@ def one_split(repeat: int, *, table: pd.DataFrame, names: list[str], settings: S
             seed = int(np.random.SeedSequence(settings.seed, spawn_key=(repeat, 1)).generate_state(1)[0] >> 1)
             for selection in settings.selections:
                 fit_on, check_on = _part(train, names, grades), _part(check, names, grades)
+                if set(fit_on[1]) != set(range(len(grades))):
+                    continue  # all regions of a grade were refused under this protocol
                 prepared = preparation(selection, rho=settings.rho, most=settings.most_features, seed=seed)
                 prepared.fit(*fit_on)
                 for model in settings.models:
@@ -61,7 +63,8 @@ def one_split(repeat: int, *, table: pd.DataFrame, names: list[str], settings: S
                         predictions.append(_of(found, tested_on).assign(**labels))
                     for feature, share in fitted.importance.items():
                         importances.append({**arm, "repeat": repeat, "feature": feature, "share": share})
-    return Outcome(pd.concat(predictions, ignore_index=True), pd.DataFrame(importances))
+    found = pd.concat(predictions, ignore_index=True) if predictions else pd.DataFrame()
+    return Outcome(found, pd.DataFrame(importances))
 
 
 def score_splits(predictions: pd.DataFrame) -> pd.DataFrame:
@@ -92,9 +95,14 @@ def truth_and_probability(predictions: pd.DataFrame) -> tuple[NDArray[np.int64],
     return predictions["truth"].to_numpy(np.int64), predictions[columns].to_numpy(np.float64)
 
 
+def protocols_of(table: pd.DataFrame, reference: str) -> list[str]:
+    """The protocols of a table: the reference first, then as they come."""
+    return sorted(table["protocol"].unique(), key=lambda name: name != reference)
+
+
 def _plan(table: pd.DataFrame, reference: str) -> dict[str, dict[str, str]]:
     """Protocol trained on -> protocol tested on -> scenario."""
-    others = sorted(set(table["protocol"]) - {reference})
+    others = protocols_of(table, reference)[1:]
     plan = {reference: {reference: "within", **dict.fromkeys(others, "cross")}}
     if others:
         plan["all"] = dict.fromkeys(["all", reference, *others], "multi")
