@@ -1,7 +1,6 @@
 """simulate: a knee, or any scene, and a protocol -> a radiograph."""
 
 from collections.abc import Collection
-from dataclasses import asdict
 from functools import cache
 from importlib.metadata import version
 from time import perf_counter
@@ -65,7 +64,7 @@ def simulate(
         seed=seed,
         knee=who,
         truth=None if who is None else anatomy.truth_of(who, scene, protocol),
-        audit=asdict(paths.audit),
+        audit=paths.audit.counts(),
         versions=versions(),
         kept=kept,
         seconds={**seconds, **stages},

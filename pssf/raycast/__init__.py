@@ -3,7 +3,6 @@
 paths     what comes back
 sheets    surfaces as a detector sees them
 rays      their lengths, and where they meet a box
-outline   pixels at the border of a surface, where float32 is in doubt
 scanline  engine: triangles projected and accumulated in float64
 embree    engine: rays cast hit by hit, audited, repaired by scanline
 """

@@ -1,13 +1,17 @@
 """Embree engine: rays are cast hit by hit, every hit is computed again in float64, and what is in doubt is repaired.
 
 Embree works in float32. Its answer is taken only for which triangle comes next; where the ray meets the plane of that
-triangle is computed in float64. A pixel is handed to the scanline engine if
+triangle is computed in float64. How many crossings a ray has is counted beforehand in float64, from the outlines of the
+projected triangles; a ray without any is not cast, and one that has them all asks no further. A pixel is handed to the
+scanline engine if
 
 - it does not lie strictly inside the projected triangle, in float64: the ray passes so near an edge that Embree took
   the neighbour, or both;
 - a hit lies no deeper than the one before it, or the same triangle is found too often: a surface seen edge-on;
-- it lies so near the surface's outline that float32 may miss the surface, entry and exit both, where it is there;
+- Embree finds no more triangles before the count is reached: at an outline, or between sheets that nearly touch;
 - the signs of its crossings do not add up to zero.
+
+So every crossing taken is a true one, no two are the same, and there are as many as there should be.
 """
 
 import math
@@ -22,7 +26,6 @@ from numpy.typing import NDArray
 
 from ..checks import Array
 from . import scanline
-from .outline import outline
 from .paths import Audit
 from .rays import start
 from .sheets import Sheet
@@ -36,10 +39,6 @@ SPACING = float(np.finfo(np.float32).eps)
 # the ray: one met at a grazing angle would be found again. This is past the rounding of both, and short of any other
 # sheet that matters: two sheets of one surface within 4e-5 mm (at 100 mm from its centre) are skipped together.
 STEP_SPACINGS = 3.0
-
-# Sideways error of a float32 ray and mesh, in spacings at the surface's size: the step, and a rounding each of origin,
-# direction, vertex and Embree's own sums. About 6 together, so this is generous.
-MARGIN_SPACINGS = 16.0
 
 # A triangle found again and again, or a ray with more crossings than any mesh has, is given up and repaired.
 AGAIN_LIMIT = 8
@@ -55,26 +54,25 @@ def caster(sheet: Sheet) -> Callable[[int, int], tuple[Array, Audit]]:
     TriangleMesh(tree, (sheet.points - centre).astype(np.float32), sheet.faces)
     # The first call builds the tree; it must not be two threads' first call.
     tree.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32), output=1)
-    folds = outline(sheet, MARGIN_SPACINGS * SPACING * size)
     low, high = low - 0.01 * size, high + 0.01 * size
 
     def cast(first: int, stop: int) -> tuple[Array, Audit]:
         shape = (stop - first, sheet.cols[1] - sheet.cols[0])
         chord, signs, doubt = np.zeros(shape), np.zeros(shape, np.int32), np.zeros(shape, np.bool_)
+        left = scanline.crossings(sheet, first, stop).reshape(-1)
+        cast_for = int(np.count_nonzero(left))
         window = np.array([first, sheet.cols[0], shape[1]])
-        rays = _Rays(chord.size)
-        count = start(sheet.frame, centre, low, high, window, chord.size, *rays.state)
+        rays = _Rays(cast_for)
+        count = start(sheet.frame, centre, low, high, window, left, doubt.reshape(-1), *rays.state)
         for _ in range(HIT_LIMIT):
             if count == 0:
                 break
             hit = tree.run(rays.origins[:count], rays.directions[:count], output=1)
             geometry = (sheet.faces, sheet.seen, sheet.planes, sheet.frame, centre)
-            sums = (chord.reshape(-1), signs.reshape(-1), doubt.reshape(-1))
+            sums = (chord.reshape(-1), signs.reshape(-1), doubt.reshape(-1), left)
             count = _advance(hit["primID"], hit["tfar"], *geometry, window, *sums, *rays.state)
         doubt.reshape(-1)[rays.pixels[:count]] = True
-        here = folds[np.searchsorted(folds[:, 0], first) : np.searchsorted(folds[:, 0], stop)]
-        doubt[here[:, 0] - first, here[:, 1] - sheet.cols[0]] = True
-        return chord, _repair(sheet, first, chord, signs, doubt)
+        return chord, _repair(sheet, first, chord, doubt, (signs != 0) | (left > 0).reshape(shape), cast_for)
 
     return cast
 
@@ -99,9 +97,11 @@ class _Rays:
         )
 
 
-def _repair(sheet: Sheet, first: int, chord: Array, signs: Ints, doubt: NDArray[np.bool_]) -> Audit:
+def _repair(
+    sheet: Sheet, first: int, chord: Array, doubt: NDArray[np.bool_], lacking: NDArray[np.bool_], cast_for: int
+) -> Audit:
     """Recompute doubtful and unbalanced pixels of `chord` in place, whole rows at a time."""
-    unbalanced = (signs != 0) & ~doubt
+    unbalanced = lacking & ~doubt
     bad = unbalanced | doubt
     unrepaired = 0
     for row in map(int, np.flatnonzero(bad.any(axis=1))):
@@ -110,7 +110,7 @@ def _repair(sheet: Sheet, first: int, chord: Array, signs: Ints, doubt: NDArray[
         chord[row, at] = exact
         unrepaired += int(((scanline.windings(sheet, first + row)[at] != 0) | ~np.isfinite(exact)).sum())
     return Audit(
-        rays=chord.size,
+        rays=cast_for,
         unbalanced=int(unbalanced.sum()),
         imprecise=int(doubt.sum()),
         repaired=int(bad.sum()) - unrepaired,
@@ -144,6 +144,7 @@ def _advance(
     chord: Array,
     signs: Ints,
     doubt: NDArray[np.bool_],
+    left: Ints,
     origins: Floats,
     directions: Floats,
     pixels: Ints,
@@ -174,8 +175,11 @@ def _advance(
             ox, oy, oz = nx * off, ny * off, nz * off
             chord[pixel] += sign * at
             signs[pixel] += sign
+            left[pixel] -= 1
         if doubt[pixel] or tries >= AGAIN_LIMIT:
             doubt[pixel] = True
+            continue
+        if left[pixel] == 0:
             continue
         step = STEP_SPACINGS * SPACING * max(abs(px), abs(py), abs(pz))
         origins[count, 0], origins[count, 1], origins[count, 2] = px + step * ox, py + step * oy, pz + step * oz

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, kw_only=True)
 class Audit:
-    """Counts of rays, over all surfaces. One ray is one pixel inside the projected box of one surface.
+    """Counts of rays, over all surfaces. One ray is one pixel and one surface.
 
-    rays        traced
-    unbalanced  the signs of its crossings did not add up to zero
-    imprecise   a crossing too near an edge or an outline, or too grazing, for float32 to be trusted
+    rays        traced: the pixels in a surface's projected box (scanline), those of them that cross it (embree)
+    unbalanced  crossings were missed: fewer than there are, or their signs did not add up to zero
+    imprecise   a crossing too near an edge, or too grazing, for float32 to be trusted
     repaired    recomputed in float64 by the scanline engine: every unbalanced and every imprecise one
     unrepaired  unbalanced even then; always 0
     """

@@ -39,7 +39,8 @@ def start(
     low: Array,
     high: Array,
     window: NDArray[np.int64],
-    size: int,
+    left: NDArray[np.int32],
+    doubt: NDArray[np.bool_],
     origins: NDArray[np.float32],
     directions: NDArray[np.float32],
     pixels: NDArray[np.int32],
@@ -47,12 +48,19 @@ def start(
     triangles: NDArray[np.int32],
     again: NDArray[np.int32],
 ) -> int:
-    """Put the rays of a window (first row, first column, columns) where they enter the box; returns their count."""
+    """Put the rays of a window (first row, first column, columns) where they enter the box; returns their count.
+
+    left   crossings of each pixel's ray; one without any is left out
+    doubt  set where a ray with crossings misses the box, which rounding alone can bring about
+    """
     count = 0
-    for pixel in range(size):
+    for pixel in range(len(left)):
+        if left[pixel] == 0:
+            continue
         row, col = window[0] + pixel // window[2], window[1] + pixel % window[2]
         near, far = _box_span(frame, low, high, row, col)
         if near >= far:
+            doubt[pixel] = True
             continue
         way = frame[3] + col * frame[6], frame[4], frame[5] - row * frame[6]
         length = math.sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2])

@@ -42,6 +42,13 @@ def windings(sheet: Sheet, row: int) -> Array:
     return _accumulate(sheet, row, row + 1, np.ones_like(sheet.depth))[0]
 
 
+def crossings(sheet: Sheet, first: int, stop: int) -> NDArray[np.int32]:
+    """(stop - first, columns of the sheet)  how often each ray crosses a surface; rows as in `chords`"""
+    counts = np.zeros((stop - first, sheet.cols[1] - sheet.cols[0] + 1), np.int32)
+    _count(sheet.in_band(first), sheet.faces, sheet.seen, first, sheet.cols[0], counts)
+    return np.cumsum(counts, axis=1, dtype=np.int32)[:, :-1]
+
+
 def _accumulate(sheet: Sheet, first: int, stop: int, depth: Array) -> Array:
     sums = np.zeros((stop - first, sheet.cols[1] - sheet.cols[0]))
     _scan(sheet.in_band(first), sheet.faces, sheet.seen, depth, sheet.planes, sheet.frame, first, sheet.cols[0], sums)
@@ -105,3 +112,26 @@ def _scan(
                 at = at if at > low else low  # this way round, so that 0/0 gives a bound too
                 at = at if at < high else high
                 line[col - first_col] += sign * at
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _count(
+    picked: NDArray[np.int32],
+    faces: NDArray[np.int32],
+    seen: Array,
+    first_row: int,
+    first_col: int,
+    steps: NDArray[np.int32],
+) -> None:
+    """Add to `steps` (rows, cols + 1) one where a picked triangle begins on a row, and take one where it has ended."""
+    stop_row, stop_col = first_row + steps.shape[0], first_col + steps.shape[1] - 1
+    for k in picked:
+        a, b, c = faces[k]
+        top = max(math.ceil(min(seen[a, 0], seen[b, 0], seen[c, 0])), first_row)
+        bottom = min(math.ceil(max(seen[a, 0], seen[b, 0], seen[c, 0])), stop_row)
+        for row in range(top, bottom):
+            down, up = _span(seen, faces[k], row)
+            left, right = max(math.ceil(min(down, up)), first_col), min(math.ceil(max(down, up)), stop_col)
+            if left < right:
+                steps[row - first_row, left - first_col] += 1
+                steps[row - first_row, right - first_col] -= 1
