@@ -74,13 +74,15 @@ def meshes(
     seed: Seed = 0,
     knee: KneeFile = None,
     kinds: Annotated[str, typer.Option("--formats", help="Any of stl, ply, glb, with commas.")] = "stl,ply,glb",
+    tolerance_mm: Annotated[float, typer.Option(help="How far a surface may move to save triangles, mm.")] = 0.0,
 ) -> None:
     """The solids of a knee as STL, PLY and GLB, in mm."""
     from .anatomy import build
     from .files.meshes import export_meshes
 
     subject, name = _knee_of(knee, grade, seed)
-    for path in export_meshes(build(subject), out, formats=tuple(kinds.split(",")), stem=name):
+    kept = tuple(kinds.split(","))
+    for path in export_meshes(build(subject), out, formats=kept, stem=name, tolerance_mm=tolerance_mm):
         print(path)
 
 

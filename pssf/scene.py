@@ -100,6 +100,6 @@ def _refuse_open(start: NDArray[np.uint64], end: NDArray[np.uint64], name: str) 
     lone = lone if len(lone) else forward[forward != backward]
     first = divmod(int(lone[0]), count)
     raise InputError(
-        f"{name}: mesh is open or wound both ways at {len(lone) // 2 or 1} edges, first between vertices {first[0]} and "
-        f"{first[1]}; allowed: closed meshes with consistent winding"
+        f"{name}: mesh is open or wound both ways at {len(lone) // 2 or 1} edges, first between vertices "
+        f"{first[0]} and {first[1]}; allowed: closed meshes with consistent winding"
     )

@@ -66,7 +66,7 @@ def test_a_damaged_file_is_refused_by_name(radiograph, tmp_path, damage):
         path.write_text("hello")
     else:
         path.unlink()
-    with pytest.raises(pssf.InputError, match="knee.tif"):
+    with pytest.raises(pssf.InputError, match=r"knee\.tif"):
         pssf.load(path)
 
 
@@ -126,7 +126,7 @@ def test_a_file_that_is_no_mesh_is_refused(tmp_path, content):
     path = tmp_path / "bone.stl"
     if content:
         path.write_bytes(content)
-    with pytest.raises(pssf.InputError, match="bone.stl"):
+    with pytest.raises(pssf.InputError, match=r"bone\.stl"):
         meshes.read_mesh(path)
 
 

@@ -97,7 +97,7 @@ def test_anybodys_meshes_make_a_radiograph_without_labels(small):
 def test_an_unknown_material_is_refused_by_name(small):
     ball = trimesh.creation.icosphere(radius=20)
     scene = pssf.Scene([pssf.Surface(ball, inside="mucsle", outside="air")])
-    with pytest.raises(pssf.InputError, match="material = 'mucsle'.*did you mean 'muscle'"):
+    with pytest.raises(pssf.InputError, match=r"material = 'mucsle'.*did you mean 'muscle'"):
         pssf.simulate(scene, small)
 
 

@@ -11,7 +11,7 @@ from ..protocol import Protocol
 from .materials import absorbed_fraction
 
 # Fewer nodes than these change no pixel by more than 1e-3; see `pssf accuracy`.
-_NODES = 28
+_NODES = 24
 _MONO_PHOTONS_PER_MM2_MAS = 1e6
 
 
@@ -65,11 +65,12 @@ def _response(energies_kev: Array) -> tuple[Array, Array]:
 def _fold(
     energies: Array, photons: Array, signal: Array, square: Array, nodes: int
 ) -> tuple[Array, Array, Array, Array]:
-    """Neighbouring bins merged into nodes; each keeps its photons, and the signal and mean energy of its photons."""
+    """Neighbouring bins merged into nodes; each keeps its photons and signal, at the mean energy of that signal."""
     # Behind a limb the hard end carries the image, so nodes share out the root of the signal, not the signal.
     share = np.cumsum(np.sqrt(photons * signal))
     group = np.minimum((share / share[-1] * nodes).astype(int), nodes - 1)
     total = np.bincount(group, photons, nodes).astype(np.float64)
     used = total > 0
-    means = [np.bincount(group, photons * value, nodes)[used] / total[used] for value in (energies, signal, square)]
-    return means[0], total[used], means[1], means[2]
+    first, second = (np.bincount(group, photons * value, nodes)[used] for value in (signal, square))
+    centre = np.bincount(group, photons * signal * energies, nodes)[used] / first
+    return centre, total[used], first / total[used], second / total[used]

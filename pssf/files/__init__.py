@@ -4,4 +4,6 @@ tables   the package's own data files, and protocols by name or path
 atomic   a file appears whole or not at all
 images   radiographs as TIFF and PNG, and back
 meshes   scenes as STL, PLY and GLB
+records  a cohort's records and manifest
+results  tables, pictures and pages of a study
 """

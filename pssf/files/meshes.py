@@ -1,11 +1,14 @@
 """Scenes as mesh files: STL and PLY, one file a surface, and GLB, one node a surface with name, material and colour."""
 
+from dataclasses import replace
 from pathlib import Path
 
+import manifold3d
+import numpy as np
 import trimesh
 from trimesh.visual.material import PBRMaterial
 
-from ..checks import InputError, require_choice
+from ..checks import InputError, require, require_choice
 from ..scene import Scene, Surface
 from .atomic import folder, write_bytes
 
@@ -24,17 +27,26 @@ _OTHER = (150, 150, 160, 120)
 
 
 def export_meshes(
-    scene: Scene, directory: str | Path, *, formats: tuple[str, ...] = FORMATS, stem: str = "knee"
+    scene: Scene,
+    directory: str | Path,
+    *,
+    formats: tuple[str, ...] = FORMATS,
+    stem: str = "knee",
+    tolerance_mm: float = 0.0,
 ) -> list[Path]:
     """Write the surfaces of a scene, in mm: <stem>.glb with one named node each, and <stem>-<surface>.stl and .ply.
 
-    formats  any of "stl", "ply", "glb"
-    returns  the files written
-    raises   InputError for another format, or a disk that is full or cannot be written
+    formats       any of "stl", "ply", "glb"
+    tolerance_mm  triangles may be merged as long as no surface moves by more, for smaller files; 0 keeps every one
+    returns       the files written
+    raises        InputError for another format, or a disk that is full or cannot be written
     """
+    require("tolerance_mm", tolerance_mm, 0, 10, "mm")
     for name in formats:
         require_choice("format", name, FORMATS)
     directory = folder(Path(directory))
+    if tolerance_mm > 0:
+        scene = Scene([_simplified(surface, tolerance_mm) for surface in scene.surfaces], scene.ambient)
     names = _unique_names(scene)
     written = []
     for kind in formats:
@@ -75,6 +87,13 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise InputError(f"file {path}: holds no faces; allowed: STL, PLY, OBJ or GLB with a closed mesh")
     return mesh
+
+
+def _simplified(surface: Surface, tolerance_mm: float) -> Surface:
+    mesh = manifold3d.Mesh64(np.array(surface.mesh.vertices), np.array(surface.mesh.faces, np.uint64))
+    reduced = manifold3d.Manifold(mesh).simplify(tolerance_mm).to_mesh64()
+    faces = reduced.tri_verts.astype(np.int64)
+    return replace(surface, mesh=trimesh.Trimesh(reduced.vert_properties[:, :3], faces, process=False))
 
 
 def _coloured(surface: Surface) -> trimesh.Trimesh:
