@@ -28,7 +28,7 @@ def layers(knee: Knee, build: Build, bone_points_mm: Array) -> dict[str, Manifol
     coarse = _follow_shafts(np.array(rows), knee, build)
     # The patella stands in front of the limb's middle: where bone needs room the section moves there before it grows.
     fascia = _hold(_resample(coarse) - np.array([0.0, wrap_ml, wrap_ap, 0.0, 0.0]), bone_points_mm)
-    levels = np.linspace(-205.0, 205.0, 103)
+    levels = np.linspace(-205.0, 205.0, 42)
 
     def grown(ml_mm: float, ap_mm: float, name: str) -> Manifold:
         return column(fascia + np.array([0.0, ml_mm, ap_mm, 0.0, 0.0]), np.zeros_like, levels, name, power=_POWER)
