@@ -42,7 +42,8 @@ class Radiograph:
     pixels    (rows, cols) uint16, linear in the energy absorbed ("for processing"), row 0 proximal
     knee      its parameters, or None for a scene of one's own
     truth     labels, or None for a scene of one's own
-    audit     what the ray caster found and mended; see `raycast.Audit`
+    engine    that cast its rays
+    audit     what it found and mended; see `raycast.Audit`
     versions  of the package and of what the pixels depend on
     kept      what `simulate(keep=...)` asked for; maps (rows, cols) float32
     seconds   wall time a stage
@@ -53,6 +54,7 @@ class Radiograph:
     seed: int
     knee: Knee | None = None
     truth: Truth | None = None
+    engine: str = "embree"
     audit: Mapping[str, int] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
     kept: Mapping[str, Any] = field(default_factory=dict)

@@ -64,6 +64,7 @@ def simulate(
         seed=seed,
         knee=who,
         truth=None if who is None else anatomy.truth_of(who, scene, protocol),
+        engine=engine,
         audit=paths.audit.counts(),
         versions=versions(),
         kept=kept,

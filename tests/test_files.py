@@ -22,7 +22,7 @@ def test_a_tiff_reads_back_into_the_same_objects(radiograph, tmp_path):
     back = pssf.load(path)
     assert (back.pixels == radiograph.pixels).all()
     assert back.pixels.dtype == np.uint16
-    for name in ("knee", "protocol", "seed", "truth", "audit", "versions"):
+    for name in ("knee", "protocol", "seed", "truth", "engine", "audit", "versions"):
         assert getattr(back, name) == getattr(radiograph, name), name
 
 

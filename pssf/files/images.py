@@ -64,6 +64,7 @@ def load(path: str | Path) -> Radiograph:
             seed=told["seed"],
             knee=None if told["knee"] is None else knee_from(told["knee"], f"file {path}"),
             truth=None if told["truth"] is None else _truth(told["truth"]),
+            engine=told["engine"],
             audit=told["audit"],
             versions=told["versions"],
         )
@@ -91,6 +92,7 @@ def description(radiograph: Radiograph) -> dict[str, Any]:
             "grade": truth.grade,
             "landmarks_px": {name: list(place) for name, place in truth.landmarks_px.items()},
         },
+        "engine": radiograph.engine,
         "audit": dict(radiograph.audit),
         "versions": dict(radiograph.versions),
         "pixels": "linear in absorbed energy; row 0 proximal; columns towards +x",
