@@ -14,6 +14,7 @@ study      models, statistics, report                 (extra "study")
 
 from .anatomy import build
 from .checks import InputError
+from .detector import present
 from .files.images import load, save
 from .files.meshes import export_meshes
 from .knee import Knee, Osteophyte, draw_knee
@@ -37,6 +38,7 @@ __all__ = [
     "export_meshes",
     "load",
     "load_protocol",
+    "present",
     "save",
     "simulate",
     "trace",

@@ -24,6 +24,7 @@ from .protocol import load_protocol
 from .raycast import trace
 from .scene import Scene, Surface
 from .simulate import simulate, versions
+from .validation import knee_rows, physics_rows
 
 Row = dict[str, Any]
 _RADIUS_MM = 60.0
@@ -31,8 +32,14 @@ _SAMPLES = 2000
 
 
 def measure(out: Path, *, workers: int = 2) -> list[Path]:
-    """Measure and write engines.csv, spectrum.csv, stages.csv and machine.json; returns their paths."""
-    tables = {"engines": engine_rows(workers), "spectrum": spectrum_rows(), "stages": stage_rows(workers)}
+    """Measure and write engines, spectrum, stages, physics and knees as CSV, and machine.json; returns their paths."""
+    tables = {
+        "engines": engine_rows(workers),
+        "spectrum": spectrum_rows(),
+        "stages": stage_rows(workers),
+        "physics": physics_rows(),
+        "knees": knee_rows(),
+    }
     paths = []
     for name, rows in tables.items():
         paths.append(out / f"{name}.csv")

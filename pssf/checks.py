@@ -24,7 +24,7 @@ def require(name: str, value: float, low: float, high: float, unit: str) -> None
     """
     number = isinstance(value, Real) and not isinstance(value, bool)
     if not number or not low <= value <= high:  # this way round, so that NaN is refused too
-        raise InputError(f"{name} = {value!r} {unit}; allowed: {low:g} to {high:g} {unit}".replace("  ", " "))
+        raise InputError(f"{name} = {value!r} {unit}; allowed: {low:g} to {high:g} {unit}")
 
 
 def require_whole(name: str, value: int, low: int, high: int, unit: str) -> None:
@@ -33,9 +33,8 @@ def require_whole(name: str, value: int, low: int, high: int, unit: str) -> None
     raises  InputError
     """
     if not isinstance(value, Integral) or isinstance(value, bool) or not low <= value <= high:
-        raise InputError(
-            f"{name} = {value!r} {unit}; allowed: whole numbers from {low} to {high} {unit}".replace("  ", " ").rstrip()
-        )
+        told, allowed = (f"{text} {unit}".rstrip() for text in (repr(value), f"{low} to {high}"))
+        raise InputError(f"{name} = {told}; allowed: whole numbers from {allowed}")
 
 
 def require_choice(name: str, value: Any, allowed: Collection[Any]) -> None:

@@ -10,21 +10,10 @@ from numpy.testing import assert_allclose
 import pssf
 from pssf import anatomy
 from pssf.anatomy import bones
-from pssf.anatomy.contours import edges_of, measure_gap
 from pssf.anatomy.solids import checked, height_field, loft, mesh_of, ring
-from pssf.geometry import view_of
 
 REFERENCE = pssf.load_protocol("reference")
 MEAN = bones.Build(scale=1.0, cortex=1.0, plate=1.0, slope_deg=5.0, femur_valgus_deg=5.0, tibia_varus_deg=0.0)
-
-
-def gaps_mm(knee, scene, protocol=REFERENCE):
-    """Medial and lateral joint space as the protocol's detector sees it."""
-    meshes = {s.name: s.mesh for s in scene.surfaces}
-    femur, tibia = ((meshes[n].vertices, edges_of(meshes[n].faces)) for n in ("femur", "tibia"))
-    half = anatomy.half_ml_mm(anatomy._shape(knee).scale)
-    medial = 1 if knee.side == "right" else -1
-    return [measure_gap(femur, tibia, view_of(protocol), side, half).jsw_mm for side in (medial, -medial)]
 
 
 def test_a_loft_of_circles_has_the_volume_of_its_prism():
@@ -49,7 +38,9 @@ def test_an_empty_solid_is_refused_with_its_status_and_volume():
 def test_every_drawn_knee_builds_nested_and_shows_its_joint_spaces(seed, grade):
     knee = pssf.draw_knee(grade=grade, rng=np.random.default_rng(seed))
     scene = pssf.build(knee)
-    assert_allclose(gaps_mm(knee, scene), [knee.jsw_medial_mm, knee.jsw_lateral_mm], atol=0.01)
+    assert_allclose(
+        anatomy.measured_jsw_mm(knee, scene, REFERENCE), [knee.jsw_medial_mm, knee.jsw_lateral_mm], atol=0.01
+    )
     for surface in scene.surfaces:
         assert surface.mesh.is_watertight
         assert surface.mesh.volume > 0
@@ -63,7 +54,7 @@ def test_knees_at_the_corners_of_their_ranges_build(corner):
         flexion_deg=15.0, tibial_slope_deg=12.0, jsw_medial_mm=2.5, jsw_lateral_mm=5.5, subchondral_plate=1.6,
         osteophytes=tuple(pssf.Osteophyte(site=site, size_mm=3.0) for site in pssf.knee.SITES),
     )  # fmt: skip
-    assert_allclose(gaps_mm(knee, pssf.build(knee)), [2.5, 5.5], atol=0.01)
+    assert_allclose(anatomy.measured_jsw_mm(knee, pssf.build(knee), REFERENCE), [2.5, 5.5], atol=0.01)
 
 
 def test_a_knee_without_room_for_its_osteophytes_is_refused():

@@ -9,7 +9,7 @@ ROOT = Path(__file__).resolve().parents[1]
 MODULES = sorted((ROOT / "pssf").rglob("*.py"))
 # A module imports from its left only.
 ORDER = ["checks", "files", "knee", "protocol", "geometry", "scene", "radiograph", "anatomy", "raycast", "detector"]
-ORDER += ["simulate", "cohort", "radiomics", "study", "experiment", "accuracy", "cli"]
+ORDER += ["simulate", "cohort", "radiomics", "study", "experiment", "validation", "accuracy", "cli"]
 
 
 @pytest.mark.parametrize("path", MODULES, ids=str)

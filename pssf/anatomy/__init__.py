@@ -20,12 +20,12 @@ from ..protocol import Protocol
 from ..radiograph import Truth
 from ..scene import Scene, Surface
 from . import bones, soft
-from .contours import edges_of, measure_gap
+from .contours import Gap, edges_of, measure_gap
 from .joint import half_ml_mm, solve_pose
 from .osteophytes import add_osteophytes
 from .solids import checked, mesh_of
 
-__all__ = ["build", "truth_of"]
+__all__ = ["build", "measured_jsw_mm", "truth_of"]
 
 
 def build(knee: Knee) -> Scene:
@@ -69,19 +69,28 @@ def truth_of(knee: Knee, scene: Scene, protocol: Protocol) -> Truth:
 
     scene   as `build(knee)` gives it
     """
-    view = view_of(protocol)
-    meshes = {s.name: s.mesh for s in scene.surfaces if s.name in ("femur", "tibia")}
-    femur, tibia = ((m.vertices, edges_of(m.faces)) for m in (meshes["femur"], meshes["tibia"]))
-    medial = 1 if knee.side == "right" else -1
-    half = half_ml_mm(_shape(knee).scale)
-    spots = {}
-    for name, side in (("medial", medial), ("lateral", -medial)):
-        spots[f"{name}_joint_line"] = measure_gap(femur, tibia, view, side, half).middle_px()
+    medial, lateral = _gaps(knee, scene, protocol)
+    spots = {"medial_joint_line": medial.middle_px(), "lateral_joint_line": lateral.middle_px()}
     ends = np.array(list(spots.values()))
     spots["joint_centre"] = (float(ends[:, 0].mean()), float(ends[:, 1].mean()))
     return Truth(
         jsw_medial_mm=knee.jsw_medial_mm, jsw_lateral_mm=knee.jsw_lateral_mm, grade=knee.grade, landmarks_px=spots
     )
+
+
+def measured_jsw_mm(knee: Knee, scene: Scene, protocol: Protocol) -> tuple[float, float]:
+    """Medial and lateral joint space measured on the projected contours of a built knee, osteophytes and all."""
+    medial, lateral = _gaps(knee, scene, protocol)
+    return medial.jsw_mm, lateral.jsw_mm
+
+
+def _gaps(knee: Knee, scene: Scene, protocol: Protocol) -> tuple[Gap, Gap]:
+    """The medial and the lateral joint space as a protocol's detector sees them."""
+    meshes = {s.name: s.mesh for s in scene.surfaces if s.name in ("femur", "tibia")}
+    femur, tibia = ((m.vertices, edges_of(m.faces)) for m in (meshes["femur"], meshes["tibia"]))
+    medial, half = (1 if knee.side == "right" else -1), half_ml_mm(_shape(knee).scale)
+    view = view_of(protocol)
+    return measure_gap(femur, tibia, view, medial, half), measure_gap(femur, tibia, view, -medial, half)
 
 
 def _shape(knee: Knee) -> bones.Build:
