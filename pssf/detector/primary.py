@@ -35,8 +35,6 @@ def transmit(path_mm: Mapping[str, NDArray[np.float32]], beam: Beam, view: View,
     workers  threads; the result does not depend on them
     """
     mu = np.array([attenuation_per_mm(name, beam.energies_kev) for name in path_mm]).reshape(-1, len(beam.energies_kev))
-    maps = tuple(np.ascontiguousarray(value, np.float32) for value in path_mm.values())
-    stack = np.stack(maps) if maps else np.zeros((0, view.rows, view.cols), np.float32)
     kev = np.empty((view.rows, view.cols), np.float32)
     photon_kev = np.empty((view.rows, view.cols), np.float32)
     weights = beam.photons_per_mm2 * beam.signal_kev, beam.photons_per_mm2 * beam.square_kev2
@@ -44,6 +42,10 @@ def transmit(path_mm: Mapping[str, NDArray[np.float32]], beam: Beam, view: View,
 
     def band(start: int) -> None:
         stop = min(start + _BAND_ROWS, view.rows)
+        # Copied band by band: all maps of a large detector in one piece would double the memory.
+        stack = np.empty((len(path_mm), stop - start, view.cols), np.float32)
+        for part, lengths in zip(stack, path_mm.values(), strict=True):
+            part[:] = lengths[start:stop]
         _transmit(stack, mu, *weights, source, corner, view.pixel_mm, start, stop, kev, photon_kev)
 
     with ThreadPoolExecutor(workers) as pool:
@@ -79,7 +81,7 @@ def _transmit(
             exponent[:] = 0.0
             empty = True
             for m in range(materials):
-                length = stack[m, row, col]
+                length = stack[m, row - start, col]
                 if length != 0.0:
                     empty = False
                     for k in range(nodes):
