@@ -31,7 +31,9 @@ def layers(knee: Knee, build: Build, bone_points_mm: Array) -> dict[str, Manifol
     levels = np.linspace(-205.0, 205.0, 42)
 
     def grown(ml_mm: float, ap_mm: float, name: str) -> Manifold:
-        return column(fascia + np.array([0.0, ml_mm, ap_mm, 0.0, 0.0]), np.zeros_like, levels, name, power=_POWER)
+        return column(
+            fascia + np.array([0.0, ml_mm, ap_mm, 0.0, 0.0]), np.zeros_like, levels, name, power=_POWER, count=64
+        )
 
     return {
         "skin": grown(wrap_ml, wrap_ap, "skin"),

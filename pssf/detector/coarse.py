@@ -19,12 +19,16 @@ def block_mean(image: NDArray[np.float32], step: int) -> Array:
 
 def enlarge(coarse: Array, step: int, shape: tuple[int, ...]) -> NDArray[np.float32]:
     """(rows, cols)  a coarse map by linear interpolation between the centres of its blocks"""
-    fine = coarse
+    fine = coarse.astype(np.float32)
     for axis in (0, 1):
         place = np.clip((np.arange(shape[axis]) + 0.5) / step - 0.5, 0, coarse.shape[axis] - 1)
         low = np.minimum(place.astype(int), max(coarse.shape[axis] - 2, 0))
-        share = place - low
+        share = (place - low).astype(np.float32)
         high = np.minimum(low + 1, coarse.shape[axis] - 1)
-        weight = share[:, None] if axis == 0 else share[None, :]
-        fine = np.take(fine, low, axis) * (1 - weight) + np.take(fine, high, axis) * weight
-    return fine.astype(np.float32)
+        beyond = np.take(fine, high, axis)
+        fine = np.take(fine, low, axis)
+        # In place: a fresh large array costs more time than the arithmetic.
+        beyond -= fine
+        beyond *= share[:, None] if axis == 0 else share
+        fine += beyond
+    return fine

@@ -36,7 +36,7 @@ def scatter_kev(
     spread = np.zeros_like(source)
     for weight, width_cm in _kernel(gap_mm):
         spread += weight * _gaussian(source, width_cm * 10.0 / (step * protocol.pixel_mm))
-    return np.maximum(enlarge(spread, step, primary_kev.shape), 0)
+    return enlarge(np.maximum(spread, 0), step, primary_kev.shape)
 
 
 def _kernel(gap_mm: float) -> list[tuple[float, float]]:
