@@ -4,7 +4,9 @@ import dataclasses
 import os
 import platform
 import resource
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
@@ -17,6 +19,7 @@ from numpy.typing import NDArray
 from .checks import Array
 from .detector.materials import attenuation_per_mm
 from .detector.spectrum import beam_of
+from .files.atomic import empty_folder
 from .files.records import write_csv, write_json
 from .geometry import View, view_of
 from .knee import Knee
@@ -102,19 +105,37 @@ def spectrum_rows(nodes: tuple[int, ...] = (4, 8, 12, 18, 28, 56)) -> list[Row]:
 def stage_rows(workers: int) -> list[Row]:
     """One row an engine and run: seconds of each stage of simulate, full knee, protocol reference; peak memory in MB.
 
-    Each engine has a process of its own. Its first run loads libraries and compiled code; the second is what one more
-    radiograph costs.
+    Each engine has processes of its own. A "cold" run, the first after installation, compiles; the "first" of a process
+    loads libraries and compiled code; the "second" is what one more radiograph costs.
     """
     rows = []
     for engine in ("embree", "scanline"):
-        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            rows += pool.submit(_two_runs, engine, workers).result()
+        with empty_folder() as folder, _environment(NUMBA_CACHE_DIR=str(folder)):
+            rows += _in_a_new_process(engine, workers, ("cold",))
+        rows += _in_a_new_process(engine, workers, ("first", "second"))
     return rows
 
 
-def _two_runs(engine: str, workers: int) -> list[Row]:
+@contextmanager
+def _environment(**variables: str) -> Iterator[None]:
+    """Environment variables for processes that are started within."""
+    before = dict(os.environ)
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+
+
+def _in_a_new_process(engine: str, workers: int, runs: tuple[str, ...]) -> list[Row]:
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(_timed_runs, engine, workers, runs).result()
+
+
+def _timed_runs(engine: str, workers: int, runs: tuple[str, ...]) -> list[Row]:
     protocol, rows = load_protocol("reference"), []
-    for run in ("first", "second"):
+    for run in runs:
         start = perf_counter()
         radiograph = simulate(Knee(), protocol, seed=1, engine=engine, workers=workers)
         total = perf_counter() - start

@@ -11,6 +11,7 @@ import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.status import Status
 
 from .checks import InputError, require_whole
 from .files import tables
@@ -61,7 +62,8 @@ def simulate(
 
     technique = load_protocol(protocol)
     subject, name = _knee_of(knee, grade, seed)
-    radiograph = run(subject, technique, seed=seed, engine=engine, workers=workers)
+    with _waiting("simulating; the first run after an installation compiles for some seconds more"):
+        radiograph = run(subject, technique, seed=seed, engine=engine, workers=workers)
     stem = out / f"{name}_{technique.name}_seed{seed}"
     print(save(radiograph, f"{stem}.tif"), save(radiograph, f"{stem}.png"), sep="\n")
     print(save_parameters(radiograph, f"{stem}.json"))
@@ -127,6 +129,11 @@ def _knee_of(path: Path | None, grade: int, seed: int) -> tuple[Knee, str]:
     if path is not None:
         return knee_from(tables.read_toml(path), f"knee {path.name}"), path.stem
     return draw_knee(grade=grade, rng=np.random.default_rng(seed)), f"knee_grade{grade}"
+
+
+def _waiting(why: str) -> Status:
+    """Says on standard error what is being waited for, while it lasts."""
+    return Console(stderr=True).status(why)
 
 
 @contextmanager

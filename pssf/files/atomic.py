@@ -4,7 +4,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from tempfile import NamedTemporaryFile
+from tempfile import NamedTemporaryFile, TemporaryDirectory
 
 from ..checks import InputError
 
@@ -52,6 +52,13 @@ def folder(path: Path) -> Path:
     except OSError as error:
         raise unwritable(path, error) from None
     return path
+
+
+@contextmanager
+def empty_folder() -> Iterator[Path]:
+    """An empty folder that is gone, with all in it, when the block ends."""
+    with TemporaryDirectory() as name:
+        yield Path(name)
 
 
 def unwritable(path: Path, error: OSError) -> InputError:
