@@ -437,7 +437,7 @@ def test_settings_out_of_range_are_refused(wrong):
 def test_without_the_extra_the_refusal_names_the_command(monkeypatch):
     there = importlib.util.find_spec
     monkeypatch.setattr(study, "find_spec", lambda name: None if name == "radiomics" else there(name))
-    with pytest.raises(InputError, match=r"needs pyradiomics; install with: uv pip install 'pssf\[study\]'"):
+    with pytest.raises(InputError, match=r"needs pyradiomics; bring them, .*uv sync --extra study"):
         study.require_extra()
 
 

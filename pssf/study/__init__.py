@@ -109,8 +109,8 @@ def require_extra() -> None:
     missing = [package for module, package in _NEEDED.items() if find_spec(module) is None]
     if missing:
         raise InputError(
-            f"the study needs {', '.join(missing)}; install with: uv pip install 'pssf[study]' (in the source folder: "
-            "uv sync --extra study); plain pip cannot build pyradiomics unless numpy is installed first"
+            f"the study needs {', '.join(missing)}; bring them, in the source folder, with: uv sync --extra study "
+            "(plain pip cannot build pyradiomics)"
         )
 
 
