@@ -43,7 +43,7 @@ def require_choice(name: str, value: Any, allowed: Collection[Any]) -> None:
     raises  InputError
     """
     if value not in allowed:
-        raise InputError(f"{name} = {value!r}; allowed: {', '.join(map(str, allowed))}{_hint(str(value), allowed)}")
+        raise InputError(f"{name} = {value!r}; allowed: {', '.join(map(str, allowed))}{_hint(value, allowed)}")
 
 
 def from_table(kind: type[T], table: Mapping[str, Any], what: str) -> T:
@@ -71,6 +71,6 @@ def _required(kind: Any) -> list[str]:
     return [f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING]
 
 
-def _hint(value: str, allowed: Collection[Any]) -> str:
-    near = get_close_matches(value, [str(a) for a in allowed], n=1)
+def _hint(value: Any, allowed: Collection[Any]) -> str:
+    near = get_close_matches(value, [a for a in allowed if isinstance(a, str)], n=1) if isinstance(value, str) else []
     return f" (did you mean {near[0]!r}?)" if near else ""

@@ -146,6 +146,11 @@ def _bar(what: str, total: int) -> Iterator[Callable[[int], None]]:
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True)) as progress:
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
         task = progress.add_task(what, total=total)
-        yield lambda made: progress.advance(task, made)
+        try:
+            yield lambda made: progress.advance(task, made)
+        except BaseException:
+            progress.live.transient = True  # a refusal is one line
+            raise

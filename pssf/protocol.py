@@ -1,5 +1,6 @@
 """Protocol: how a radiograph is taken. Technique, geometry, detector, and which stages of the chain are wanted."""
 
+import re
 from dataclasses import asdict, dataclass
 from os import PathLike
 from typing import Any
@@ -35,8 +36,8 @@ class Protocol:
     noise: str = "quantum"
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not self.name:
-            raise InputError(f"name = {self.name!r}; allowed: any text of at least one letter")
+        if not isinstance(self.name, str) or not re.fullmatch(r"[\w-]{1,64}", self.name):
+            raise InputError(f"name = {self.name!r}; allowed: 1 to 64 letters, digits, _ and - (it names files)")
         require("tube_kv", self.tube_kv, 40, 120, "kV")
         require("mas", self.mas, 0, 500, "mAs")
         require("filtration_mm_al", self.filtration_mm_al, 0.5, 40, "mm Al")

@@ -34,6 +34,8 @@ def test_low_dose_differs_from_reference_in_mas_alone():
         ("rows", 0),
         ("rows", 12.5),
         ("noise", "loud"),
+        ("name", "a/b"),
+        ("name", ""),
         ("sod_mm", 1150.0),
     ],
 )

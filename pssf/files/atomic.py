@@ -63,4 +63,6 @@ def empty_folder() -> Iterator[Path]:
 
 def unwritable(path: Path, error: OSError) -> InputError:
     """The refusal that names a file that cannot be written."""
-    return InputError(f"file {path}: {error.strerror or error}; allowed: a folder that can be written, with room left")
+    # numpy says how much of an array it could write, and not why.
+    reason = error.strerror or f"no room for all of it ({error})"
+    return InputError(f"file {path}: {reason}; allowed: a folder that can be written, with room left")
