@@ -3,7 +3,7 @@
 from collections.abc import Collection, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from difflib import get_close_matches
-from numbers import Integral, Real
+from numbers import Integral
 from typing import Any, TypeVar
 
 import numpy as np
@@ -22,7 +22,7 @@ def require(name: str, value: float, low: float, high: float, unit: str) -> None
 
     raises  InputError
     """
-    number = isinstance(value, Real) and not isinstance(value, bool)
+    number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
     if not number or not low <= value <= high:  # this way round, so that NaN is refused too
         raise InputError(f"{name} = {value!r} {unit}; allowed: {low:g} to {high:g} {unit}")
 

@@ -33,16 +33,24 @@ Preset = Annotated[str, typer.Option(help="Cohort: quick (24 subjects) or paper 
 def main() -> None:
     """Run the command line; bad input ends in one line and exit code 2."""
     try:
-        app()
+        sys.exit(app(standalone_mode=False))
     except InputError as error:
         print(f"pssf: {error}", file=sys.stderr)
         sys.exit(2)
+    except typer.Abort:
+        sys.exit(130)
     except BrokenProcessPool:
         print("pssf: a worker process was killed (memory?); run the same command to go on from there", file=sys.stderr)
         sys.exit(1)
     except KeyboardInterrupt:
         print("pssf: stopped; run the same command to go on from there", file=sys.stderr)
         sys.exit(130)
+    except Exception as error:
+        # A misused option: the parser's own classes are private, their one-line message is not.
+        if not hasattr(error, "format_message"):
+            raise
+        print(f"pssf: {error.format_message()}", file=sys.stderr)
+        sys.exit(2)
 
 
 @app.command()

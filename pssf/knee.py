@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .checks import InputError, from_table, require, require_choice
+from .checks import InputError, from_table, require, require_choice, require_whole
 from .files import tables
 
 GRADES = (0, 1, 2)
@@ -79,7 +79,9 @@ class Knee:
         require("limb_ap_mm", self.limb_ap_mm, 90, 180, "mm")
         require("fat_mm", self.fat_mm, 2, 30, "mm")
         require_choice("grade", self.grade, (*GRADES, None))
-        if not all(isinstance(item, Osteophyte) for item in self.osteophytes):
+        if not isinstance(self.osteophytes, tuple | list) or not all(
+            isinstance(item, Osteophyte) for item in self.osteophytes
+        ):
             raise InputError(f"osteophytes = {self.osteophytes!r}; allowed: a tuple of Osteophyte")
         object.__setattr__(self, "osteophytes", tuple(self.osteophytes))
         sites = [item.site for item in self.osteophytes]
@@ -109,12 +111,12 @@ def draw_knee(*, grade: int, rng: np.random.Generator, **fixed: Any) -> Knee:
     fixed  fields of `Knee` to hold at a value; the draw of the others does not depend on them
     raises InputError for an unknown grade or field
     """
-    require_choice("grade", grade, GRADES)
+    require_whole("grade", grade, min(GRADES), max(GRADES), "")
     table = tables.data("grades")
-    ranges, body, pose = table["grade"][str(grade)], table["body"], table["pose"]
+    ranges, body, pose = table["grade"][str(int(grade))], table["body"], table["pose"]
     sex = fixed.get("sex", "male" if rng.random() < 0.5 else "female")
     require_choice("sex", sex, ("male", "female"))
-    drawn: dict[str, Any] = {"sex": sex, "grade": grade, "side": "right" if rng.random() < 0.5 else "left"}
+    drawn: dict[str, Any] = {"sex": sex, "grade": int(grade), "side": "right" if rng.random() < 0.5 else "left"}
     for name, law in body.items():
         mean, sd = law[sex] if isinstance(law, dict) else law
         drawn[name] = round(mean + sd * float(np.clip(rng.standard_normal(), -2, 2)), 4)

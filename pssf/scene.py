@@ -1,5 +1,6 @@
 """Scene: closed surfaces and what is on either side of each."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -25,6 +26,10 @@ class Surface:
     name: str = "surface"
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not re.fullmatch(r"[\w .-]{1,64}", self.name):
+            raise InputError(f"surface name = {self.name!r}; allowed: 1 to 64 letters, digits, _, -, . and blanks")
+        if not isinstance(self.mesh, trimesh.Trimesh):
+            raise InputError(f"{self.name}: mesh is a {type(self.mesh).__name__}; allowed: trimesh.Trimesh")
         check_closed(self.mesh, self.name)
         for label, material in (("inside", self.inside), ("outside", self.outside)):
             if not isinstance(material, str) or not material:
@@ -43,6 +48,11 @@ class Scene:
         object.__setattr__(self, "ambient", ambient)
         if not self.surfaces:
             raise InputError("scene: 0 surfaces; allowed: 1 or more")
+        for surface in self.surfaces:
+            if not isinstance(surface, Surface):
+                raise InputError(f"scene: {type(surface).__name__} among the surfaces; allowed: Surface")
+        if not isinstance(ambient, str) or not ambient:
+            raise InputError(f"scene: ambient = {ambient!r}; allowed: the name of a material")
 
     @property
     def materials(self) -> tuple[str, ...]:

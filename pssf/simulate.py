@@ -1,14 +1,15 @@
 """simulate: a knee, or any scene, and a protocol -> a radiograph."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from functools import cache
 from importlib.metadata import version
 from time import perf_counter
 
 import numpy as np
+from numpy.typing import NDArray
 
 from . import anatomy, detector, raycast
-from .checks import require_choice, require_whole
+from .checks import InputError, require_choice, require_whole
 from .geometry import view_of
 from .knee import Knee
 from .protocol import Protocol
@@ -42,14 +43,21 @@ def simulate(
     require_whole("seed", seed, 0, 2**63 - 1, "")
     for name in keep:
         require_choice("keep", name, KEEP)
+    if not isinstance(protocol, Protocol):
+        raise InputError(f"protocol = {protocol!r}; allowed: a Protocol, as load_protocol gives it")
+    if not isinstance(knee, Knee | Scene):
+        raise InputError(f"knee = {knee!r}; allowed: a Knee or a Scene")
     start = perf_counter()
     if isinstance(knee, Scene):
         scene, who = knee, None
     else:
         scene, who = scene or anatomy.build(knee), knee
     seconds = {"anatomy": perf_counter() - start}
+    for material in scene.materials:
+        detector.check_material(material)
     start = perf_counter()
     paths = raycast.trace(scene, protocol, engine=engine, workers=workers)
+    _refuse_negative(paths.path_mm)
     seconds["rays"] = perf_counter() - start
     gap_mm = max(0.0, view_of(protocol).centre_mm[1] - float(scene.bounds_mm[1, 1]))
     noise = np.random.SeedSequence(seed, spawn_key=(_NOISE,))
@@ -70,6 +78,15 @@ def simulate(
         kept=kept,
         seconds={**seconds, **stages},
     )
+
+
+def _refuse_negative(path_mm: Mapping[str, NDArray[np.float32]]) -> None:
+    """No material is crossed by less than nothing: a surface then has an `outside` that does not surround it."""
+    for material, lengths in path_mm.items():
+        least = float(lengths.min())
+        if least < -1e-3:
+            why = "a surface has it outside where it is not, or two surfaces overlap"
+            raise InputError(f"{material}: path length {least:.4g} mm ({why}); allowed: 0 mm or more")
 
 
 @cache

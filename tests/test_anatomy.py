@@ -77,8 +77,8 @@ def test_landmarks_of_a_left_knee_mirror_those_of_a_right_one(knee, scene):
     left = dataclasses.replace(knee, side="left")
     there = anatomy.truth_of(knee, scene, REFERENCE).medial_joint_line_px
     here = anatomy.truth_of(left, pssf.build(left), REFERENCE).medial_joint_line_px
-    assert here[1] == pytest.approx(REFERENCE.cols - 1 - there[1], abs=1.0)
-    assert here[0] == pytest.approx(there[0], abs=0.5)
+    assert here[1] == pytest.approx(REFERENCE.cols - 1 - there[1], abs=1e-6)
+    assert here[0] == pytest.approx(there[0], abs=1e-6)
 
 
 def test_the_joint_line_lies_at_the_origin(knee, scene):

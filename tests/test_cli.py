@@ -51,7 +51,7 @@ def test_meshes_writes_what_is_asked_for(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (("simulate", "--grade", 5), "pssf: grade = 5; allowed: 0, 1, 2"),
+        (("simulate", "--grade", 5), "pssf: grade = 5; allowed: whole numbers from 0 to 2"),
         (
             ("simulate", "--protocol", "refrence"),
             "pssf: protocol = 'refrence'; allowed: geometry_shift, low_dose, reference",

@@ -118,7 +118,7 @@ def test_a_damaged_image_is_refused_by_name(protocols, tmp_path):
         cohort.make_cohort(plan, folder, workers=1)
 
 
-@pytest.mark.parametrize("content", ["", "{", "[1, 2]"])
+@pytest.mark.parametrize("content", ["", "{", "[1, 2]", "[]", "{}", "null"])
 def test_a_damaged_record_is_refused_by_name(protocols, tmp_path, content):
     plan, folder = tiny(protocols), tmp_path / "c"
     cohort.make_cohort(plan, folder, workers=1)
@@ -126,6 +126,17 @@ def test_a_damaged_record_is_refused_by_name(protocols, tmp_path, content):
     record.write_text(content)
     with pytest.raises(pssf.InputError, match=rf"{record.name}: damaged"):
         cohort.make_cohort(plan, folder, workers=1)
+
+
+def test_a_record_that_was_changed_or_belongs_to_another_knee_is_refused(protocols, tmp_path):
+    plan, folder = tiny(protocols), tmp_path / "c"
+    cohort.make_cohort(plan, folder, workers=1)
+    one, two, _ = sorted((folder / "records").iterdir())
+    whole = one.read_text()
+    for content in (whole.replace('"jsw_medial_mm": ', '"jsw_medial_mm": 1'), two.read_text()):
+        one.write_text(content)
+        with pytest.raises(pssf.InputError, match=rf"{one.name}: (damaged|not of knee 0)"):
+            cohort.make_cohort(plan, folder, workers=1)
 
 
 def test_a_folder_of_another_seed_is_refused(protocols, tmp_path):

@@ -114,3 +114,29 @@ def test_a_knee_drawn_and_taken_twice_has_one_digest(small):
         knee = pssf.draw_knee(grade=1, rng=np.random.default_rng(4))
         digests.add(hashlib.sha256(pssf.simulate(knee, small, seed=9).pixels.tobytes()).hexdigest())
     assert len(digests) == 1
+
+
+def test_a_surface_outside_of_which_its_material_is_not_is_refused(small):
+    box = trimesh.creation.box(extents=(40, 40, 40))
+    with pytest.raises(pssf.InputError, match=r"muscle: path length -\d+.* mm \(.*; allowed: 0 mm or more"):
+        pssf.simulate(pssf.Scene([pssf.Surface(box, inside="cortical_bone", outside="muscle")]), small)
+
+
+@pytest.mark.parametrize("ambient", ["muscel", "Ti@-1", "Zz@1"])
+def test_an_unknown_ambient_material_is_refused(small, ambient):
+    box = trimesh.creation.box(extents=(40, 40, 40))
+    with pytest.raises(pssf.InputError, match=ambient.split("@")[0]):
+        pssf.simulate(pssf.Scene([pssf.Surface(box, inside="muscle", outside="air")], ambient=ambient), small)
+
+
+@pytest.mark.parametrize(("knee", "protocol"), [("knee", None), (None, "small"), (None, "reference")])
+def test_what_is_no_knee_or_no_protocol_is_refused(small, knee, protocol):
+    with pytest.raises(pssf.InputError, match=r"allowed: a (Knee or a Scene|Protocol)"):
+        pssf.simulate(knee or pssf.Knee(), protocol or small)
+
+
+def test_parameters_may_be_numpys_numbers(small, tmp_path):
+    protocol = dataclasses.replace(small, rows=np.int64(64), cols=64, pixel_mm=np.float32(4.8))
+    knee = pssf.Knee(jsw_medial_mm=np.float64(3.0))
+    back = pssf.load(pssf.save(pssf.simulate(knee, protocol, seed=np.int64(5)), tmp_path / "k.tif"))
+    assert (back.knee, back.seed, back.protocol.rows) == (knee, 5, 64)

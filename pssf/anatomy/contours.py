@@ -16,16 +16,18 @@ COMPARTMENT = (0.36, 0.85)
 class Gap:
     """Joint space of one compartment on the detector, column by column.
 
-    columns_px  (n,)  whole columns within the compartment
-    femur_px    (n,)  row of the femur's lower contour
-    tibia_px    (n,)  row of the tibia's upper contour
-    scale_mm    joint-plane millimetres a pixel
+    columns_px     (n,)  whole columns within the compartment
+    femur_px       (n,)  row of the femur's lower contour
+    tibia_px       (n,)  row of the tibia's upper contour
+    scale_mm       joint-plane millimetres a pixel
+    middle_col_px  half way across the compartment
     """
 
     columns_px: Array
     femur_px: Array
     tibia_px: Array
     scale_mm: float
+    middle_col_px: float
 
     @property
     def jsw_mm(self) -> float:
@@ -39,8 +41,8 @@ class Gap:
 
     def middle_px(self) -> tuple[float, float]:
         """(row, column) of the middle of the space, half way across the compartment."""
-        k = len(self.columns_px) // 2
-        return (float((self.femur_px[k] + self.tibia_px[k]) / 2), float(self.columns_px[k]))
+        rows = (self.femur_px + self.tibia_px) / 2
+        return (float(np.interp(self.middle_col_px, self.columns_px, rows)), self.middle_col_px)
 
 
 def edges_of(faces: Array) -> Array:
@@ -65,7 +67,7 @@ def measure_gap(
         _envelope(project(vertices, view), edges, int(columns[0]), len(columns), lowest)
         for (vertices, edges), lowest in ((femur, 1.0), (tibia, -1.0))
     ]
-    return Gap(columns, outline[0], outline[1], view.pixel_mm / magnification(view))
+    return Gap(columns, outline[0], outline[1], view.pixel_mm / magnification(view), float(first + last) / 2)
 
 
 def _envelope(points_px: Array, edges: Array, first: int, count: int, lowest: float) -> Array:

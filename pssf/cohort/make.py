@@ -42,7 +42,7 @@ def make_cohort(
     rows: dict[int, list[Row]] = {}
     missing = []
     for case in plan.cases:
-        known = records.read_rows(folder, case.index)
+        known = records.read_rows(folder, case.index, [shot.name for shot in case.shots])
         if known is None:
             missing.append(case)
         else:

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from ..geometry import view_of
 from ..protocol import Protocol
+from .materials import check_material
 from .panel import detector_blur, focal_spot_blur, present, quantum_noise, readout
 from .primary import transmit
 from .scatter import scatter_kev
 from .spectrum import beam_of
 
-__all__ = ["expose", "present"]
+__all__ = ["check_material", "expose", "present"]
 
 
 def expose(

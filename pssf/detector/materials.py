@@ -29,6 +29,14 @@ def density_g_per_cm3(material: str) -> float:
     return _recipe(material)[0]
 
 
+def check_material(material: str) -> None:
+    """Refuse what is neither a tissue nor a compound with a density.
+
+    raises  InputError
+    """
+    _recipe(material)
+
+
 def absorbed_fraction(formula: str, mg_per_cm2: float, energies_kev: Array) -> Array:
     """(bins,)  photons that interact, other than coherently, in a layer of a compound"""
     compound = xraylib.CompoundParser(formula)

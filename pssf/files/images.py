@@ -31,10 +31,10 @@ def save(radiograph: Radiograph, path: str | Path) -> Path:
     with writing(path) as temporary:
         if suffix == ".png":
             note = PngImagePlugin.PngInfo()
-            note.add_text("Description", json.dumps(description(radiograph)))
+            note.add_text("Description", _as_json(radiograph))
             Image.fromarray(present(radiograph.pixels)).save(temporary, format="PNG", pnginfo=note)
         else:
-            per_cm = 10.0 / radiograph.protocol.pixel_mm
+            per_cm = float(10.0 / radiograph.protocol.pixel_mm)
             tifffile.imwrite(
                 temporary,
                 radiograph.pixels,
@@ -42,7 +42,7 @@ def save(radiograph: Radiograph, path: str | Path) -> Path:
                 resolution=(per_cm, per_cm),
                 resolutionunit="CENTIMETER",
                 software=f"pssf {version('pssf')}",
-                description=json.dumps(description(radiograph)),
+                description=_as_json(radiograph),
                 metadata=None,
             )
     return path
@@ -105,8 +105,13 @@ def save_parameters(radiograph: Radiograph, path: str | Path) -> Path:
     raises  InputError for a disk that is full or cannot be written
     """
     path = Path(path)
-    write_bytes(path, (json.dumps(description(radiograph), indent=2) + "\n").encode())
+    write_bytes(path, (_as_json(radiograph, indent=2) + "\n").encode())
     return path
+
+
+def _as_json(radiograph: Radiograph, indent: int | None = None) -> str:
+    # Parameters may be numpy's numbers; they are written, and read back, as Python's.
+    return json.dumps(description(radiograph), indent=indent, default=lambda number: number.item())
 
 
 def _truth(table: dict[str, Any]) -> Truth:

@@ -37,6 +37,8 @@ def claim(path: Path, asked: dict[str, Any]) -> None:
         write_json(path, asked)
         return
     found = read_json(path)
+    if not isinstance(found, dict):
+        raise InputError(f"file {path}: damaged (not what was asked for); allowed: a new folder")
     if found != asked:
         place, old, new = _difference(found, asked)
         what = f"{place} = {old!r}, asked for {new!r}"
@@ -57,23 +59,28 @@ def read_json(path: Path) -> Any:
 
 
 def write_rows(folder: Path, knee: int, rows: list[Row]) -> None:
-    """Write the record of one knee; its images stand by then."""
-    write_json(_record(folder, knee), rows)
+    """Write the record of one knee, with a hash of its own; its images stand by then."""
+    write_json(_record(folder, knee), {"rows": rows, "sha256": _digest(rows)})
 
 
-def read_rows(folder: Path, knee: int) -> list[Row] | None:
+def read_rows(folder: Path, knee: int, names: list[str]) -> list[Row] | None:
     """The record of one knee with its images checked against their hashes, or None where it is still to be made.
 
+    names   of the radiographs that it must be of, in order
     raises  InputError naming a record or an image that is damaged
     """
     path = _record(folder, knee)
     if not path.exists():
         return None
-    rows = read_json(path)
-    try:
-        expected = {folder / row["file"]: row["sha256"] for row in rows}
-    except (TypeError, KeyError):
-        raise InputError(f"file {path}: damaged (not a record); delete it to have it made again") from None
+    record = read_json(path)
+    rows = record.get("rows") if isinstance(record, dict) else None
+    if not isinstance(rows, list) or record.get("sha256") != _digest(rows):
+        raise InputError(f"file {path}: damaged (not as it was written); delete it to have it made again")
+    if [row["radiograph"] for row in rows] != names:
+        raise InputError(
+            f"file {path}: not of knee {knee}; allowed: {', '.join(names)}; delete it to have it made again"
+        )
+    expected = {folder / row["file"]: row["sha256"] for row in rows}
     if not all(file.exists() for file in expected):
         return None
     for file, digest in expected.items():
@@ -96,6 +103,10 @@ def write_csv(path: Path, rows: list[Row]) -> None:
     writer.writeheader()
     writer.writerows(rows)
     write_bytes(path, text.getvalue().encode())
+
+
+def _digest(rows: list[Row]) -> str:
+    return hashlib.sha256(json.dumps(rows, sort_keys=True).encode()).hexdigest()
 
 
 def _record(folder: Path, knee: int) -> Path:
