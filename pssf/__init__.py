@@ -4,7 +4,9 @@ knee       Knee, Osteophyte, draw_knee                parameters of a knee, chec
 protocol   Protocol, load_protocol                    how it is taken
 anatomy    build(knee)                 -> Scene       closed meshes between named materials
 scene      Scene, Surface                             anybody's closed meshes
-raycast    trace(scene, protocol)      -> Paths       path length per material and pixel, audited
+density    PlaneWaves                                 what varies within a material
+raycast    check(scene)                -> Report      what is wrong with meshes, before any image is made
+           trace(scene, protocol)      -> Paths       path length per material and pixel, audited
 simulate   simulate(knee, protocol)    -> Radiograph  pixels and labels
 files      save, load, export_meshes                  the only part that touches the disk
 cohort     plan and make a cohort of radiographs
@@ -14,26 +16,30 @@ study      models, statistics, report                 (extra "study")
 
 from .anatomy import build
 from .checks import InputError
+from .density import PlaneWaves
 from .detector import present
 from .files.images import load, save
 from .files.meshes import export_meshes
 from .knee import Knee, Osteophyte, draw_knee
 from .protocol import Protocol, load_protocol
 from .radiograph import Radiograph, Truth
-from .raycast import trace
-from .scene import Scene, Surface
+from .raycast import check, trace
+from .scene import MeshNotice, Scene, Surface
 from .simulate import simulate
 
 __all__ = [
     "InputError",
     "Knee",
+    "MeshNotice",
     "Osteophyte",
+    "PlaneWaves",
     "Protocol",
     "Radiograph",
     "Scene",
     "Surface",
     "Truth",
     "build",
+    "check",
     "draw_knee",
     "export_meshes",
     "load",

@@ -48,12 +48,20 @@ def project(points_mm: Array, view: View) -> Array:
     points_mm  (n, 3)  knee frame; in front of the source
     returns    (n, 2)  row, column; pixel centres are whole numbers
     """
-    source = np.asarray(view.source_mm)
-    corner = np.asarray(view.corner_mm)
-    offset = np.asarray(points_mm, dtype=np.float64) - source
-    scale = (corner[1] - source[1]) / offset[:, 1]
-    x = source[0] + offset[:, 0] * scale
-    z = source[2] + offset[:, 2] * scale
+    return seen_at(points_mm, depth_of(points_mm, view), view)
+
+
+def depth_of(points_mm: Array, view: View) -> Array:
+    """(n,)  how far points (n, 3) are on the way from the source, 0, to the plane of the detector, 1"""
+    near, far = view.source_mm[1], view.centre_mm[1]
+    return np.asarray((np.asarray(points_mm, np.float64)[:, 1] - near) / (far - near))
+
+
+def seen_at(points_mm: Array, depth: Array, view: View) -> Array:
+    """(n, 2)  row and column at which points (n, 3) of a known depth (n,) are seen"""
+    source, corner = view.source_mm, view.corner_mm
+    x = source[0] + (points_mm[:, 0] - source[0]) / depth
+    z = source[2] + (points_mm[:, 2] - source[2]) / depth
     return np.column_stack(((corner[2] - z) / view.pixel_mm, (x - corner[0]) / view.pixel_mm))
 
 

@@ -8,7 +8,21 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 MODULES = sorted((ROOT / "pssf").rglob("*.py"))
 # A module imports from its left only.
-ORDER = ["checks", "files", "knee", "protocol", "geometry", "scene", "radiograph", "anatomy", "raycast", "detector"]
+ORDER = [
+    "checks",
+    "files",
+    "knee",
+    "protocol",
+    "geometry",
+    "density",
+    "topology",
+    "mending",
+    "scene",
+    "radiograph",
+    "anatomy",
+    "raycast",
+    "detector",
+]
 ORDER += ["simulate", "cohort", "radiomics", "study", "experiment", "validation", "accuracy", "cli"]
 
 

@@ -330,7 +330,7 @@ def test_only_the_materials_asked_for_come_back_in_that_order():
 
 def test_the_audit_counts_the_pixels_in_the_box_of_a_surface_and_those_that_cross_it():
     view = view_of(detector())
-    sheet = sheet_of(alone(ball(30.0)).surfaces[0], view)
+    sheet = sheet_of(alone(ball(30.0)).surfaces[0].solid, view)
     pixels = (sheet.rows[1] - sheet.rows[0]) * (sheet.cols[1] - sheet.cols[0])
     crossing = np.count_nonzero(trace(alone(ball(30.0)), view).path_mm["water"])
     for engine, rays in (("scanline", pixels), ("embree", crossing)):
@@ -351,12 +351,11 @@ def test_rays_that_are_given_up_are_repaired_to_the_same_numbers(monkeypatch):
 
 def test_an_unbalanced_ray_is_counted_and_repaired(monkeypatch):
     class Forgetful(embree.EmbreeScene):
-        """Embree that now and then loses a hit on the way out."""
+        """Embree that now and then loses a hit."""
 
         def run(self, origins, directions, **options):
             hit = super().run(origins, directions, **options)
-            leaving = (hit["Ng"] * directions).sum(axis=1) > 0
-            hit["primID"][leaving & (np.arange(len(origins)) % 50 == 0)] = -1
+            hit["primID"][np.arange(len(origins)) % 50 == 0] = -1
             return hit
 
     expected = trace(alone(ball(30.0)), detector()).path_mm["water"]
@@ -368,16 +367,9 @@ def test_an_unbalanced_ray_is_counted_and_repaired(monkeypatch):
 
 
 def test_signs_add_up_to_zero_on_every_row_of_a_scanned_surface():
-    sheet = sheet_of(alone(rough(9)).surfaces[0], view_of(detector()))
+    sheet = sheet_of(alone(rough(9)).surfaces[0].solid, view_of(detector()))
     for row in range(*sheet.rows):
-        assert not scanline.windings(sheet, row).any()
-
-
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("y_mm", [-950.0, -1200.0, 195.0])
-def test_a_surface_that_is_not_between_source_and_detector_is_refused_by_name(engine, y_mm):
-    with pytest.raises(InputError, match=r"thing: reaches from y = .* allowed: between source and detector"):
-        trace(alone(ball(10.0, at=(0.0, y_mm, 0.0))), detector(), engine=engine)
+        assert not scanline.windings(sheet, row, row + 1).any()
 
 
 def test_unknown_engines_materials_and_workers_are_refused():
@@ -386,5 +378,7 @@ def test_unknown_engines_materials_and_workers_are_refused():
         trace(scene, detector(), engine="embre")
     with pytest.raises(InputError, match="material = 'watre'; allowed: air, water"):
         trace(scene, detector(), materials=["watre"])
+    with pytest.raises(InputError, match="precision = 'double'; allowed: float32, float64"):
+        trace(scene, detector(), precision="double")
     with pytest.raises(InputError, match="workers = 0"):
         trace(scene, detector(), workers=0)

@@ -2,40 +2,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from pssf import InputError, Scene, Surface
+from pssf import InputError, MeshNotice, Scene, Surface, trace
+from pssf.geometry import View
+from pssf.scene import require_traceable
+
+VIEW = View(source_mm=(0.0, -900.0, 0.0), centre_mm=(0.0, 200.0, 0.0), rows=8, cols=8, pixel_mm=8.0)
 
 
-def refused(mesh, match):
-    with pytest.raises(InputError, match=match):
-        Surface(mesh, inside="water", outside="air", name="thing")
-
-
-def test_an_empty_mesh_is_refused():
-    refused(trimesh.Trimesh(), "thing: mesh has 0 faces")
-
-
-def test_an_open_mesh_is_refused_with_the_count_of_open_edges():
-    box = trimesh.creation.box()
-    refused(trimesh.Trimesh(box.vertices, box.faces[1:], process=False), "open or wound both ways at 3 edges")
-
-
-def test_mixed_winding_is_refused():
-    box = trimesh.creation.box()
-    faces = box.faces.copy()
-    faces[0] = faces[0, ::-1]
-    refused(trimesh.Trimesh(box.vertices, faces, process=False), "wound both ways")
-
-
-def test_a_mesh_with_nan_is_refused_with_the_first_vertex():
-    box = trimesh.creation.box()
-    vertices = np.array(box.vertices)
-    vertices[3, 1] = np.nan
-    refused(trimesh.Trimesh(vertices, box.faces, process=False), "1 vertices are not finite, first 3")
-
-
-def test_a_mesh_that_is_inside_out_is_refused():
-    box = trimesh.creation.box()
-    refused(trimesh.Trimesh(box.vertices, box.faces[:, ::-1], process=False), "inside out")
+def alone(mesh, **options):
+    return Scene([Surface(mesh, inside="water", outside="air", name="thing")], **options)
 
 
 def test_a_scene_needs_a_surface():
@@ -47,3 +22,42 @@ def test_materials_are_listed_once_ambient_first():
     box = trimesh.creation.box()
     scene = Scene([Surface(box, inside="water", outside="air"), Surface(box, inside="muscle", outside="water")])
     assert scene.materials == ("air", "water", "muscle")
+
+
+def test_the_box_of_a_scene_goes_around_the_vertices_that_faces_use():
+    box = trimesh.creation.box(extents=(10, 20, 30))
+    stray = trimesh.Trimesh(np.vstack((box.vertices, [[np.inf, 0, 0], [900, 0, 0]])), box.faces, process=False)
+    assert np.array_equal(alone(stray).bounds_mm, [[-5, -10, -15], [5, 10, 15]])
+
+
+@pytest.mark.parametrize(
+    ("across_mm", "hint"),
+    [
+        (0.1, "is the mesh in metres"),
+        (4.9, "is the mesh in centimetres"),
+        (0.002, "allowed: 5 to 3000 mm; or"),
+        (1e5, r"is the mesh in micrometres\? mesh.apply_scale\(0.001\)"),
+        (1e-9, "allowed: 5 to 3000 mm; or"),
+    ],
+)
+def test_a_scene_of_a_size_that_is_likely_in_another_unit_is_refused_with_a_hint(across_mm, hint):
+    scene = alone(trimesh.creation.box(extents=3 * [across_mm]))
+    with pytest.raises(InputError, match=rf"scene is .* mm across; .*{hint}"):
+        trace(scene, VIEW)
+
+
+@pytest.mark.parametrize("across_mm", [0.1, 4000.0])
+def test_a_size_that_is_allowed_explicitly_is_traced(across_mm):
+    scene = alone(trimesh.creation.box(extents=3 * [across_mm]), size_mm=(0.0, np.inf))
+    assert trace(scene, VIEW, precision="float64").audit.unrepaired == 0
+
+
+def test_a_mesh_that_was_mended_is_told_of():
+    box = trimesh.creation.box(extents=(10, 10, 10))
+    with pytest.warns(MeshNotice, match="thing: mesh is inside out; faces: 12; turned outward"):
+        require_traceable(alone(trimesh.Trimesh(box.vertices, box.faces[:, ::-1], process=False)))
+
+
+def test_a_density_is_something_that_integrates():
+    with pytest.raises(InputError, match=r"thing: inside_density = 1\.5; allowed: None, or a Density"):
+        Surface(trimesh.creation.box(), inside="water", outside="air", name="thing", inside_density=1.5)

@@ -2,20 +2,20 @@
 
 Embree works in float32. Its answer is taken only for which triangle comes next; where the ray meets the plane of that
 triangle is computed in float64. How many crossings a ray has is counted beforehand in float64, from the outlines of the
-projected triangles; a ray without any is not cast, and one that has them all asks no further. A pixel is handed to the
-scanline engine if
+projected triangles; a ray without any is not cast, and one that has them all asks no further. The last crossing is
+looked for from behind: a ray that starts outside finds its triangle sooner than one that starts within. A pixel is
+handed to the scanline engine if
 
 - it does not lie strictly inside the projected triangle, in float64: the ray passes so near an edge that Embree took
   the neighbour, or both;
 - a hit lies no deeper than the one before it, or the same triangle is found too often: a surface seen edge-on;
 - Embree finds no more triangles before the count is reached: at an outline, or between sheets that nearly touch;
-- the signs of its crossings do not add up to zero.
+- the signs of its crossings do not add up to how often the surface goes around the source.
 
 So every crossing taken is a true one, no two are the same, and there are as many as there should be.
 """
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -25,13 +25,16 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ..checks import Array
+from ..topology import used
 from . import scanline
+from .crossings import Crossings, chords
 from .paths import Audit
 from .rays import start
 from .sheets import Sheet
 
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int32]
+Signs = NDArray[np.int8]
 
 SPACING = float(np.finfo(np.float32).eps)
 
@@ -45,36 +48,78 @@ AGAIN_LIMIT = 8
 HIT_LIMIT = 20_000
 
 
-def caster(sheet: Sheet) -> Callable[[int, int], tuple[Array, Audit]]:
-    """A function of the first and the stop row, within one band, giving what `scanline.chords` gives and its audit."""
-    low, high = sheet.points.min(axis=0), sheet.points.max(axis=0)
-    centre, size = (low + high) / 2, float((high - low).max())
-    # Around the surface's own centre float32 is finest; from the focus it would err by 1e-4 mm.
-    tree = EmbreeScene(robust=True)
-    TriangleMesh(tree, (sheet.points - centre).astype(np.float32), sheet.faces)
-    # The first call builds the tree; it must not be two threads' first call.
-    tree.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32), output=1)
-    low, high = low - 0.01 * size, high + 0.01 * size
+class Caster:
+    """Casts the rays of a window that cross a surface.
 
-    def cast(first: int, stop: int) -> tuple[Array, Audit]:
-        shape = (stop - first, sheet.cols[1] - sheet.cols[0])
-        chord, signs, doubt = np.zeros(shape), np.zeros(shape, np.int32), np.zeros(shape, np.bool_)
-        left = scanline.crossings(sheet, first, stop).reshape(-1)
-        cast_for = int(np.count_nonzero(left))
-        window = np.array([first, sheet.cols[0], shape[1]])
-        rays = _Rays(cast_for)
-        count = start(sheet.frame, centre, low, high, window, left, doubt.reshape(-1), *rays.state)
+    around  how often the surface goes around the source
+    """
+
+    def __init__(self, sheet: Sheet, around: int) -> None:
+        self.sheet, self.around = sheet, around
+        # Embree takes in half a microsecond a triangle, under Python's lock: it gets those that a ray can meet.
+        kept = scanline.covering(sheet)
+        points, faces = used(sheet.points, sheet.faces[kept])
+        if not len(kept):
+            points = np.zeros((1, 3))
+        low, high = points.min(axis=0), points.max(axis=0)
+        size = float((high - low).max())
+        self.low, self.high = low - 0.01 * size, high + 0.01 * size
+        # Around the surface's own centre float32 is finest; from the focus it would err by 1e-4 mm.
+        self.centre = (low + high) / 2
+        self.geometry = (sheet.faces[kept], sheet.seen, sheet.planes[kept], sheet.frame, self.centre)
+        # Not "robust", which takes a fifth more time: what Embree misses is noticed by the count, and repaired.
+        self.tree = EmbreeScene(robust=False)
+        TriangleMesh(self.tree, (points - self.centre).astype(np.float32), faces)
+        # The first call builds the tree; it must not be two threads' first call.
+        self.tree.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32), output=1)
+
+    def chords(self, first: int, stop: int) -> tuple[Array, Audit]:
+        """What `scanline.chords` gives, and an audit."""
+        found, audit = self.crossings(first, stop)
+        return chords(found), audit
+
+    def crossings(self, first: int, stop: int) -> tuple[Crossings, Audit]:
+        """What `scanline.crossings` gives, and an audit."""
+        sheet = self.sheet
+        number = scanline.counts(sheet, first, stop)
+        window = (first, sheet.cols[0], *number.shape)
+        left, starts = number.reshape(-1).copy(), scanline.offsets(number)
+        depth, sign, doubt = np.zeros(starts[-1]), np.zeros(starts[-1], np.int8), np.zeros(number.size, np.bool_)
+        rays = _Rays(int(np.count_nonzero(left)))
+        pixels = np.array(window)
+        count = start(sheet.frame, self.centre, self.low, self.high, pixels, left, doubt, *rays.state)
+        state: tuple[Any, ...] = (*self.geometry, pixels, starts, depth, sign, doubt, left, *rays.state)
         for _ in range(HIT_LIMIT):
             if count == 0:
                 break
-            hit = tree.run(rays.origins[:count], rays.directions[:count], output=1)
-            geometry = (sheet.faces, sheet.seen, sheet.planes, sheet.frame, centre)
-            sums = (chord.reshape(-1), signs.reshape(-1), doubt.reshape(-1), left)
-            count = _advance(hit["primID"], hit["tfar"], *geometry, window, *sums, *rays.state)
-        doubt.reshape(-1)[rays.pixels[:count]] = True
-        return chord, _repair(sheet, first, chord, doubt, (signs != 0) | (left > 0).reshape(shape), cast_for)
+            hit = self.tree.run(rays.origins[:count], rays.directions[:count], output=1)
+            count = _advance(hit["primID"], hit["tfar"], *state)
+        doubt[rays.pixels[:count]] = True
+        found = Crossings(window=window, starts=starts, depth=depth, sign=sign)
+        lacking = _lacking(starts, sign, left, self.around) & ~doubt
+        unrepaired = self._repair(found, (doubt | lacking).reshape(number.shape))
+        audit = Audit(
+            rays=len(rays.pixels),
+            unbalanced=int(lacking.sum()),
+            imprecise=int(doubt.sum()),
+            repaired=int((doubt | lacking).sum()) - unrepaired,
+            unrepaired=unrepaired,
+        )
+        return found, audit
 
-    return cast
+    def _repair(self, found: Crossings, bad: NDArray[np.bool_]) -> int:
+        """Take the crossings of bad pixels from the scanline engine, in place; returns how many are bad even then."""
+        first, _, _, cols = found.window
+        unrepaired = 0
+        for row in map(int, np.flatnonzero(bad.any(axis=1))):
+            exact = scanline.crossings(self.sheet, first + row, first + row + 1)
+            for col in map(int, np.flatnonzero(bad[row])):
+                place = slice(*found.starts[row * cols + col : row * cols + col + 2])
+                source = slice(*exact.starts[col : col + 2])
+                found.depth[place], found.sign[place] = exact.depth[source], exact.sign[source]
+                balanced = found.sign[place].sum() == self.around and np.isfinite(found.depth[place]).all()
+                unrepaired += not balanced
+        return unrepaired
 
 
 class _Rays:
@@ -84,7 +129,8 @@ class _Rays:
         self.origins = np.empty((size, 3), np.float32)  # around the surface's centre
         self.directions = np.empty((size, 3), np.float32)  # of length 1
         self.pixels = np.empty(size, np.int32)  # within the window
-        self.depths = np.empty(size)  # of the last hit
+        self.depths = np.empty(size)  # of the last hit from the front
+        self.ends = np.empty(size)  # depth behind the surface, from where the last crossing is looked for
         self.triangles = np.empty(size, np.int32)  # of the last hit
         self.again = np.empty(size, np.int32)  # times that it was found again
         self.state: tuple[Any, ...] = (
@@ -92,30 +138,29 @@ class _Rays:
             self.directions,
             self.pixels,
             self.depths,
+            self.ends,
             self.triangles,
             self.again,
         )
 
 
-def _repair(
-    sheet: Sheet, first: int, chord: Array, doubt: NDArray[np.bool_], lacking: NDArray[np.bool_], cast_for: int
-) -> Audit:
-    """Recompute doubtful and unbalanced pixels of `chord` in place, whole rows at a time."""
-    unbalanced = lacking & ~doubt
-    bad = unbalanced | doubt
-    unrepaired = 0
-    for row in map(int, np.flatnonzero(bad.any(axis=1))):
-        at = bad[row]
-        exact = scanline.chords(sheet, first + row, first + row + 1)[0, at]
-        chord[row, at] = exact
-        unrepaired += int(((scanline.windings(sheet, first + row)[at] != 0) | ~np.isfinite(exact)).sum())
-    return Audit(
-        rays=cast_for,
-        unbalanced=int(unbalanced.sum()),
-        imprecise=int(doubt.sum()),
-        repaired=int(bad.sum()) - unrepaired,
-        unrepaired=unrepaired,
-    )
+@njit(cache=True, nogil=True)
+def _lacking(starts: NDArray[np.int64], sign: Signs, left: Ints, around: int) -> NDArray[np.bool_]:
+    """Which rays have crossings left to find, or signs that do not add up."""
+    lacking = left > 0
+    for pixel in range(len(left)):
+        total = 0
+        for k in range(starts[pixel], starts[pixel + 1]):
+            total += sign[k]
+        if total != around:
+            lacking[pixel] = True
+    return lacking
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _place(frame: Array, centre: Array, at: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Where a ray is at a depth, around the centre of a surface."""
+    return frame[0] - centre[0] + at * x, frame[1] - centre[1] + at * y, frame[2] - centre[2] + at * z
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -141,26 +186,28 @@ def _advance(
     frame: Array,
     centre: Array,
     window: NDArray[np.int64],
-    chord: Array,
-    signs: Ints,
+    starts: NDArray[np.int64],
+    depth: Array,
+    sign: Signs,
     doubt: NDArray[np.bool_],
     left: Ints,
     origins: Floats,
     directions: Floats,
     pixels: Ints,
     depths: Array,
+    ends: Array,
     triangles: Ints,
     again: Ints,
 ) -> int:
-    """Take hits into the sums, drop rays that are done or in doubt, move the others on; returns their count."""
+    """Note hits, drop rays that are done or in doubt, move the others on; returns their count."""
     count = 0
     for k in range(len(found)):
         pixel, triangle = pixels[k], found[k]
         if triangle < 0:
             continue
-        row, col = window[0] + pixel // window[2], window[1] + pixel % window[2]
+        row, col = window[0] + pixel // window[3], window[1] + pixel % window[3]
         x, y, z = frame[3] + col * frame[6], frame[4], frame[5] - row * frame[6]
-        if triangle == triangles[k]:
+        if triangle == triangles[k] and left[pixel] > 1:
             # Rounding put the new start before the triangle just left after all: go on from where Embree sees it.
             at, tries = depths[k], again[k] + 1
             px, py, pz = origins[k] + distance[k] * directions[k]
@@ -168,22 +215,25 @@ def _advance(
         else:
             nx, ny, nz, scaled = planes[triangle]
             at, tries = scaled / (nx * x + ny * y + nz * z), 0
-            px, py, pz = frame[0] - centre[0] + at * x, frame[1] - centre[1] + at * y, frame[2] - centre[2] + at * z
+            px, py, pz = _place(frame, centre, at, x, y, z)
             doubt[pixel] = not at > depths[k] or not _holds(seen, faces[triangle], scaled, row, col)
-            sign = 1 if scaled > 0.0 else -1
-            off = sign / math.sqrt(nx * nx + ny * ny + nz * nz)
+            off = (1.0 if scaled > 0.0 else -1.0) / math.sqrt(nx * nx + ny * ny + nz * nz)
             ox, oy, oz = nx * off, ny * off, nz * off
-            chord[pixel] += sign * at
-            signs[pixel] += sign
+            place = starts[pixel + 1] - left[pixel]
+            depth[place], sign[place] = at, 1 if scaled > 0.0 else -1
             left[pixel] -= 1
         if doubt[pixel] or tries >= AGAIN_LIMIT:
             doubt[pixel] = True
             continue
         if left[pixel] == 0:
             continue
-        step = STEP_SPACINGS * SPACING * max(abs(px), abs(py), abs(pz))
+        step, turn = STEP_SPACINGS * SPACING * max(abs(px), abs(py), abs(pz)), 1.0
+        if left[pixel] == 1:
+            px, py, pz = _place(frame, centre, ends[k], x, y, z)
+            step, turn = 0.0, -1.0
         origins[count, 0], origins[count, 1], origins[count, 2] = px + step * ox, py + step * oy, pz + step * oz
-        directions[count] = directions[k]
-        pixels[count], depths[count], triangles[count], again[count] = pixel, at, triangle, tries
+        for axis in range(3):
+            directions[count, axis] = turn * directions[k, axis]
+        pixels[count], depths[count], ends[count], triangles[count], again[count] = pixel, at, ends[k], triangle, tries
         count += 1
     return count

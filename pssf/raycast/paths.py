@@ -33,10 +33,10 @@ class Audit:
 class Paths:
     """Path lengths of every ray from the source to a pixel centre.
 
-    path_mm  material -> (rows, cols) float32  chord length inside the material
+    path_mm  material -> (rows, cols)  chord length inside the material
     """
 
-    path_mm: dict[str, NDArray[np.float32]]
+    path_mm: dict[str, NDArray[np.floating]]
     audit: Audit
 
 

@@ -18,12 +18,12 @@ def add_box(frame: Array, bounds: Array, first: int, fraction: Array) -> None:
     """Add the part of each ray inside a box (2, 3) to `fraction` (rows, cols), which starts at row `first`."""
     for row in range(fraction.shape[0]):
         for col in range(fraction.shape[1]):
-            near, far = _box_span(frame, bounds[0], bounds[1], first + row, col)
+            near, far = _box_span(frame, bounds[0], bounds[1], first + row, col, 1.0)
             fraction[row, col] += max(far - near, 0.0)
 
 
 @njit(cache=True, nogil=True)
-def to_mm(fraction: Array, frame: Array, first: int, path_mm: NDArray[np.float32]) -> None:
+def to_mm(fraction: Array, frame: Array, first: int, path_mm: NDArray[np.floating]) -> None:
     """Fractions of the way from source to pixel (rows, cols) times its length, into `path_mm` (rows, cols)."""
     for row in range(fraction.shape[0]):
         z = frame[5] - (first + row) * frame[6]
@@ -45,37 +45,39 @@ def start(
     directions: NDArray[np.float32],
     pixels: NDArray[np.int32],
     depths: Array,
+    ends: Array,
     triangles: NDArray[np.int32],
     again: NDArray[np.int32],
 ) -> int:
-    """Put the rays of a window (first row, first column, columns) where they enter the box; returns their count.
+    """Put the rays of a window (first row, first column, rows, columns) where they enter the box; returns their count.
 
-    left   crossings of each pixel's ray; one without any is left out
+    left   crossings of each pixel's ray; one without any is left out, and one with a single one comes from behind
     doubt  set where a ray with crossings misses the box, which rounding alone can bring about
     """
     count = 0
     for pixel in range(len(left)):
         if left[pixel] == 0:
             continue
-        row, col = window[0] + pixel // window[2], window[1] + pixel % window[2]
-        near, far = _box_span(frame, low, high, row, col)
+        row, col = window[0] + pixel // window[3], window[1] + pixel % window[3]
+        near, far = _box_span(frame, low, high, row, col, np.inf)
         if near >= far:
             doubt[pixel] = True
             continue
         way = frame[3] + col * frame[6], frame[4], frame[5] - row * frame[6]
         length = math.sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2])
+        at, turn = (far, -1.0 / length) if left[pixel] == 1 else (near, 1.0 / length)
         for axis in range(3):
-            origins[count, axis] = frame[axis] - centre[axis] + near * way[axis]
-            directions[count, axis] = way[axis] / length
-        pixels[count], depths[count], triangles[count], again[count] = pixel, near, -1, 0
+            origins[count, axis] = frame[axis] - centre[axis] + at * way[axis]
+            directions[count, axis] = turn * way[axis]
+        pixels[count], depths[count], ends[count], triangles[count], again[count] = pixel, 0.0, far, -1, 0
         count += 1
     return count
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _box_span(frame: Array, low: Array, high: Array, row: int, col: int) -> tuple[float, float]:
-    """Depths at which the ray to a pixel enters and leaves an axis-parallel box; it misses if it leaves first."""
-    near, far = 0.0, 1.0
+def _box_span(frame: Array, low: Array, high: Array, row: int, col: int, limit: float) -> tuple[float, float]:
+    """Depths, up to `limit`, at which a ray enters and leaves an axis-parallel box; it misses if it leaves first."""
+    near, far = 0.0, limit
     for axis in range(3):
         way = frame[3 + axis]
         if axis == 0:

@@ -6,25 +6,33 @@ bit, so that the signs of a closed surface add up to zero at every pixel, for sl
 """
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from ..checks import Array
+from .crossings import Crossings
 from .paths import Audit
 from .sheets import Sheet
 
 
-def caster(sheet: Sheet) -> Callable[[int, int], tuple[Array, Audit]]:
-    """A function of the first and the stop row, within one band, giving what `chords` gives and its audit."""
+class Caster:
+    """Casts all rays of a window that a surface can cover."""
 
-    def cast(first: int, stop: int) -> tuple[Array, Audit]:
-        part = chords(sheet, first, stop)
-        return part, Audit(rays=part.size)
+    def __init__(self, sheet: Sheet, around: int) -> None:
+        del around  # the signs come out right by construction
+        self.sheet = sheet
 
-    return cast
+    def chords(self, first: int, stop: int) -> tuple[Array, Audit]:
+        """What `chords` gives, and its audit."""
+        found = chords(self.sheet, first, stop)
+        return found, Audit(rays=found.size)
+
+    def crossings(self, first: int, stop: int) -> tuple[Crossings, Audit]:
+        """What `crossings` gives, and its audit."""
+        found = crossings(self.sheet, first, stop)
+        return found, Audit(rays=len(found.starts) - 1)
 
 
 def chords(sheet: Sheet, first: int, stop: int) -> Array:
@@ -36,17 +44,43 @@ def chords(sheet: Sheet, first: int, stop: int) -> Array:
     return _accumulate(sheet, first, stop, sheet.depth)
 
 
-def windings(sheet: Sheet, row: int) -> Array:
-    """(columns of the sheet,)  sum of the signs over the crossings of one row; all zero on a closed surface."""
+def windings(sheet: Sheet, first: int, stop: int) -> Array:
+    """(stop - first, columns of the sheet)  sums of the signs; one number all over on a surface that is closed"""
     # Depths are clamped to those of the vertices, so that with all vertices at 1 the sum is of the signs alone.
-    return _accumulate(sheet, row, row + 1, np.ones_like(sheet.depth))[0]
+    return _accumulate(sheet, first, stop, np.ones_like(sheet.depth))
 
 
-def crossings(sheet: Sheet, first: int, stop: int) -> NDArray[np.int32]:
+def counts(sheet: Sheet, first: int, stop: int) -> NDArray[np.int32]:
     """(stop - first, columns of the sheet)  how often each ray crosses a surface; rows as in `chords`"""
-    counts = np.zeros((stop - first, sheet.cols[1] - sheet.cols[0] + 1), np.int32)
-    _count(sheet.in_band(first), sheet.faces, sheet.seen, first, sheet.cols[0], counts)
-    return np.cumsum(counts, axis=1, dtype=np.int32)[:, :-1]
+    steps = np.zeros((stop - first, sheet.cols[1] - sheet.cols[0] + 1), np.int32)
+    _count(sheet.in_band(first), sheet.faces, sheet.seen, first, sheet.cols[0], steps)
+    return np.cumsum(steps, axis=1, dtype=np.int32)[:, :-1]
+
+
+def covering(sheet: Sheet) -> NDArray[np.int32]:
+    """Triangles that hold the centre of a pixel: those whose crossings make up the image."""
+    kept = np.zeros(len(sheet.faces), np.bool_)
+    _mark(sheet.order, sheet.faces, sheet.seen, np.array((*sheet.rows, *sheet.cols)), kept)
+    return np.flatnonzero(kept).astype(np.int32)
+
+
+def crossings(sheet: Sheet, first: int, stop: int) -> Crossings:
+    """Every crossing of the rows' rays with a surface, in order along each ray; rows as in `chords`"""
+    number = counts(sheet, first, stop)
+    starts = offsets(number)
+    depth, sign = np.empty(starts[-1]), np.empty(starts[-1], np.int8)
+    geometry = (sheet.faces, sheet.seen, sheet.depth, sheet.planes, sheet.frame)
+    window = (first, sheet.cols[0], *number.shape)
+    _list(sheet.in_band(first), *geometry, np.array(window), starts[:-1].copy(), depth, sign)
+    _sort(starts, depth, sign)
+    return Crossings(window=window, starts=starts, depth=depth, sign=sign)
+
+
+def offsets(number: NDArray[np.int32]) -> NDArray[np.int64]:
+    """(pixels + 1,)  where each pixel's crossings start if those of all are put in one row"""
+    starts = np.zeros(number.size + 1, np.int64)
+    np.cumsum(number, out=starts[1:])
+    return starts
 
 
 def _accumulate(sheet: Sheet, first: int, stop: int, depth: Array) -> Array:
@@ -97,7 +131,8 @@ def _scan(
     for k in picked:
         a, b, c = faces[k]
         # A triangle seen edge-on has no depth of its own at a pixel; between those of its vertices it stays in bounds.
-        low, high = min(depth[a], depth[b], depth[c]), max(depth[a], depth[b], depth[c])
+        # A crossing behind the detector counts as one in its plane.
+        low, high = min(depth[a], depth[b], depth[c], 1.0), min(max(depth[a], depth[b], depth[c]), 1.0)
         top = max(math.ceil(min(seen[a, 0], seen[b, 0], seen[c, 0])), first_row)
         bottom = min(math.ceil(max(seen[a, 0], seen[b, 0], seen[c, 0])), stop_row)
         x, y, z, scaled = planes[k]
@@ -135,3 +170,67 @@ def _count(
             if left < right:
                 steps[row - first_row, left - first_col] += 1
                 steps[row - first_row, right - first_col] -= 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mark(
+    picked: NDArray[np.int32], faces: NDArray[np.int32], seen: Array, field: NDArray[np.int64], kept: NDArray[np.bool_]
+) -> None:
+    """Set `kept` of the picked triangles that hold a pixel of the field (first and stop row, first and stop column)."""
+    for k in picked:
+        if kept[k]:
+            continue
+        a, b, c = faces[k]
+        top = max(math.ceil(min(seen[a, 0], seen[b, 0], seen[c, 0])), field[0])
+        bottom = min(math.ceil(max(seen[a, 0], seen[b, 0], seen[c, 0])), field[1])
+        for row in range(top, bottom):
+            down, up = _span(seen, faces[k], row)
+            if max(math.ceil(min(down, up)), field[2]) < min(math.ceil(max(down, up)), field[3]):
+                kept[k] = True
+                break
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _list(
+    picked: NDArray[np.int32],
+    faces: NDArray[np.int32],
+    seen: Array,
+    depth: Array,
+    planes: Array,
+    frame: Array,
+    window: NDArray[np.int64],
+    free: NDArray[np.int64],
+    at: Array,
+    sign: NDArray[np.int8],
+) -> None:
+    """Write every crossing of a window (row, column, rows, cols) to where `free` says, and move `free` on."""
+    stop_row, stop_col = window[0] + window[2], window[1] + window[3]
+    for k in picked:
+        a, b, c = faces[k]
+        low, high = min(depth[a], depth[b], depth[c]), max(depth[a], depth[b], depth[c])
+        top = max(math.ceil(min(seen[a, 0], seen[b, 0], seen[c, 0])), window[0])
+        bottom = min(math.ceil(max(seen[a, 0], seen[b, 0], seen[c, 0])), stop_row)
+        x, y, z, scaled = planes[k]
+        for row in range(top, bottom):
+            down, up = _span(seen, faces[k], row)
+            left, right = max(math.ceil(min(down, up)), window[1]), min(math.ceil(max(down, up)), stop_col)
+            start = x * frame[3] + y * frame[4] + z * (frame[5] - row * frame[6])
+            for col in range(left, right):
+                found = scaled / (start + x * (col * frame[6]))
+                found = found if found > low else low
+                pixel = (row - window[0]) * window[3] + col - window[1]
+                at[free[pixel]] = found if found < high else high
+                sign[free[pixel]] = 1 if up < down else -1
+                free[pixel] += 1
+
+
+@njit(cache=True, nogil=True)
+def _sort(starts: NDArray[np.int64], depth: Array, sign: NDArray[np.int8]) -> None:
+    """Order the crossings of each ray by depth, in place; rays have few."""
+    for pixel in range(len(starts) - 1):
+        for k in range(starts[pixel] + 1, starts[pixel + 1]):
+            d, s, n = depth[k], sign[k], k
+            while n > starts[pixel] and depth[n - 1] > d:
+                depth[n], sign[n] = depth[n - 1], sign[n - 1]
+                n -= 1
+            depth[n], sign[n] = d, s

@@ -7,20 +7,21 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ..checks import Array, InputError
-from ..geometry import View, project
-from ..scene import Surface
+from ..checks import Array
+from ..geometry import View, depth_of, seen_at
+from ..mending import Solid
+from .clip import NEAREST, clip
 
 # Rows of one band. An image is worked on band by band, however many workers there are: the bytes do not depend on it.
 BAND_ROWS = 32
-
-# Nearer to the plane of the focus than this, projections grow out of bounds.
-CLEARANCE_MM = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sheet:
     """One closed surface, projected. A depth is a fraction of the way from the source to the pixel.
+
+    What is behind the source is cut off. The surface is then open, at the source, and the signs of the crossings of
+    every ray add up to how often it goes around the source instead of to zero.
 
     frame   (7,)     source x, y, z; source to pixel (0, 0) x, y, z; pixel size (mm)
     points  (n, 3)   vertices, mm
@@ -32,6 +33,7 @@ class Sheet:
     rows, cols       half-open ranges of the pixels that the surface can cover
     order            (k,) int32 triangles of band 0, then band 1, and so on; those that cover no pixel are left out
     starts           (bands + 1,) where the bands start in `order`
+    cut              whether part of it is behind the source
     """
 
     frame: Array
@@ -44,6 +46,7 @@ class Sheet:
     cols: tuple[int, int]
     order: NDArray[np.int32]
     starts: NDArray[np.int64]
+    cut: bool
 
     def in_band(self, row: int) -> NDArray[np.int32]:
         """Triangles that may cover pixels of the band in which a row lies."""
@@ -57,43 +60,34 @@ def frame_of(view: View) -> Array:
     return np.concatenate((source, np.asarray(view.corner_mm) - source, [view.pixel_mm]))
 
 
-def sheet_of(surface: Surface, view: View) -> Sheet:
-    """A surface as seen in a view.
-
-    raises  InputError naming the surface if it is not between source and detector
-    """
-    points = np.ascontiguousarray(surface.mesh.vertices, dtype=np.float64)
-    faces = np.ascontiguousarray(surface.mesh.faces, dtype=np.int32)
-    _require_between(points, view, surface.name)
-    seen = project(points, view)
-    depth = (points[:, 1] - view.source_mm[1]) / (view.centre_mm[1] - view.source_mm[1])
-    low = np.clip(np.ceil(seen.min(axis=0)), 0, (view.rows, view.cols)).astype(int)
-    high = np.clip(np.floor(seen.max(axis=0)) + 1, low, (view.rows, view.cols)).astype(int)
+def sheet_of(solid: Solid, view: View) -> Sheet:
+    """A solid as seen in a view."""
+    points, faces, depth, frame = solid.points, solid.faces, depth_of(solid.points, view), frame_of(view)
+    planes = _planes(points, faces, frame)
+    cut = bool(depth.min() < NEAREST)
+    if cut:
+        points, faces, depth, origin = clip(points, faces, depth)
+        planes = planes[origin]
+    seen = seen_at(points, depth, view)
+    low, high = np.zeros(2, int), np.zeros(2, int)
+    for axis, size in enumerate((view.rows, view.cols) if len(faces) else ()):
+        low[axis] = np.clip(np.ceil(seen[:, axis].min()), 0, size)
+        high[axis] = np.clip(np.floor(seen[:, axis].max()) + 1, low[axis], size)
     bands = -(-view.rows // BAND_ROWS)
     order, starts = _bin(seen, faces, view.rows, view.cols, bands)
-    frame = frame_of(view)
     return Sheet(
         frame=frame,
         points=points,
         seen=seen,
         depth=depth,
         faces=faces,
-        planes=_planes(points, faces, frame),
+        planes=planes,
         rows=(int(low[0]), int(high[0])),
         cols=(int(low[1]), int(high[1])),
         order=order,
         starts=starts,
+        cut=cut,
     )
-
-
-def _require_between(points: Array, view: View, name: str) -> None:
-    low, high = view.source_mm[1] + CLEARANCE_MM, view.centre_mm[1]
-    near, far = float(points[:, 1].min()), float(points[:, 1].max())
-    if near < low or far > high:
-        raise InputError(
-            f"{name}: reaches from y = {near:.6g} to {far:.6g} mm; allowed: between source and detector, "
-            f"{low:.6g} to {high:.6g} mm"
-        )
 
 
 @njit(cache=True, nogil=True)

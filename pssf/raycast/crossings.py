@@ -1,0 +1,97 @@
+"""Where rays cross a surface, in order along each ray: lengths between them, and integrals of a density."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ..checks import Array
+from ..density import Density
+
+
+@dataclass(frozen=True, kw_only=True)
+class Crossings:
+    """Crossings of a window of pixels with one surface.
+
+    window  first row, first column, rows, columns
+    starts  (rows x cols + 1,)  where the crossings of each pixel's ray start below; the last is their number
+    depth   (n,)  fraction of the way from the source to the pixel, growing along a ray
+    sign    (n,)  int8  +1 where the ray leaves, -1 where it enters
+    """
+
+    window: tuple[int, int, int, int]
+    starts: NDArray[np.int64]
+    depth: Array
+    sign: NDArray[np.int8]
+
+
+def chords(crossings: Crossings) -> Array:
+    """(rows, cols)  lengths inside, as fractions of the way from the source to the pixel"""
+    out = np.empty(crossings.window[2:])
+    _sum_depths(crossings.starts, crossings.depth, crossings.sign, out.reshape(-1))
+    return out
+
+
+def integrals(crossings: Crossings, frame: Array, density: Density | None) -> Array:
+    """(rows, cols)  integrals of a density inside, as fractions of the way from the source to the pixel
+
+    frame    as in a Sheet
+    density  None: 1 everywhere
+    """
+    if density is None:
+        return chords(crossings)
+    window = np.array(crossings.window)
+    most = len(crossings.depth) + len(crossings.starts) - 1
+    starts_mm, ends_mm, pixels = np.empty((most, 3)), np.empty((most, 3)), np.empty(most, np.int64)
+    weights = np.empty(most)
+    ways = (crossings.starts, crossings.depth, crossings.sign, frame, window)
+    count = _segments(*ways, starts_mm, ends_mm, pixels, weights)
+    found = np.asarray(density.integrate(starts_mm[:count], ends_mm[:count]), dtype=np.float64)
+    total = np.bincount(pixels[:count], weights=weights[:count] * found, minlength=window[2] * window[3])
+    return np.asarray(total, dtype=np.float64).reshape(crossings.window[2:])
+
+
+@njit(cache=True, nogil=True)
+def _sum_depths(starts: NDArray[np.int64], depth: Array, sign: NDArray[np.int8], out: Array) -> None:
+    for pixel in range(len(out)):
+        total = 0.0
+        for k in range(starts[pixel], starts[pixel + 1]):
+            total += sign[k] * min(depth[k], 1.0)
+        out[pixel] = total
+
+
+@njit(cache=True, nogil=True)
+def _segments(
+    starts: NDArray[np.int64],
+    depth: Array,
+    sign: NDArray[np.int8],
+    frame: Array,
+    window: NDArray[np.int64],
+    starts_mm: Array,
+    ends_mm: Array,
+    pixels: NDArray[np.int64],
+    weights: Array,
+) -> int:
+    """Segments of rays inside, with their pixel and how often they are inside over the ray's length; their count."""
+    count = 0
+    for pixel in range(len(starts) - 1):
+        row, col = window[0] + pixel // window[3], window[1] + pixel % window[3]
+        x, y, z = frame[3] + col * frame[6], frame[4], frame[5] - row * frame[6]
+        length = math.sqrt(x * x + y * y + z * z)
+        # Who leaves more often than he enters was inside from the start.
+        inside, at = 0, 0.0
+        for k in range(starts[pixel], starts[pixel + 1]):
+            inside += sign[k]
+        for k in range(starts[pixel], starts[pixel + 1]):
+            end = min(depth[k], 1.0)
+            if inside != 0 and end > at:
+                for axis, way in enumerate((x, y, z)):
+                    starts_mm[count, axis] = frame[axis] + at * way
+                    ends_mm[count, axis] = frame[axis] + end * way
+                pixels[count], weights[count] = pixel, inside / length
+                count += 1
+            inside -= sign[k]
+            at = max(end, at)
+    return count

@@ -1,0 +1,46 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from pssf import InputError, PlaneWaves
+from pssf.density import Density
+
+part = st.floats(-3, 3)
+
+
+@settings(deadline=None, max_examples=60)
+@given(wave=st.tuples(part, part, part), phase=st.floats(-10, 10), end=st.tuples(part, part, part))
+def test_the_integral_of_a_wave_is_that_of_its_values_along_the_ray(wave, phase, end):
+    waves = PlaneWaves(mean=0.7, amplitudes=(0.4,), waves_per_mm=(wave,), phases=(phase,))
+    start, end = np.array([0.3, -0.2, 0.5]), np.array(end)
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    places = start + (nodes[:, None] + 1) / 2 * (end - start)
+    values = 0.7 + 0.4 * np.cos(places @ np.array(wave) + phase)
+    expected = (weights * values).sum() / 2 * np.linalg.norm(end - start)
+    assert_allclose(waves.integrate(start[None], end[None]), expected, rtol=0, atol=1e-12)
+
+
+def test_a_wave_that_runs_across_the_ray_is_constant_along_it():
+    start, end = np.zeros((3, 3)), np.array([[0.0, 40.0, 0.0]] * 3)
+    for across in (0.0, 1e-9, 1e-5):
+        waves = PlaneWaves(mean=0.0, amplitudes=(1.0,), waves_per_mm=((2.0, across, 0.0),), phases=(0.5,))
+        middle = np.cos(0.5 + across * 20) * np.sinc(across * 20 / np.pi) * 40
+        assert_allclose(waves.integrate(start, end), middle, rtol=1e-14)
+
+
+def test_integrals_of_two_parts_add_up_to_that_of_the_whole():
+    rng = np.random.default_rng(1)
+    waves = PlaneWaves(amplitudes=(0.2, 0.3), waves_per_mm=((1.0, 2.0, 3.0), (-7.0, 0.1, 4.0)), phases=(0.0, 1.0))
+    a, c = rng.normal(size=(2, 50, 3))
+    b = 0.3 * a + 0.7 * c
+    assert_allclose(waves.integrate(a, b) + waves.integrate(b, c), waves.integrate(a, c), atol=1e-13)
+    assert isinstance(waves, Density)
+
+
+def test_waves_that_do_not_match_or_are_not_finite_are_refused():
+    with pytest.raises(InputError, match=r"plane waves: \(2, 1, 1\) amplitudes"):
+        PlaneWaves(amplitudes=(1.0, 2.0), waves_per_mm=((1.0, 0.0, 0.0),), phases=(0.0,))
+    with pytest.raises(InputError, match="not finite"):
+        PlaneWaves(mean=float("nan"))

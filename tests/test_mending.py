@@ -1,0 +1,124 @@
+"""Meshes as people have them: what is mended, and what is refused by name, count and place."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from pssf.checks import InputError
+from pssf.mending import mend, require_sound
+from pssf.topology import edge_sum, volumes_mm3
+
+BOX = trimesh.creation.box(extents=(10, 20, 30))
+POINTS, FACES = np.array(BOX.vertices), np.array(BOX.faces)
+
+
+def whole(points, faces):
+    return float(volumes_mm3(points, faces, np.zeros(len(points), np.int32), 1)[0])
+
+
+def mended(points, faces, *lines, volume_mm3=6000.0):
+    solid = mend(points, faces, "thing")
+    assert [str(fault) for fault in solid.faults] == list(lines)
+    assert edge_sum(solid.faces) == 0
+    assert whole(solid.points, solid.faces) == pytest.approx(volume_mm3)
+    require_sound(solid)
+    return solid
+
+
+def refused(points, faces, match):
+    with pytest.raises(InputError, match=match):
+        require_sound(mend(np.asarray(points, float), np.asarray(faces), "thing"))
+
+
+def test_a_closed_mesh_is_taken_as_it_is():
+    assert np.array_equal(mended(POINTS, FACES).faces, FACES)
+
+
+def test_triangle_soup_is_welded_where_corners_are_equal():
+    soup = POINTS[FACES].reshape(-1, 3)
+    soup[soup == 0] *= -1  # -0.0 is the same place
+    mended(soup, np.arange(36).reshape(-1, 3), "thing: corners equal to another: 28, first 4, 5, 6, ...; welded")
+
+
+def test_faces_with_two_equal_corners_and_repeated_faces_are_left_out():
+    faces = np.vstack((FACES, [[0, 0, 1]], FACES[4:5, [1, 2, 0]]))
+    mended(
+        POINTS, faces,
+        "thing: faces with two equal corners: 1, first 12; left out",
+        "thing: faces that stand twice: 1, first 13; left out once",
+    )  # fmt: skip
+
+
+def test_vertices_without_a_face_do_not_matter_whatever_they_are():
+    assert len(mended(np.vstack((POINTS, [[np.nan, 0, 0]])), FACES).points) == 8
+
+
+def test_a_mesh_that_is_wholly_inside_out_is_turned():
+    mended(POINTS, FACES[:, ::-1], "thing: mesh is inside out; faces: 12; turned outward")
+
+
+@pytest.mark.parametrize("turn", [1, -1])
+def test_a_cavity_stays_a_cavity_when_the_mesh_is_right_and_when_it_is_inside_out(turn):
+    points = np.vstack((POINTS, 0.5 * POINTS))
+    faces = np.vstack((FACES, FACES[:, ::-1] + 8))[:, ::turn]
+    lines = [] if turn == 1 else ["thing: mesh is inside out; faces: 24; turned outward"]
+    mended(points, faces, *lines, volume_mm3=6000 * (1 - 1 / 8))
+
+
+def test_one_body_of_several_that_is_inside_out_is_turned():
+    points = np.vstack((POINTS, 0.5 * POINTS + [40, 0, 0]))
+    faces = np.vstack((FACES, FACES[:, ::-1] + 8))
+    line = "thing: a body that is no cavity is inside out; faces: 12; turned outward"
+    mended(points, faces, line, volume_mm3=6000 * (1 + 1 / 8))
+
+
+def test_two_boxes_that_share_a_face_within_one_mesh_are_closed():
+    twice = np.vstack((POINTS, POINTS + np.array((10, 0, 0))))
+    mended(twice, np.vstack((FACES, FACES + 8)), volume_mm3=12000)
+
+
+def test_an_empty_mesh_is_refused():
+    refused(np.zeros((0, 3)), np.zeros((0, 3), int), "thing: mesh has 0 faces")
+
+
+def test_a_hole_is_refused_with_the_count_of_edges_and_the_first_of_them():
+    refused(POINTS, FACES[1:], r"thing: edges of a hole .*: 3, first \d-\d, \d-\d, \d-\d; allowed")
+
+
+def test_an_open_sheet_is_refused():
+    refused([[0, 0, 0], [9, 0, 0], [0, 9, 0]], [[0, 1, 2]], "open sheet, on one face only: 3")
+
+
+def test_mixed_winding_is_refused_with_the_count_of_edges():
+    faces = FACES.copy()
+    faces[0] = faces[0, ::-1]
+    refused(POINTS, faces, "edges wound both ways.*: 3, first")
+
+
+def test_a_fin_on_a_closed_mesh_is_refused():
+    refused(np.vstack((POINTS, [[50, 0, 0]])), np.vstack((FACES, [[0, 1, 8]])), "do not close: 1, first 0-1")
+
+
+def test_edges_of_a_refused_soup_are_named_by_the_vertices_that_the_user_has():
+    soup = POINTS[FACES[1:]].reshape(-1, 3)
+    solid = mend(soup, np.arange(33).reshape(-1, 3), "thing")
+    place = {tuple(p) for pair in solid.refused[0].first for p in soup[list(map(int, pair.split("-")))]}
+    assert place <= {tuple(p) for p in POINTS[FACES[0]]}
+
+
+def test_a_sheet_of_two_sides_has_no_volume_and_is_refused():
+    refused([[0, 0, 0], [9, 0, 0], [0, 9, 0]], [[0, 1, 2], [0, 2, 1]], "mesh has no volume")
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_vertices_that_are_not_finite_are_refused_with_the_first_of_them(value):
+    points = POINTS.copy()
+    points[[3, 5], 1] = value
+    refused(points, FACES, "thing: vertices that are not finite: 2, first 3, 5; allowed: finite")
+
+
+@pytest.mark.parametrize("vertex", [-1, 8])
+def test_faces_with_vertices_that_are_not_there_are_refused(vertex):
+    faces = FACES.copy()
+    faces[7, 2] = vertex
+    refused(POINTS, faces, "vertices that are not there: 1, first 7; allowed: vertices 0 to 7")

@@ -1,0 +1,348 @@
+"""Scenes that break ray casters, each with its exact answer or its refusal, by both engines."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.testing import assert_allclose
+from test_raycast import ENGINES, alone, ball, box, box_length, convex_chord, detector, moved, rays
+
+from pssf import InputError, PlaneWaves, Scene, Surface, simulate, trace
+from pssf.geometry import View, view_of
+
+# float64 against float64: the engines' own error, without that of storing.
+SCANLINE_MM, EMBREE_MM = 1e-6, 1e-4
+BOUND_MM = {"scanline": SCANLINE_MM, "embree": EMBREE_MM}
+pytestmark = pytest.mark.parametrize("engine", ENGINES)
+
+
+def path(mesh, view, engine):
+    """(rows, cols) path in a mesh, after asking that no ray was left unrepaired."""
+    paths = trace(alone(mesh) if isinstance(mesh, trimesh.Trimesh) else mesh, view, engine=engine, precision="float64")
+    assert paths.audit.unrepaired == 0
+    return paths.path_mm["water"]
+
+
+def towards(rows=33, cols=33, pixel_mm=2.0, source=(0.0, -900.0, 0.0), centre=(0.0, 200.0, 0.0)):
+    return View(source_mm=source, centre_mm=centre, rows=rows, cols=cols, pixel_mm=pixel_mm)
+
+
+def anything(*surfaces):
+    return Scene(surfaces, size_mm=(0.0, np.inf))
+
+
+def water(mesh, name="thing"):
+    return Surface(mesh, inside="water", outside="air", name=name)
+
+
+def test_a_ray_through_a_vertex_meets_the_solid_once(engine):
+    mesh = trimesh.creation.icosahedron()
+    mesh.apply_scale(30.0)
+    aimed = mesh.vertices[np.argmin(mesh.vertices[:, 1])]
+    view = towards(rows=1, cols=1, centre=tuple(np.array([0, -900, 0]) + (aimed - [0, -900, 0]) * 1.3))
+    assert_allclose(path(mesh, view, engine), convex_chord(mesh, view), rtol=0, atol=BOUND_MM[engine])
+
+
+def test_rays_along_an_edge_and_in_the_plane_of_a_face_give_between_nothing_and_all(engine):
+    # With the source above a face's plane's edge, the middle column of rays runs in the plane x = 0.
+    mesh = box(20, 20, 20, at=(10.0, 0.0, 0.0))
+    chord = path(mesh, towards(cols=3, pixel_mm=1.0), engine)
+    whole = np.linalg.norm(rays(towards(cols=3, pixel_mm=1.0))[1], axis=-1) / 1100 * 20
+    assert (chord[:, 1] >= 0).all()
+    assert (chord[:, 1] <= whole[:, 1] + 1e-9).all()
+    assert_allclose(chord[:, 0], 0, atol=1e-12)
+
+
+def test_vertices_and_edges_exactly_on_pixel_rows_and_columns_count_once(engine):
+    # The box's front projects to whole pixels: 10 mm x 1100/880 = 12.5 mm = 5 pixels of 2.5 mm.
+    mesh = box(20, 40, 20)
+    view = towards(rows=15, cols=15, pixel_mm=2.5)
+    inner = np.s_[4:11, 4:11]
+    assert_allclose(path(mesh, view, engine)[inner], convex_chord(mesh, view)[inner], rtol=0, atol=BOUND_MM[engine])
+    assert_allclose(path(mesh, view, engine)[[0, -1]], 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("at", [(0.0, 0.0, 0.0), (7.0, 3.0, -5.0)])
+def test_from_a_source_inside_the_solid_the_path_is_that_in_front_of_it(engine, at):
+    mesh = ball(60.0, at=(0.0, -900.0, 0.0))
+    view = towards(source=tuple(np.array([0.0, -900.0, 0.0]) + at))
+    assert_allclose(path(mesh, view, engine), convex_chord(mesh, view), rtol=0, atol=BOUND_MM[engine])
+
+
+@pytest.mark.parametrize("y_mm", [-930.0, -900.0, -870.0])
+def test_of_a_mesh_across_the_plane_of_the_source_the_part_in_front_counts(engine, y_mm):
+    mesh = box(30, 100, 30, at=(40.0, y_mm, 0.0), turn_deg=(10.0, 20.0, 30.0))
+    view = towards(rows=65, cols=65, pixel_mm=60.0)
+    expected = convex_chord(mesh, view)
+    assert expected.max() > 10
+    assert_allclose(path(mesh, view, engine), expected, rtol=0, atol=BOUND_MM[engine])
+
+
+def test_of_a_ring_around_the_source_the_part_in_front_counts(engine):
+    mesh = moved(trimesh.creation.annulus(r_min=50, r_max=60, height=80, sections=200), at=(0.0, -900.0, 0.0))
+    view = towards(pixel_mm=4.0)
+    # The middle row is in the plane of the ring, whose walls are polygons: within the sagitta of 10 mm.
+    assert_allclose(path(mesh, view, engine)[16], 10.0, rtol=0, atol=60 * (1 - np.cos(np.pi / 200)))
+
+
+def test_a_mesh_behind_the_source_gives_nothing(engine):
+    assert not path(ball(30.0, at=(0.0, -1000.0, 0.0)), towards(), engine).any()
+
+
+def test_from_a_source_on_a_face_that_all_rays_enter_by_the_path_is_that_inside(engine):
+    mesh = box(40, 40, 40, at=(0.0, -880.0, 0.0))
+    assert_allclose(path(mesh, towards(), engine), convex_chord(mesh, towards()), rtol=0, atol=BOUND_MM[engine])
+
+
+def test_a_source_on_a_surface_that_some_rays_enter_and_some_do_not_is_refused(engine):
+    with pytest.raises(InputError, match="thing: the source lies on it"):
+        path(box(40, 40, 40, at=(20.0, -900.0, 0.0)), towards(), engine)
+
+
+@pytest.mark.parametrize("y_mm", [150.0, 200.0, 230.0, 300.0])
+def test_of_a_mesh_across_the_detector_the_part_in_front_counts(engine, y_mm):
+    mesh = ball(40.0, at=(3.0, y_mm, 2.0))
+    assert_allclose(path(mesh, towards(), engine), convex_chord(mesh, towards()), rtol=0, atol=BOUND_MM[engine])
+
+
+@pytest.mark.parametrize("joined", ["two surfaces", "one mesh"])
+def test_two_boxes_that_share_a_face_are_as_one_box(engine, joined):
+    near, far = box(30, 20, 30, at=(0.0, -10.0, 0.0)), box(30, 20, 30, at=(0.0, 10.0, 0.0))
+    if joined == "one mesh":
+        scene = alone(trimesh.util.concatenate([near, far]))
+    else:
+        scene = Scene([water(near, "near"), water(far, "far")])
+    assert_allclose(
+        path(scene, towards(), engine), convex_chord(box(30, 40, 30), towards()), rtol=0, atol=BOUND_MM[engine]
+    )
+
+
+@pytest.mark.parametrize("joined", ["two surfaces", "one mesh"])
+def test_a_shell_of_a_thousandth_of_a_millimetre_has_its_thickness(engine, joined):
+    outer, inner = box(60, 60, 60), box(59.998, 59.998, 59.998)
+    if joined == "one mesh":
+        inner.invert()
+        scene = alone(trimesh.util.concatenate([outer, inner]))
+    else:
+        scene = Scene([water(outer), Surface(inner, "muscle", "water", "inner")])
+    view = towards(pixel_mm=1.9)
+    expected = convex_chord(outer, view) - convex_chord(box(59.998, 59.998, 59.998), view)
+    assert_allclose(path(scene, view, engine), expected, rtol=0, atol=1e-9 if engine == "scanline" else 1e-5)
+
+
+def test_needles_of_aspect_a_million_leak_nothing(engine):
+    # A cylinder of long thin triangles: 60 mm high, its sides 6e-5 mm wide over a part of the circle.
+    angle = np.unique(np.concatenate((np.linspace(0, 2 * np.pi, 60)[:-1], 1.0 + np.arange(40) * 2e-6)))
+    ring = np.column_stack((30 * np.cos(angle), 30 * np.sin(angle)))
+    mesh = moved(prism(ring, 60.0), turn_deg=(25.0, 35.0, 15.0))
+    view = towards(rows=97, cols=97, pixel_mm=0.9)
+    assert_allclose(path(mesh, view, engine), convex_chord(mesh, view), rtol=0, atol=BOUND_MM[engine])
+
+
+def prism(ring, height_mm):
+    """Right prism over a convex ring (n, 2), of needles on its sides and fans at its ends."""
+    n = len(ring)
+    points = np.vstack(
+        (np.column_stack((ring, np.full(n, -height_mm / 2))), np.column_stack((ring, np.full(n, height_mm / 2))))
+    )
+    one, other = np.arange(n), (np.arange(n) + 1) % n
+    fan = np.column_stack((np.zeros(n - 2, int), one[1:-1], one[2:]))
+    sides = np.vstack((np.column_stack((one, other, other + n)), np.column_stack((one, other + n, one + n))))
+    return trimesh.Trimesh(points, np.vstack((sides, fan[:, ::-1], fan + n)), process=False)
+
+
+def test_duplicate_and_degenerate_faces_are_left_out_with_a_notice(engine):
+    mesh = box(30, 30, 30)
+    faces = np.vstack((mesh.faces, mesh.faces[3:5], [[2, 2, 5]]))
+    with pytest.warns(UserWarning, match="left out"):
+        chord = path(trimesh.Trimesh(mesh.vertices, faces, process=False), towards(), engine)
+    assert_allclose(chord, convex_chord(mesh, towards()), rtol=0, atol=BOUND_MM[engine])
+
+
+def test_slivers_without_area_that_close_a_seam_change_nothing(engine):
+    # The edge 0-1 of a face is split by a vertex in its middle; a face of no area takes the other side of it.
+    mesh = box(30, 30, 30)
+    face = mesh.faces[0]
+    middle = mesh.vertices[face[:2]].mean(axis=0)
+    faces = np.vstack((mesh.faces[1:], [[face[0], 8, face[2]], [8, face[1], face[2]], [face[0], face[1], 8]]))
+    seamed = trimesh.Trimesh(np.vstack((mesh.vertices, middle)), faces, process=False)
+    assert_allclose(path(seamed, towards(), engine), convex_chord(mesh, towards()), rtol=0, atol=BOUND_MM[engine])
+
+
+@pytest.mark.parametrize("fault", ["hole", "winding", "nan", "infinite", "empty"])
+def test_what_has_no_right_answer_is_refused_before_any_tracing(engine, fault):
+    mesh = box(30, 30, 30)
+    points, faces = np.array(mesh.vertices), np.array(mesh.faces)
+    if fault == "hole":
+        faces, line = faces[1:], "edges of a hole or an open sheet, on one face only: 3"
+    elif fault == "winding":
+        faces[2], line = faces[2, ::-1], "edges wound both ways, at which two faces disagree what is outside: 3"
+    elif fault == "empty":
+        faces, line = faces[:0], "mesh has 0 faces"
+    else:
+        points[2, 0], line = (np.nan if fault == "nan" else np.inf), "vertices that are not finite: 1, first 2"
+    with pytest.raises(InputError, match=f"thing: {line}"):
+        path(trimesh.Trimesh(points, faces, process=False), towards(), engine)
+
+
+def test_inverted_normals_are_turned_with_a_notice(engine):
+    mesh = ball(30.0)
+    mesh.invert()
+    with pytest.warns(UserWarning, match="thing: mesh is inside out; faces: 1280; turned outward"):
+        chord = path(mesh, towards(), engine)
+    assert_allclose(chord, convex_chord(ball(30.0), towards()), rtol=0, atol=BOUND_MM[engine])
+
+
+def test_where_a_mesh_overlaps_itself_path_counts_as_often_as_it_goes_around(engine):
+    near, far = ball(20.0, at=(0.0, -10.0, 0.0)), ball(20.0, at=(0.0, 10.0, 3.0))
+    both = trimesh.util.concatenate([near, far])
+    expected = convex_chord(near, towards()) + convex_chord(far, towards())
+    assert_allclose(path(both, towards(), engine), expected, rtol=0, atol=2 * BOUND_MM[engine])
+
+
+def test_five_million_triangles(engine):
+    mesh = globe(1291, 1937, 60.0)
+    assert len(mesh.faces) > 5_000_000 - 5_000
+    view = towards(rows=24, cols=24, pixel_mm=5.0)
+    _, way = rays(view)
+    unit = way / np.linalg.norm(way, axis=-1, keepdims=True)
+    sphere = 2 * np.sqrt(np.maximum(60.0**2 - (900.0**2 - (unit[..., 1] * 900.0) ** 2), 0.0))
+    # A chord of the polyhedron is short by the sagitta over the cosine; grazing rays are left out.
+    steep = sphere > 30.0
+    assert_allclose(path(mesh, view, engine)[steep], sphere[steep], rtol=0, atol=1e-3)
+
+
+def globe(rings, around, radius_mm):
+    """A sphere of about 2 x rings x around triangles, by latitude and longitude."""
+    latitude = np.linspace(0, np.pi, rings + 1)[1:-1, None]
+    longitude = np.arange(around) * 2 * np.pi / around
+    parts = (
+        np.sin(latitude) * np.cos(longitude),
+        np.sin(latitude) * np.sin(longitude),
+        np.cos(latitude) + 0 * longitude,
+    )
+    points = np.vstack((np.stack(parts, -1).reshape(-1, 3), [[0, 0, 1], [0, 0, -1]])) * radius_mm
+    one = np.arange(rings - 2)[:, None] * around + np.arange(around)
+    other = np.arange(rings - 2)[:, None] * around + (np.arange(around) + 1) % around
+    sides = [(one, one + around, other), (other, one + around, other + around)]
+    first, second, last = one[0], other[0], (rings - 2) * around
+    caps = [
+        (np.full(around, len(points) - 2), first, second),
+        (np.full(around, len(points) - 1), last + second, last + first),
+    ]
+    faces = np.vstack([np.stack(part, -1).reshape(-1, 3) for part in sides + caps])
+    return trimesh.Trimesh(points, faces, process=False)
+
+
+def test_coordinates_a_hundred_metres_from_the_origin_cost_no_accuracy(engine):
+    away = np.array([1e5, -1e5, 1e5])
+    mesh = ball(30.0, at=tuple(away), turn_deg=(20.0, 30.0, 40.0))
+    view = towards(source=tuple(away - (0, 900, 0)), centre=tuple(away + np.array((0, 200, 0))))
+    assert_allclose(path(mesh, view, engine), convex_chord(mesh, view), rtol=0, atol=BOUND_MM[engine])
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(1, 1), (1, 4096), (4096, 1)])
+def test_detectors_of_one_pixel_and_of_one_line(engine, rows, cols):
+    view = towards(rows=rows, cols=cols, pixel_mm=0.02)
+    mesh = ball(30.0)
+    assert_allclose(path(mesh, view, engine), convex_chord(mesh, view), rtol=0, atol=BOUND_MM[engine])
+
+
+def test_a_solid_between_the_centres_of_the_pixels_is_met_by_no_ray(engine):
+    view = towards(rows=2, cols=2, pixel_mm=20.0)
+    assert not path(anything(water(box(3, 3, 3))), view, engine).any()
+
+
+@pytest.mark.parametrize("pixel_mm", [0.001, 50.0])
+def test_pixels_of_a_thousandth_and_of_fifty_millimetres(engine, pixel_mm):
+    view = towards(pixel_mm=pixel_mm)
+    mesh = ball(30.0, turn_deg=(5.0, 6.0, 7.0))
+    assert_allclose(path(mesh, view, engine), convex_chord(mesh, view), rtol=0, atol=BOUND_MM[engine])
+
+
+def test_a_cone_of_170_degrees(engine):
+    # The half side of the detector is 1100 mm x tan 85 degrees.
+    view = towards(rows=65, cols=65, pixel_mm=2 * 1100 * np.tan(np.deg2rad(85)) / 64)
+    mesh = box(500, 400, 500, at=(0.0, -640.0, 0.0))
+    expected = convex_chord(mesh, view)
+    assert (expected > 0).mean() > 0.002
+    assert_allclose(path(mesh, view, engine), expected, rtol=0, atol=BOUND_MM[engine])
+    wide = box(11000, 80, 11000)
+    assert_allclose(
+        path(anything(water(wide)), view, engine), convex_chord(wide, view), rtol=0, atol=BOUND_MM[engine] * 10
+    )
+
+
+def test_large_faces_seen_edge_on_do_not_leak(engine):
+    # Plates whose planes hold the source, or miss it by a hair; every pixel beside them is exact.
+    for off_mm in (0.0, 1e-9, 1e-5):
+        mesh = box(20, 200, 60, at=(10.0 + off_mm, 0.0, 0.0))
+        view = towards(rows=65, cols=65, pixel_mm=0.5)
+        chord, expected = path(mesh, view, engine), convex_chord(mesh, view)
+        beside = np.ones(65, bool)
+        beside[32] = False
+        assert_allclose(chord[:, beside], expected[:, beside], rtol=0, atol=BOUND_MM[engine])
+        assert (chord[:, 32] >= -1e-9).all()
+        assert (chord[:, 32] < 210).all()
+
+
+def test_a_cavity_is_empty_and_several_bodies_add_up(engine):
+    outer, hollow, other = ball(30.0), ball(15.0, at=(3.0, 2.0, 1.0)), ball(10.0, at=(50.0, 0.0, 0.0))
+    expected = convex_chord(outer, towards()) - convex_chord(hollow, towards()) + convex_chord(other, towards())
+    hollow.invert()
+    mesh = trimesh.util.concatenate([outer, hollow, other])
+    assert_allclose(path(mesh, towards(), engine), expected, rtol=0, atol=3 * BOUND_MM[engine])
+
+
+def test_triangle_soup_as_stl_gives_it_is_welded(engine):
+    mesh = ball(30.0)
+    soup = trimesh.Trimesh(mesh.triangles.reshape(-1, 3), np.arange(3 * 1280).reshape(-1, 3), process=False)
+    with pytest.warns(UserWarning, match="thing: corners equal to another: 3198, .*; welded"):
+        chord = path(soup, towards(), engine)
+    assert_allclose(chord, convex_chord(mesh, towards()), rtol=0, atol=BOUND_MM[engine])
+
+
+@pytest.mark.parametrize("source", [(0.0, -900.0, 0.0), (4.0, 2.0, 3.0)])
+def test_a_density_is_integrated_between_the_crossings(engine, source):
+    wave = PlaneWaves(
+        mean=0.8, amplitudes=(0.3, 0.2), waves_per_mm=((0.4, 0.3, -0.2), (0.0, 2.0, 0.0)), phases=(0.5, 1.0)
+    )
+    shell, core = ball(30.0), ball(20.0, at=(3.0, 2.0, 1.0))
+    view = towards(source=source)
+    scene = Scene([
+        Surface(shell, "water", "air", "shell", inside_density=wave),
+        Surface(core, "muscle", "water", "core", outside_density=wave),
+    ])  # fmt: skip
+    found = path(scene, view, engine)
+    assert_allclose(found, between(shell, view, wave) - between(core, view, wave), rtol=0, atol=5 * BOUND_MM[engine])
+    assert_allclose(trace(scene, view, engine=engine).path_mm["muscle"], convex_chord(core, view), atol=1e-4)
+
+
+def between(mesh, view, density):
+    """(rows, cols) integral of a density inside a convex mesh, by where rays enter and leave its half-spaces."""
+    source, way = rays(view)
+    normals = np.cross(*(mesh.triangles[:, corner] - mesh.triangles[:, 0] for corner in (1, 2)))
+    heights, slopes = ((mesh.triangles[:, 0] - source) * normals).sum(axis=1), way.reshape(-1, 3) @ normals.T
+    with np.errstate(divide="ignore"):
+        at = heights / slopes
+    near = np.maximum(np.where(slopes < 0, at, 0.0).max(axis=1), 0.0)[:, None]
+    far = np.maximum(np.minimum(np.where(slopes > 0, at, 1.0).min(axis=1), 1.0)[:, None], near)
+    ends = (source + part * way.reshape(-1, 3) for part in (near, far))
+    return density.integrate(*ends).reshape(view.rows, view.cols)
+
+
+def test_an_image_can_be_made_with_the_detector_inside_the_scene(engine):
+    protocol = replace(detector(), rows=32, cols=32, pixel_mm=4.0)
+    radiograph = simulate(alone(ball(60.0, at=(0.0, view_of(protocol).centre_mm[1], 0.0))), protocol, engine=engine)
+    assert radiograph.audit["unrepaired"] == 0
+    assert radiograph.pixels.min() < radiograph.pixels.max()
+
+
+def test_the_box_of_the_ambient_ends_at_the_source_and_at_the_detector(engine):
+    scene = alone(ball(1500.0, at=(0.0, -300.0, 0.0)))
+    paths = trace(scene, towards(), engine=engine, materials=("air", "water"), precision="float64")
+    length = np.linalg.norm(rays(towards())[1], axis=-1)
+    assert_allclose(paths.path_mm["air"] + paths.path_mm["water"], length, rtol=1e-9)
+    assert_allclose(paths.path_mm["water"], length, rtol=1e-9)
+    assert box_length(scene.bounds_mm, towards()).max() > 1000
