@@ -123,11 +123,24 @@ def study(
 
 
 @app.command()
-def accuracy(out: Out, workers: Workers = 2) -> None:
-    """Error against run time on this machine, as tables (CSV)."""
-    from .accuracy import measure
+def accuracy(
+    out: Out,
+    tables: Annotated[
+        str, typer.Option(help="engines, growth, agreement, spectrum, stages, physics, knees, or all.")
+    ] = "all",
+    knees: Annotated[int, typer.Option(help="Random knees that both engines are compared on.")] = 30,
+    workers: Workers = 2,
+) -> None:
+    """Error against run time on this machine, as tables (CSV) and a figure."""
+    from .accuracy import TABLES, measure
 
-    for path in measure(out, workers=workers):
+    require_whole("knees", knees, 1, 100_000, "")
+    wanted = TABLES if tables == "all" else tuple(name.strip() for name in tables.split(","))
+    with _waiting("measuring") as status:
+        paths = measure(
+            out, workers=workers, tables=wanted, knees=knees, progress=lambda what: status.update(f"measuring: {what}")
+        )
+    for path in paths:
         print(path)
 
 

@@ -6,43 +6,94 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose
 
-from pssf import accuracy, load_protocol
+from pssf import InputError, accuracy, load_protocol
+from pssf.accuracy import agreement, engines, figure, solids, stages
 from pssf.geometry import view_of
 
 
-def test_engines_meet_the_exact_polyhedron_and_leave_no_ray_unrepaired():
-    rows = accuracy.engine_rows(2, subdivisions=(3,), sides=(128,))
-    assert [row["engine"] for row in rows] == ["embree", "scanline"]
+def test_engines_meet_the_exact_polyhedron_and_leak_nothing():
+    rows = engines.engine_rows(2, triangles=(1000,), sides=(64, 128), runs=1)
+    assert {(row["engine"], row["precision"]) for row in rows} == {
+        (engine, precision) for engine in ("embree", "scanline") for precision in ("float32", "float64")
+    }
     for row in rows:
-        assert row["engine_error_mm"] < 1e-5
-        assert row["unrepaired"] == 0
+        assert row["engine_error_mm"] < (1e-5 if row["precision"] == "float32" else 1e-9)
+        assert row["differs_mm"] < 1e-5
+        assert row["leaked"] == 0
         assert row["seconds"] > 0
+        assert 50 < row["peak_mb"] < 5000
 
 
-def test_more_nodes_of_the_spectrum_err_less():
-    errors = [row["max_relative_error"] for row in accuracy.spectrum_rows((4, 12, 36))]
-    assert errors[0] > errors[1] > errors[2]
-    assert errors[2] < 1e-3
+def test_a_quadrupled_image_in_quadrupled_time_grows_with_exponent_one():
+    rows = [
+        {"engine": "scanline", "triangles": 100_000, "pixels": pixels, "precision": "float32", "seconds": seconds}
+        for pixels, seconds in ((1000, 0.1), (4000, 0.4), (16000, 0.8))
+    ]
+    found = [row for row in accuracy.growth_rows(rows) if row["grows_with"] == "pixels"]
+    assert [row["exponent"] for row in found] == [1.0, 0.5]
+
+
+def test_both_engines_agree_on_random_knees_from_random_sides():
+    rows = agreement.agreement_rows(3, 2, side=192)
+    assert [row["knee"] for row in rows] == [0, 1, 2]
+    for row in rows:
+        assert row["differs_mm"] < 2e-4
+        assert row["unrepaired"] == 0
+    assert rows[-1]["rays_so_far"] == sum(row["rays"] for row in rows)
+
+
+@pytest.mark.parametrize("triangles", [1000, 20_000])
+def test_a_globe_is_a_closed_convex_ball_of_about_so_many_triangles(triangles):
+    mesh = solids.globe(triangles, 60.0)
+    assert abs(len(mesh.faces) / triangles - 1) < 0.1
+    assert mesh.is_watertight
+    assert mesh.is_convex
+    assert 0.95 < mesh.volume / (4 / 3 * np.pi * 60**3) < 1
 
 
 def test_the_exact_chord_of_a_box_through_its_middle_is_its_depth():
     box = trimesh.creation.box(extents=(20, 30, 20))
     view = view_of(dataclasses.replace(load_protocol("reference"), rows=3, cols=3, pixel_mm=50.0))
     middle = np.array([[1, 1], [0, 0]])
-    assert_allclose(accuracy.polyhedron_chords(box, middle, view), [30.0, 0.0], rtol=1e-12)
-    assert_allclose(accuracy.sphere_chords(15.0, middle, view), [30.0, 0.0], rtol=1e-12)
+    assert_allclose(solids.polyhedron_chords(box, middle, view), [30.0, 0.0], rtol=1e-12)
+    assert_allclose(solids.sphere_chords(15.0, middle, view), [30.0, 0.0], rtol=1e-12)
 
 
-def test_a_whole_run_writes_its_tables(tmp_path, monkeypatch):
-    for name in ("engine_rows", "spectrum_rows", "stage_rows", "physics_rows", "knee_rows"):
+def test_the_best_front_is_what_nothing_beats_in_both():
+    points = [(1.0, 5.0), (2.0, 3.0), (2.5, 4.0), (3.0, 3.0), (9.0, 1.0)]
+    assert figure.best_front(points) == [(1.0, 5.0), (2.0, 3.0), (9.0, 1.0)]
+
+
+def test_the_figure_is_a_png():
+    row = {"engine_error_mm": 1e-6, "tessellation_rms_mm": 0.1, "seconds": 0.1, "triangles": 1000, "pixels": 65536}
+    rows = [{**row, "engine": e, "precision": p} for e in ("embree", "scanline") for p in ("float32", "float64")]
+    assert figure.draw(rows).startswith(b"\x89PNG")
+
+
+def test_more_nodes_of_the_spectrum_err_less():
+    errors = [row["max_relative_error"] for row in stages.spectrum_rows((4, 12, 36))]
+    assert errors[0] > errors[1] > errors[2]
+    assert errors[2] < 1e-3
+
+
+def test_a_run_writes_the_tables_that_are_asked_for(tmp_path, monkeypatch):
+    for name in ("spectrum_rows", "stage_rows", "physics_rows", "knee_rows", "agreement_rows"):
         monkeypatch.setattr(accuracy, name, lambda *a: [{"a": 1, "b": 2.5}])
-    paths = accuracy.measure(tmp_path / "out", workers=1)
-    assert [p.name for p in paths][:2] == ["engines.csv", "spectrum.csv"]
+    told = []
+    asked = ("spectrum", "stages", "agreement")
+    paths = accuracy.measure(tmp_path / "out", workers=1, tables=asked, progress=told.append)
+    assert [p.name for p in paths] == ["agreement.csv", "spectrum.csv", "stages.csv", "machine.json"]
+    assert told == ["agreement", "spectrum", "stages"]
     with open(paths[0]) as handle:
         assert list(csv.DictReader(handle)) == [{"a": "1", "b": "2.5"}]
 
 
+def test_an_unknown_table_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"table = 'engine'; allowed: .* \(did you mean 'engines'\?\)"):
+        accuracy.measure(tmp_path, tables=("engine",))
+
+
 @pytest.mark.slow
 def test_stages_are_measured_in_processes_of_their_own():
-    rows = accuracy.stage_rows(2)
+    rows = stages.stage_rows(2)
     assert [row["run"] for row in rows if row["engine"] == "embree"] == ["cold", "first", "second"]

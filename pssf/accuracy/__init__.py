@@ -1,0 +1,72 @@
+"""Error against run time, measured on the user's own machine.
+
+engines    ray casting: seconds, memory and error by engine, triangles, pixels and precision; how they grow
+agreement  both engines on random knees from random sides
+stages     the stages of simulate; nodes of the spectrum
+solids     spheres as polyhedra, and their exact chords
+figure     error against run time, drawn                      (extra "study")
+"""
+
+import os
+import platform
+from collections.abc import Callable, Collection
+from importlib.util import find_spec
+from pathlib import Path
+
+from ..checks import require_choice
+from ..files.atomic import write_bytes
+from ..files.records import write_csv, write_json
+from ..simulate import versions
+from ..validation import knee_rows, physics_rows
+from .agreement import agreement_rows
+from .engines import Row, engine_rows, growth_rows
+from .stages import spectrum_rows, stage_rows
+
+TABLES = ("engines", "growth", "agreement", "spectrum", "stages", "physics", "knees")
+
+
+def measure(
+    out: Path,
+    *,
+    workers: int = 2,
+    tables: Collection[str] = TABLES,
+    knees: int = 30,
+    progress: Callable[[str], None] = lambda line: None,
+) -> list[Path]:
+    """Measure what is asked for and write it as CSV, with machine.json and a figure; returns their paths.
+
+    tables    of TABLES; "growth" is worked out from "engines"
+    knees     how many both engines are compared on
+    progress  told what is being measured
+    raises    InputError for an unknown table, or a disk that is full or cannot be written
+    """
+    for name in tables:
+        require_choice("table", name, TABLES)
+    engines: list[Row] = []
+    if {"engines", "growth"} & set(tables):
+        progress("ray casting")
+        engines = engine_rows(workers)
+    jobs: dict[str, Callable[[], list[Row]]] = {
+        "engines": lambda: engines,
+        "growth": lambda: growth_rows(engines),
+        "agreement": lambda: agreement_rows(knees, workers),
+        "spectrum": spectrum_rows,
+        "stages": lambda: stage_rows(workers),
+        "physics": physics_rows,
+        "knees": knee_rows,
+    }
+    paths = []
+    for name in (name for name in TABLES if name in tables):
+        progress(name)
+        paths.append(out / f"{name}.csv")
+        write_csv(paths[-1], jobs[name]())
+    paths.append(out / "machine.json")
+    write_json(
+        paths[-1], {"machine": platform.processor() or platform.machine(), "cores": os.cpu_count(), **versions()}
+    )
+    if engines and find_spec("matplotlib"):
+        from .figure import draw
+
+        paths.append(out / "engines.png")
+        write_bytes(paths[-1], draw(engines))
+    return paths
