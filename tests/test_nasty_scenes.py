@@ -68,7 +68,8 @@ def test_from_a_source_inside_the_solid_the_path_is_that_in_front_of_it(engine, 
     mesh = ball(60.0, at=(0.0, -900.0, 0.0))
     view = towards(source=tuple(np.array([0.0, -900.0, 0.0]) + at))
     assert_allclose(path(mesh, view, engine), convex_chord(mesh, view), rtol=0, atol=BOUND_MM[engine])
-    assert trace(alone(mesh), view, engine=engine).audit.repaired < 20
+    # The 33 rays of the middle column may run along edges.
+    assert trace(alone(mesh), view, engine=engine).audit.repaired <= 33
 
 
 @pytest.mark.parametrize("y_mm", [-930.0, -900.0, -870.0])
