@@ -126,7 +126,7 @@ def study(
 def accuracy(
     out: Out,
     tables: Annotated[
-        str, typer.Option(help="engines, growth, agreement, spectrum, stages, physics, knees, or all.")
+        str, typer.Option(help="engines, growth, nested, stages, agreement, spectrum, physics, knees; or all.")
     ] = "all",
     knees: Annotated[int, typer.Option(help="Random knees that both engines are compared on.")] = 30,
     workers: Workers = 2,

@@ -140,3 +140,12 @@ def test_a_folder_of_another_cohort_is_refused_with_the_difference_named(tmp_pat
     records.claim(tmp_path / "cohort.json", {"seed": 1, "knees": [{"a": 1}, {"a": 2}]})
     with pytest.raises(pssf.InputError, match=r"knees\[1\].a = 2, asked for 3"):
         records.claim(tmp_path / "cohort.json", {"seed": 1, "knees": [{"a": 1}, {"a": 3}]})
+
+
+def test_a_mesh_that_bounds_no_solid_is_not_exported(tmp_path):
+    box = trimesh.creation.box()
+    inner = pssf.Surface(trimesh.Trimesh(), "muscle", "water", "inner")
+    scene = pssf.Scene([pssf.Surface(box, "water", "air"), inner])
+    with pytest.raises(pssf.InputError, match="inner: mesh has 0 faces"):
+        pssf.export_meshes(scene, tmp_path / "out")
+    assert not (tmp_path / "out").exists()

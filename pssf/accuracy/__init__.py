@@ -19,10 +19,11 @@ from ..files.records import write_csv, write_json
 from ..simulate import versions
 from ..validation import knee_rows, physics_rows
 from .agreement import agreement_rows
-from .engines import Row, engine_rows, growth_rows
+from .engines import Row, engine_rows, growth_rows, nested_rows
 from .stages import spectrum_rows, stage_rows
 
-TABLES = ("engines", "growth", "agreement", "spectrum", "stages", "physics", "knees")
+# Those that measure memory come first: a process that is started begins with the peak of the one that started it.
+TABLES = ("engines", "growth", "nested", "stages", "agreement", "spectrum", "physics", "knees")
 
 
 def measure(
@@ -49,9 +50,10 @@ def measure(
     jobs: dict[str, Callable[[], list[Row]]] = {
         "engines": lambda: engines,
         "growth": lambda: growth_rows(engines),
+        "nested": lambda: nested_rows(workers),
+        "stages": lambda: stage_rows(workers),
         "agreement": lambda: agreement_rows(knees, workers),
         "spectrum": spectrum_rows,
-        "stages": lambda: stage_rows(workers),
         "physics": physics_rows,
         "knees": knee_rows,
     }

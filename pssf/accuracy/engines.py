@@ -1,7 +1,7 @@
 """Ray casting, measured: engine x triangles x pixels x precision -> seconds, rays a second, memory, error, leaks."""
 
 import dataclasses
-import resource
+import sys
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from itertools import pairwise
@@ -48,6 +48,39 @@ def engine_rows(
     return rows
 
 
+def nested_rows(workers: int, runs: int = 3) -> list[Row]:
+    """Five nested spheroids of 30 to 75 mm, leg, cortex, trabeculae, marrow, water: seconds and memory of each engine.
+
+    100 k triangles in all on 2048 x 2048 pixels, and 3 M on 1024 x 1024; columns as in `engine_rows`
+    """
+    rows = []
+    for engine in ENGINES:
+        for triangles, side in ((100_000, 2048), (3_000_000, 1024)):
+            with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+                rows.append(pool.submit(_nested_row, engine, triangles, side, workers, runs).result())
+    return rows
+
+
+def _nested_row(engine: str, triangles: int, side: int, workers: int, runs: int) -> Row:
+    view = view_of(dataclasses.replace(load_protocol("reference"), rows=side, cols=side, pixel_mm=307.2 / side))
+    meshes = []
+    for radius_mm in (75.0, 65.0, 50.0, 40.0, 30.0):
+        meshes.append(globe(triangles // 5, radius_mm).apply_scale([1.0, 0.9, 1.3]))
+    names = ("air", "muscle", "cortical_bone", "trabecular_bone", "marrow", "water")
+
+    def job() -> Paths:
+        layers = zip(meshes, names[1:], names, strict=False)
+        scene = Scene([Surface(mesh, inside, outside, inside) for mesh, inside, outside in layers])
+        return trace(scene, view, engine=engine, workers=workers)
+
+    audit = job().audit
+    peak, seconds = peak_mb(), least_seconds(job, runs)
+    return {
+        "engine": engine, "triangles": sum(len(mesh.faces) for mesh in meshes), "pixels": side * side,
+        "seconds": round(seconds, 4), "peak_mb": peak, "repaired": audit.repaired, "unrepaired": audit.unrepaired,
+    }  # fmt: skip
+
+
 def growth_rows(engines: list[Row]) -> list[Row]:
     """How the seconds of `engine_rows` grow: exponents between neighbours, in pixels and in triangles."""
     rows = []
@@ -75,14 +108,14 @@ def _rows_of_mesh(engine: str, triangles: int, sides: tuple[int, ...], workers: 
         exact, ideal = polyhedron_chords(mesh, pixels, view), sphere_chords(_RADIUS_MM, pixels, view)
         timed = [_timed(mesh, view, engine, precision, workers, runs) for precision in PRECISIONS]
         other = trace(_scene(mesh), view, engine=_other(engine), precision="float64", workers=workers).path_mm["water"]
-        for precision, (seconds, peak_mb, paths) in zip(PRECISIONS, timed, strict=True):
+        for precision, (seconds, peak, paths) in zip(PRECISIONS, timed, strict=True):
             found = paths.path_mm["water"]
             apart = abs(found - other)
             sampled = found[pixels[:, 0], pixels[:, 1]]
             rows.append({
                 "engine": engine, "triangles": len(mesh.faces), "pixels": side * side, "precision": precision,
                 "seconds": round(seconds, 4), "million_rays_per_s": round(side * side / seconds / 1e6, 2),
-                "peak_mb": peak_mb, "engine_error_mm": _short(abs(sampled - exact).max()),
+                "peak_mb": peak, "engine_error_mm": _short(abs(sampled - exact).max()),
                 "tessellation_rms_mm": _short(((exact - ideal) ** 2).mean() ** 0.5),
                 "tessellation_max_mm": _short(abs(exact - ideal).max()), "differs_mm": _short(apart.max()),
                 "leaked": int((apart > _LEAK_MM).sum()) + paths.audit.unrepaired, "repaired": paths.audit.repaired,
@@ -97,8 +130,18 @@ def _timed(mesh: Any, view: View, engine: str, precision: str, workers: int, run
         return trace(_scene(mesh), view, engine=engine, precision=precision, workers=workers)
 
     paths = job()
-    peak_mb = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
-    return least_seconds(job, runs), peak_mb, paths
+    peak = peak_mb()
+    return least_seconds(job, runs), peak, paths
+
+
+def peak_mb() -> int:
+    """Most memory that this process has held, MB; 0 where the system does not tell (Windows)."""
+    try:
+        import resource
+    except ImportError:
+        return 0
+    unit = 1024**2 if sys.platform == "darwin" else 1024
+    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit)
 
 
 def least_seconds(job: Callable[[], object], runs: int) -> float:

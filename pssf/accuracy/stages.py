@@ -1,7 +1,6 @@
 """The stages of simulate, and the nodes of the spectrum, measured."""
 
 import os
-import resource
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
@@ -17,7 +16,7 @@ from ..files.atomic import empty_folder
 from ..knee import Knee
 from ..protocol import load_protocol
 from ..simulate import simulate
-from .engines import Row
+from .engines import Row, peak_mb
 
 
 def spectrum_rows(nodes: tuple[int, ...] = (4, 8, 12, 18, 28, 56)) -> list[Row]:
@@ -77,6 +76,5 @@ def _timed_runs(engine: str, workers: int, runs: tuple[str, ...]) -> list[Row]:
         radiograph = simulate(Knee(), protocol, seed=1, engine=engine, workers=workers)
         total = perf_counter() - start
         stages = {name: round(seconds, 3) for name, seconds in radiograph.seconds.items()}
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        rows.append({"engine": engine, "run": run, "seconds": round(total, 3), "peak_mb": round(peak), **stages})
+        rows.append({"engine": engine, "run": run, "seconds": round(total, 3), "peak_mb": peak_mb(), **stages})
     return rows

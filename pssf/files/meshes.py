@@ -9,6 +9,7 @@ import trimesh
 from trimesh.visual.material import PBRMaterial
 
 from ..checks import InputError, require, require_choice
+from ..mending import require_sound
 from ..scene import Scene, Surface
 from .atomic import folder, write_bytes
 
@@ -39,11 +40,13 @@ def export_meshes(
     formats       any of "stl", "ply", "glb"
     tolerance_mm  triangles may be merged as long as no surface moves by more, for smaller files; 0 keeps every one
     returns       the files written
-    raises        InputError for another format, or a disk that is full or cannot be written
+    raises        InputError for another format, a mesh that bounds no solid, or a disk that cannot be written
     """
     require("tolerance_mm", tolerance_mm, 0, 10, "mm")
     for name in formats:
         require_choice("format", name, FORMATS)
+    for surface in scene.surfaces:
+        require_sound(surface.solid)
     directory = folder(Path(directory))
     if tolerance_mm > 0:
         scene = Scene([_simplified(surface, tolerance_mm) for surface in scene.surfaces], scene.ambient)
@@ -57,7 +60,7 @@ def export_meshes(
             continue
         for name, surface in zip(names, scene.surfaces, strict=True):
             path = directory / f"{stem}-{name}.{kind}"
-            content = surface.mesh.export(file_type=kind)
+            content = _mesh(surface).export(file_type=kind)
             assert isinstance(content, bytes)
             write_bytes(path, content)
             written.append(path)
@@ -89,8 +92,13 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
     return mesh
 
 
+def _mesh(surface: Surface) -> trimesh.Trimesh:
+    """What the rays see of a surface."""
+    return trimesh.Trimesh(surface.solid.points, surface.solid.faces, process=False)
+
+
 def _simplified(surface: Surface, tolerance_mm: float) -> Surface:
-    mesh = manifold3d.Mesh64(np.array(surface.mesh.vertices), np.array(surface.mesh.faces, np.uint64))
+    mesh = manifold3d.Mesh64(surface.solid.points, surface.solid.faces.astype(np.uint64))
     reduced = manifold3d.Manifold(mesh).simplify(tolerance_mm).to_mesh64()
     faces = reduced.tri_verts.astype(np.int64)
     return replace(surface, mesh=trimesh.Trimesh(reduced.vert_properties[:, :3], faces, process=False))
@@ -106,7 +114,7 @@ def _coloured(surface: Surface) -> trimesh.Trimesh:
         roughnessFactor=0.7,
         doubleSided=True,
     )
-    mesh = trimesh.Trimesh(surface.mesh.vertices, surface.mesh.faces, process=False)
+    mesh = _mesh(surface)
     mesh.visual = trimesh.visual.TextureVisuals(material=material)
     mesh.metadata = {"inside": surface.inside, "outside": surface.outside, "unit": "mm"}
     return mesh
