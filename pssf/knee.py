@@ -10,12 +10,12 @@ from .checks import InputError, from_table, require, require_choice, require_who
 from .files import tables
 
 GRADES = (0, 1, 2)
-SITES = ("medial_femur", "lateral_femur", "medial_tibia", "lateral_tibia")
+SITES = ("medial_femur", "lateral_femur", "medial_tibia", "lateral_tibia", "medial_spine", "lateral_spine")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Osteophyte:
-    """A bony beak at a joint margin; size_mm is how far its tip stands out of the margin.
+    """A bony beak at a joint margin or on a tibial spine; size_mm is how far its tip stands out.
 
     raises  InputError for an unknown site or a size outside 0.2 to 6 mm
     """

@@ -59,7 +59,7 @@ def test_knees_at_the_corners_of_their_ranges_build(corner):
 
 def test_a_knee_without_room_for_its_osteophytes_is_refused():
     beaks = tuple(pssf.Osteophyte(site=site, size_mm=6.0) for site in pssf.knee.SITES)
-    with pytest.raises(pssf.InputError, match="femur and tibia overlap"):
+    with pytest.raises(pssf.InputError, match="and .* overlap by"):
         pssf.build(pssf.Knee(
             jsw_medial_mm=1.0, jsw_lateral_mm=1.0, stature_mm=1400.0, bone_scale=0.85, osteophytes=beaks,
             tibial_slope_deg=12.0, flexion_deg=15.0, rotation_deg=-10.0, varus_deg=-8.0,
@@ -86,22 +86,30 @@ def test_the_joint_line_lies_at_the_origin(knee, scene):
     assert row == pytest.approx((REFERENCE.rows - 1) / 2, abs=0.5)
 
 
-def test_an_osteophyte_stands_out_of_its_margin_by_its_size():
-    from pssf.anatomy.osteophytes import add_osteophytes
-
-    bare = bones.tibia(MEAN)
-    for size in (0.5, 1.0, 3.0):
-        beak = pssf.Osteophyte(site="medial_tibia", size_mm=size)
-        grown = add_osteophytes(bare, "tibia", (beak,), 1.0)
-        reach = mesh_of(grown.outer).vertices[:, 0].max() - mesh_of(bare.outer).vertices[:, 0].max()
-        assert reach == pytest.approx(size, abs=0.1)
-        assert grown.outer.volume() > bare.outer.volume()
+@pytest.mark.parametrize("site", pssf.knee.SITES)
+@pytest.mark.parametrize("size", [0.3, 1.0, 3.0, 6.0])
+def test_an_osteophyte_stands_out_by_its_size(site, size):
+    side, where = site.split("_")
+    make, grow = (bones.femur, bones.grown_femur) if where == "femur" else (bones.tibia, bones.grown_tibia)
+    beak = pssf.Osteophyte(site=site, size_mm=size)
+    bare, grown = make(MEAN, grow(MEAN, ())), make(MEAN, grow(MEAN, (beak,)))
+    reach = []
+    for bone in (bare, grown):
+        points = mesh_of(bone.outer).vertices
+        points = points[points[:, 0] * (1 if side == "medial" else -1) > 1]
+        low, high = (3.0, 10.0) if where == "femur" else (-7.0, 12.0)
+        joint = points[(points[:, 2] > low) & (points[:, 2] < high)]
+        reach.append(points[:, 2].max() if where == "spine" else abs(joint[:, 0]).max())
+    assert reach[1] - reach[0] == pytest.approx(size, abs=0.1)
+    assert grown.outer.volume() > bare.outer.volume()
+    assert (grown.inner - grown.outer).volume() == 0
 
 
 def test_a_thicker_subchondral_plate_takes_its_volume_from_trabecular_bone():
     thick = dataclasses.replace(MEAN, plate=1.5)
-    assert bones.tibia(thick).inner.volume() < bones.tibia(MEAN).inner.volume()
-    assert_allclose(bones.tibia(thick).outer.volume(), bones.tibia(MEAN).outer.volume(), rtol=1e-12)
+    normal, sclerotic = (bones.tibia(build, bones.grown_tibia(build, ())) for build in (MEAN, thick))
+    assert sclerotic.inner.volume() < normal.inner.volume()
+    assert_allclose(sclerotic.outer.volume(), normal.outer.volume(), rtol=1e-12)
 
 
 def shaft_angle_deg(knee):

@@ -1,7 +1,8 @@
 """anatomy.build     knee parameters        -> scene of closed meshes between named materials
 anatomy.truth_of  knee, scene, protocol  -> labels and landmarks on that radiograph
 
-bones        femur, tibia, fibula, patella as nested solids     osteophytes  beaks with a cortex of their own
+bones        femur, tibia, fibula, patella as nested solids     osteophytes  beaks that flow into the bone
+femur, tibia their outer shapes, blended                        implicit     fields, blends, settling onto them
 soft         skin, fat, muscle                                  joint        the pose that gives the joint spaces
 contours     projected outlines and the gap between them        solids       lofts, hulls, height fields, checks
 """
@@ -22,7 +23,6 @@ from ..scene import Scene, Surface
 from . import bones, soft
 from .contours import Gap, edges_of, measure_gap
 from .joint import half_ml_mm, solve_pose
-from .osteophytes import add_osteophytes
 from .solids import checked, mesh_of
 
 __all__ = ["build", "measured_jsw_mm", "truth_of"]
@@ -35,13 +35,13 @@ def build(knee: Knee) -> Scene:
     raises  InputError if a solid fails its checks, which the ranges of `Knee` exclude
     """
     shape = _shape(knee)
-    tibia = bones.tibia(shape)
-    pose = solve_pose(knee, shape, tibia.outer)
+    femur, tibia = bones.grown_femur(shape, knee.osteophytes), bones.grown_tibia(shape, knee.osteophytes)
+    pose = solve_pose(knee, shape, femur.outer, bones.standing(tibia.outer, shape))
     # The femur's tilt closes the joint; its shaft gives that tilt back, so that varus_deg is the angle of the shafts.
     shape = replace(shape, femur_valgus_deg=shape.femur_valgus_deg + pose.tilt_deg)
     parts = {
-        "femur": add_osteophytes(bones.femur(shape), "femur", knee.osteophytes, shape.scale),
-        "tibia": add_osteophytes(tibia, "tibia", knee.osteophytes, shape.scale),
+        "femur": bones.femur(shape, femur),
+        "tibia": bones.tibia(shape, tibia),
         "fibula": bones.fibula(shape),
         "patella": bones.patella(shape),
     }

@@ -8,10 +8,17 @@ from manifold3d import Manifold
 
 from ..checks import Array
 from ..files import tables
-from .solids import checked, column, height_field, hull, loft, ring
+from ..knee import Osteophyte
+from . import femur as femur_shape
+from . import tibia as tibia_shape
+from .implicit import settle
+from .osteophytes import Grown, grow
+from .solids import checked, column
 
 # Shafts end here, outside the beam of any protocol in the package and within the soft tissue's own length.
 SHAFT_END_MM = 180.0
+# Steps of 1.5 mm at most, down to the inside of the thickest cortex.
+_INWARD_STEPS = 6
 
 
 @dataclass(frozen=True)
@@ -54,11 +61,15 @@ def lean(sections: Array, pivot_mm: float, angle_deg: float, direction: int) -> 
     direction  +1: above the pivot, -1: below it
     """
     leaning = sections.copy()
-    beyond = np.maximum(direction * (sections[:, 0] - pivot_mm), 0.0)
-    # A smooth start over 15 mm keeps the metaphysis free of a kink.
-    beyond = np.where(beyond < 15.0, beyond**2 / 30.0, beyond - 7.5)
-    leaning[:, 4] += np.tan(np.deg2rad(angle_deg)) * beyond
+    leaning[:, 4] += sideways(sections[:, 0], pivot_mm, angle_deg, direction)
     return leaning
+
+
+def sideways(z_mm: Array, pivot_mm: float, angle_deg: float, direction: int) -> Array:
+    """(n,)  how far a leaning shaft is off to the side at heights z"""
+    beyond = np.maximum(direction * (z_mm - pivot_mm), 0.0)
+    # A smooth start over 15 mm keeps the metaphysis free of a kink.
+    return np.asarray(np.tan(np.deg2rad(angle_deg)) * np.where(beyond < 15.0, beyond**2 / 30.0, beyond - 7.5))
 
 
 def _levels(low_mm: float, high_mm: float, step_mm: float) -> Array:
@@ -69,75 +80,54 @@ def _none(z_mm: Array) -> Array:
     return np.zeros_like(z_mm)
 
 
-def condyle(side: str, build: Build, inset_mm: float) -> Manifold:
-    """One femoral condyle: sagittal arcs of three radii carried across its width, drawn in by `inset_mm`."""
-    table = tables.data("anatomy")["condyles"]
-    part, s = table[side], build.scale
-    back, front = np.deg2rad(table["posterior_from_deg"]), np.deg2rad(-table["anterior_from_deg"])
-    distal = part["distal"]
-    arcs = []
-    for radius, shift, start, end in (
-        (distal, 0.0, front, back),
-        (part["posterior"], part["back_y"], back, np.deg2rad(125)),
-        (part["anterior"], part["front_y"], np.deg2rad(-110), front),
-    ):
-        angle = np.linspace(start, end, 40)
-        # The smaller circles touch the distal one from inside where the arcs meet.
-        meet = back if radius == part["posterior"] else front
-        cy = shift + (distal - radius) * np.sin(meet) if radius != distal else 0.0
-        cz = distal - (distal - radius) * np.cos(meet) if radius != distal else distal
-        arcs.append((cy, cz, radius, angle))
-    u = np.sin(np.linspace(-np.pi / 2, np.pi / 2, 41))
-    outward = u * np.sign(part["centre_x"])
-    drop = sum(fall * np.maximum(outward, 0) ** power for fall, power in table["outer_fall"])
-    drop += sum(fall * np.maximum(-outward, 0) ** power for fall, power in table["inner_fall"])
-    points = []
-    for offset, fall in zip(u, drop, strict=True):
-        x = part["centre_x"] * s + offset * (part["half_width"] * s - inset_mm)
-        for cy, cz, radius, angle in arcs:
-            r = (radius - fall) * s - inset_mm
-            points.append(
-                np.column_stack((np.full(len(angle), x), cy * s + r * np.sin(angle), cz * s - r * np.cos(angle)))
-            )
-    return hull(np.vstack(points), f"femur {side} condyle")
+def _trimmed(solid: Manifold, direction: int, end_mm: float) -> Manifold:
+    """The solid up to a height; direction +1: below it, -1: above it."""
+    return solid.trim_by_plane((0.0, 0.0, -float(direction)), -direction * end_mm)
 
 
-def _notch(build: Build, grow_mm: float) -> Manifold:
-    table, s = tables.data("anatomy")["notch"], build.scale
-    (y0, z0), (y1, z1) = table["roof_front"], table["roof_back"]
-    slope = (z1 - z0) / (y1 - y0)
-    ends = np.array([y0 * s - grow_mm, 45.0 * s])
-    rings = []
-    for y in ends:
-        roof = (z0 + slope * (y / s - y0)) * s + grow_mm
-        low = -25.0 * s
-        half = table["half_width_mm"] * s + grow_mm
-        arch = ring(half, (roof - low) / 2, (0.0, (roof + low) / 2, 0.0), 3.0, 64)
-        # Drawn in x-y, then stood up: its y becomes z, so that the loft runs along y.
-        rings.append(np.column_stack((arch[:, 0], np.full(len(arch), y), arch[:, 1])))
-    return loft(np.array(rings)[::-1], "femur notch")
+def leaned(solid: Manifold, pivot_mm: float, angle_deg: float, direction: int) -> Manifold:
+    """The solid with its shaft leaning sideways by an angle beyond a pivot height, as `lean` does with sections."""
+
+    def move(points: Array) -> Array:
+        places = np.array(points)
+        places[:, 0] += sideways(places[:, 2], pivot_mm, angle_deg, direction)
+        return places
+
+    return solid.warp_batch(move)
 
 
-def femur(build: Build) -> Bone:
+def grown_femur(build: Build, osteophytes: tuple[Osteophyte, ...]) -> Grown:
+    """The outer femur at the mean man's size with a straight shaft, osteophytes and all."""
+    return grow(osteophytes, "femur", femur_shape.outer(), femur_shape.field, build.scale)
+
+
+def grown_tibia(build: Build, osteophytes: tuple[Osteophyte, ...]) -> Grown:
+    """The outer tibia at the mean man's size with a straight shaft and a level plateau, osteophytes and all."""
+    return grow(osteophytes, "tibia", tibia_shape.outer(), tibia_shape.field, build.scale)
+
+
+def femur(build: Build, grown: Grown) -> Bone:
     """Distal femur; z = 0 at the condyles' distal end, shaft leaning laterally by `femur_valgus_deg`."""
     table, s = tables.data("anatomy")["femur"], build.scale
-    sections = lean(scaled(table["sections"], s), table["shaft_pivot_z_mm"] * s, -build.femur_valgus_deg, +1)
+    sections = scaled(table["sections"], s)
     cortex = thickness(table["cortex"], s, build.cortex)
-    plate = table["plate_mm"] * build.cortex
-    low, high = sections[0, 0], SHAFT_END_MM
+    marrow = settle(
+        femur_shape.outer(),
+        femur_shape.field,
+        depth_mm=lambda points: cortex(points[:, 2] * s) / s,
+        steps=_INWARD_STEPS,
+    )
+    canal_levels = _levels(table["canal_from_z_mm"] * s, SHAFT_END_MM - 4.0, 2.5)
+    canal = _canal(sections, cortex, canal_levels, table["canal_full_z_mm"] * s, "femur canal")
 
-    def assembled(levels: Array, inset: Callable[[Array], Array], shell_mm: float) -> Manifold:
-        # The underside is nearly flat: there the shell is a rise of the sections, not only a drawing in.
-        rise = shell_mm * np.clip((30.0 * s - sections[:, :1]) / (10.0 * s), 0, 1)
-        body = column(sections + rise * np.eye(5)[0], inset, levels, "femur body")
-        both = condyle("medial", build, shell_mm) + condyle("lateral", build, shell_mm)
-        return checked(body + both - _notch(build, shell_mm), "femur")
+    def placed(solid: Manifold, end_mm: float) -> Manifold:
+        bent = leaned(solid, table["shaft_pivot_z_mm"] * s, -build.femur_valgus_deg, +1)
+        return checked(_trimmed(bent, +1, end_mm), "femur")
 
-    canal_levels = _levels(table["canal_from_z_mm"] * s, high - 4.0, 2.5)
     return Bone(
-        outer=assembled(_levels(low, high, 2.0), _none, 0.0),
-        inner=assembled(_levels(low + plate, high - 2.0, 2.0), cortex, plate),
-        canal=_canal(sections, cortex, canal_levels, table["canal_full_z_mm"] * s, "femur canal"),
+        outer=placed(grown.outer.scale((s, s, s)), SHAFT_END_MM),
+        inner=placed(grown.filled(marrow, s).scale((s, s, s)), SHAFT_END_MM - 2.0),
+        canal=placed(canal, SHAFT_END_MM),
     )
 
 
@@ -154,57 +144,55 @@ def _canal(sections: Array, cortex: Callable[[Array], Array], levels: Array, ful
     return column(sections, inset, levels, name)
 
 
-def relief(x_mm: Array, y_mm: Array, build: Build) -> Array:
-    """(nx, ny)  height of the tibial plateau: slope, a concave medial and a convex lateral side, two spines, a rim"""
-    table, s = tables.data("anatomy")["tibia"], build.scale
-    x, y = np.meshgrid(np.asarray(x_mm) / s, np.asarray(y_mm) / s, indexing="ij")
-    half_x, half_y = table["sections"][1][1:3]
-    height = -np.tan(np.deg2rad(build.slope_deg)) * y
-    height -= table["medial_dish_mm"] * np.maximum(0, 1 - ((x - 22) / 16) ** 2 - (y / 23) ** 2)
-    height -= table["lateral_dish_mm"] * np.maximum(0, 1 - ((x + 22) / 15) ** 2) * (x < 0)
-    height += table["lateral_crown_mm"] * np.maximum(0, 1 - (y / 21) ** 2) * np.clip(-x / 12, 0, 1)
-    for bump in (table["medial_spine"], table["lateral_spine"], {"x": 0.0, "y": 0.0, **table["eminence"]}):
-        height += bump["height"] * np.exp(
-            -(((x - bump["x"]) / bump["half_x"]) ** 2) - ((y - bump["y"]) / bump["half_y"]) ** 2
-        )
-    radius = (np.abs(x / half_x) ** 2.3 + np.abs(y / half_y) ** 2.3) ** (1 / 2.3)
-    height -= table["rim_mm"] * np.clip((radius - 0.88) / 0.12, 0, 2) ** 2
-    return height * s
-
-
 def tibia_column(build: Build, grow_mm: float) -> Manifold:
-    """The tibia without its relief, grown by `grow_mm`; used to keep the fibula clear of it."""
-    sections = _tibia_sections(build)
+    """The tibia's shaft and flare alone, grown by `grow_mm`; used to keep the fibula clear of it."""
+    table, s = tables.data("anatomy")["tibia"], build.scale
+    sections = lean(scaled(table["sections"], s), table["shaft_pivot_z_mm"] * s, build.tibia_varus_deg, -1)
     return column(
         sections, lambda z: np.full_like(z, -grow_mm), _levels(-SHAFT_END_MM - 10.0, 4.0, 3.0), "tibia column"
     )
 
 
-def _tibia_sections(build: Build) -> Array:
-    table, s = tables.data("anatomy")["tibia"], build.scale
-    return lean(scaled(table["sections"], s), table["shaft_pivot_z_mm"] * s, build.tibia_varus_deg, -1)
-
-
-def tibia(build: Build) -> Bone:
+def tibia(build: Build, grown: Grown) -> Bone:
     """Proximal tibia; z = 0 at the middle of the plateau, shaft leaning medially by `tibia_varus_deg`."""
     table, s = tables.data("anatomy")["tibia"], build.scale
-    sections = _tibia_sections(build)
+    sections = scaled(table["sections"], s)
     cortex = thickness(table["cortex"], s, build.cortex)
     plate = table["plate_mm"] * build.cortex * build.plate
-    low, high = -SHAFT_END_MM, sections[:, 0].max()
-    x, y = np.linspace(-44 * s, 44 * s, 111), np.linspace(-30 * s, 30 * s, 76)
-    top = relief(x, y, build)
-    bottom = low - 10.0
 
-    def capped(shaft: Manifold, drop_mm: float) -> Manifold:
-        return checked(shaft ^ height_field(x, y, top - drop_mm, bottom, "tibial plateau"), "tibia")
+    def depth(points: Array) -> Array:
+        # The plate under the cartilage passes into the cortex of the sides over its own first millimetres.
+        share = np.clip(1 + tibia_shape.above(points) / 3.0, 0.0, 1.0)
+        return ((1 - share) * cortex(points[:, 2] * s) + share * plate) / s
 
-    canal_levels = _levels(low + 4.0, table["canal_from_z_mm"] * s, 2.5)
+    marrow = settle(tibia_shape.outer(), tibia_shape.field, depth_mm=depth, steps=_INWARD_STEPS)
+    canal_levels = _levels(-SHAFT_END_MM + 4.0, table["canal_from_z_mm"] * s, 2.5)
+    canal = _canal(sections, cortex, canal_levels, table["canal_full_z_mm"] * s, "tibia canal")
     return Bone(
-        outer=capped(column(sections, _none, _levels(low, high, 2.0), "tibia shaft"), 0.0),
-        inner=capped(column(sections, cortex, _levels(low + 2.0, high, 2.0), "tibia marrow"), plate),
-        canal=_canal(sections, cortex, canal_levels, table["canal_full_z_mm"] * s, "tibia canal"),
+        outer=standing(grown.outer, build),
+        inner=standing(grown.filled(marrow, s), build, 2.0),
+        canal=_under(canal, build, 0.0),
     )
+
+
+def standing(solid: Manifold, build: Build, short_mm: float = 0.0) -> Manifold:
+    """A solid of the mean man's tibia at its size, its plateau sloping and its shaft leaning."""
+    s, slope = build.scale, np.tan(np.deg2rad(build.slope_deg))
+
+    def sloped(points: Array) -> Array:
+        places = np.array(points)
+        # The plateau falls backwards; the shaft below the tuberosity stays as it is.
+        places[:, 2] -= slope * places[:, 1] * np.clip(1 + places[:, 2] / (60.0 * s), 0.0, 1.0) ** 2
+        return places
+
+    return _under(solid.scale((s, s, s)).warp_batch(sloped), build, short_mm)
+
+
+def _under(solid: Manifold, build: Build, short_mm: float) -> Manifold:
+    """The solid with the shaft of the tibia leaning, cut off at its end or short of it."""
+    pivot_mm = tables.data("anatomy")["tibia"]["shaft_pivot_z_mm"] * build.scale
+    bent = leaned(solid, pivot_mm, build.tibia_varus_deg, -1)
+    return checked(_trimmed(bent, -1, -SHAFT_END_MM + short_mm), "tibia")
 
 
 def fibula(build: Build) -> Bone:

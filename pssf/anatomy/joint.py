@@ -10,7 +10,7 @@ from ..files import tables
 from ..geometry import View, magnification, project, view_of
 from ..knee import Knee
 from ..protocol import load_protocol
-from .bones import Build, condyle
+from .bones import Build
 from .contours import edges_of, measure_gap
 from .solids import mesh_of
 
@@ -70,15 +70,15 @@ def half_ml_mm(scale: float) -> float:
     return tables.data("anatomy")["size"]["male_tibial_ml_mm"] / 2 * scale
 
 
-def solve_pose(knee: Knee, build: Build, tibia: Manifold) -> Pose:
+def solve_pose(knee: Knee, build: Build, femur: Manifold, tibia: Manifold) -> Pose:
     """Tilt and height of the femur that give both joint spaces under `reference` (Newton on the projection).
 
-    tibia   outer solid without osteophytes, plateau at z = 0
+    femur   outer solid at the mean man's size, condyles' distal end at z = 0
+    tibia   outer solid of this knee, plateau at z = 0
     raises  InputError if the spaces cannot be met, which the ranges of `Knee` exclude
     """
     view = view_of(load_protocol("reference"))
-    femur = Manifold.compose([condyle("medial", build, 0.0), condyle("lateral", build, 0.0)])
-    meshes = [(mesh.vertices, edges_of(mesh.faces)) for mesh in (mesh_of(femur), mesh_of(tibia))]
+    meshes = [_lower(femur, build.scale), _upper(tibia)]
     wanted = np.array([knee.jsw_medial_mm, knee.jsw_lateral_mm])
     pose = Pose(
         0.0, wanted.mean() + 2.0, 0.0, knee.flexion_deg, knee.rotation_deg, (0.0, 2.0 * build.scale, 23.0 * build.scale)
@@ -103,6 +103,24 @@ def solve_pose(knee: Knee, build: Build, tibia: Manifold) -> Pose:
         f"jsw_medial_mm = {knee.jsw_medial_mm} mm with jsw_lateral_mm = {knee.jsw_lateral_mm} mm: no pose of the femur "
         f"gives both (left over: {np.abs(error).max():.3g} mm); allowed: spaces closer to each other"
     )
+
+
+# Of the femur only what is below this, and of the tibia only what is above, can be the edge of the joint space.
+_FEMUR_BELOW_MM, _TIBIA_ABOVE_MM = 24.0, -14.0
+
+
+def _lower(femur: Manifold, scale: float) -> tuple[Array, Array]:
+    """Vertices and edges of the scaled femur's lower end."""
+    mesh = mesh_of(femur)
+    edges = edges_of(mesh.faces)
+    return mesh.vertices * scale, edges[(mesh.vertices[edges, 2] < _FEMUR_BELOW_MM).any(axis=1)]
+
+
+def _upper(tibia: Manifold) -> tuple[Array, Array]:
+    """Vertices and edges of the tibia's upper end."""
+    mesh = mesh_of(tibia)
+    edges = edges_of(mesh.faces)
+    return mesh.vertices, edges[(mesh.vertices[edges, 2] > _TIBIA_ABOVE_MM).any(axis=1)]
 
 
 def _middle_mm(gaps: list, view: View) -> float:

@@ -1,54 +1,140 @@
-"""Osteophytes: beaks at the joint margins, each with a cortex of its own."""
+"""Osteophytes: beaks at the joint margins and on the spines that flow into the bone, each with a cortex of its own."""
+
+from dataclasses import dataclass
 
 import numpy as np
 from manifold3d import Manifold
+from numpy.typing import NDArray
 
+from ..checks import Array
+from ..files import tables
 from ..knee import Osteophyte
-from .bones import Bone
+from .implicit import Field, blend, evened
 from .solids import checked, mesh_of
 
 _CORTEX_MM = 0.5
-# Height band (mm at scale 1) in which a bone's margin is looked for, height of the tip, and of the base.
-_PLACE = {"femur": ((3.0, 10.0), 5.5, 8.5), "tibia": ((-7.0, 0.0), -2.2, -5.0)}
+# Large beaks have more of it, by this part of their size.
+_THICKENING = 0.06
+# Bone of each kind of site.
+BONE = {"femur": "femur", "tibia": "tibia", "spine": "tibia"}
+# Rounds of evening out the mesh; cones that stand for the hull of tip and feet.
+_ROUNDS = 2
+_CONES = 17
 
 
-def add_osteophytes(bone: Bone, name: str, osteophytes: tuple[Osteophyte, ...], scale: float) -> Bone:
-    """The bone with the beaks that belong to it, united with its outer and inner solid."""
-    outer, inner = bone.outer, bone.inner
-    for beak in osteophytes:
-        side, where = beak.site.split("_")
-        if where != name:
-            continue
-        direction = 1.0 if side == "medial" else -1.0
-        margin = _margin_mm(bone.outer, name, direction, scale)
-        outer = outer + _beak(name, direction, margin, beak.size_mm, 0.0, scale)
-        inner = inner + _beak(name, direction, margin, beak.size_mm, _CORTEX_MM, scale)
-    return Bone(outer=checked(outer, name), inner=checked(inner, f"{name} inner"), canal=bone.canal)
+@dataclass(frozen=True)
+class Beak:
+    """Cones from three feet within the bone to one tip, whose farthest point stands out by the osteophyte's size.
+
+    feet  (3, 3)  centres and the radius of the balls there; tip (3,) likewise; mm
+    """
+
+    feet: Array
+    foot_mm: float
+    tip: Array
+    tip_mm: float
+    size_mm: float
+
+    @property
+    def fillet_mm(self) -> float:
+        """Less than the size, so that the tip stays where it is."""
+        return min(2.0, 0.8 * self.size_mm)
+
+    def near(self, points: Array) -> NDArray[np.bool_]:
+        """(n,)  whether points (n, 3) are so near that the bone's surface may be another there"""
+        reach = np.linalg.norm(self.feet - self.tip, axis=1).max() + self.foot_mm + 4.0
+        return np.asarray(((points - self.tip) ** 2).sum(axis=1) < reach**2)
+
+    def field(self, points: Array) -> Array:
+        """(n,)  approximate distance from the beak at points (n, 3)"""
+        shares = np.linspace(0.0, 2.0, _CONES)
+        feet = np.stack([np.interp(shares, [0, 1, 2], self.feet[:, axis]) for axis in range(3)], axis=1)
+        # A plain minimum: blended, the cones would swell where they meet, in the tip.
+        return np.asarray(np.min([_cone(points, foot, self.foot_mm, self.tip, self.tip_mm) for foot in feet], axis=0))
+
+    def solid(self, inset_mm: float) -> Manifold:
+        """Hull of the balls, drawn in; the cortex takes the whole tip of a small beak."""
+        tip_mm = max(self.tip_mm - inset_mm, 0.1)
+        middle = self.feet.mean(axis=0)
+        inward = (middle - self.tip) / np.linalg.norm(middle - self.tip)
+        tip = self.tip + inward * max(0.0, inset_mm - (self.tip_mm - tip_mm))
+        balls = [_ball(tip, tip_mm)] + [_ball(foot, self.foot_mm - inset_mm) for foot in self.feet]
+        return checked(Manifold.batch_hull(balls), "osteophyte")
 
 
-def _margin_mm(outer: Manifold, name: str, direction: float, scale: float) -> float:
-    (low, high), _, _ = _PLACE[name]
-    vertices = mesh_of(outer).vertices
-    band = vertices[(vertices[:, 2] >= low * scale) & (vertices[:, 2] <= high * scale)]
-    return float((band[:, 0] * direction).max())
+@dataclass(frozen=True)
+class Grown:
+    """A bone's outer solid with its beaks, in its frame at the mean man's size."""
+
+    outer: Manifold
+    beaks: tuple[Beak, ...] = ()
+
+    def filled(self, inner: Manifold, scale: float) -> Manifold:
+        """The trabecular solid of the bone with what is inside its beaks."""
+        for beak in self.beaks:
+            inner = inner + beak.solid(_CORTEX_MM / scale + _THICKENING * beak.size_mm)
+        return inner
 
 
-def _beak(name: str, direction: float, margin_mm: float, size_mm: float, inset_mm: float, scale: float) -> Manifold:
-    """Hull of a broad base within the bone and a small tip; its farthest point is `size_mm` out of the margin."""
-    _, tip_z, base_z = _PLACE[name]
-    tip_radius = 0.35 + 0.15 * size_mm
-    base_radius = 1.6 + 0.5 * size_mm
-    width = 4.0 + 2.0 * size_mm
-    tip = (margin_mm + size_mm - tip_radius, 0.0, tip_z * scale)
-    # The cortex takes the whole tip of a small beak, whose inner part then ends within the base.
-    inner_tip = max(tip_radius - inset_mm, 0.1)
-    back = 0.0 if inset_mm == 0 else max(0.0, inset_mm - (tip_radius - inner_tip))
-    parts = [_ball((direction * (tip[0] - back), 0.0, tip[2]), inner_tip)]
-    for y in (-width, 0.0, width):
-        inward = margin_mm - base_radius - 1.2 - 1.5 * (y / width) ** 2
-        parts.append(_ball((direction * inward, y, base_z * scale), base_radius - inset_mm))
-    return checked(Manifold.batch_hull(parts), "osteophyte")
+def grow(osteophytes: tuple[Osteophyte, ...], bone: str, bare: Manifold, field: Field, scale: float) -> Grown:
+    """A bone with the osteophytes that belong to it.
+
+    bare, field  outer solid and field of the bone at the mean man's size
+    scale        of the knee, whose osteophytes are as large as they say
+    """
+    beaks = []
+    for osteophyte in osteophytes:
+        side, where = osteophyte.site.split("_")
+        if BONE[where] == bone:
+            make = _on_spine if where == "spine" else _at_margin
+            beaks.append(make(where, 1.0 if side == "medial" else -1.0, bare, osteophyte.size_mm / scale))
+    if not beaks:
+        return Grown(bare)
+
+    def whole(points: Array) -> Array:
+        shape = field(points)
+        for beak in beaks:
+            close = beak.near(points)
+            shape[close] = blend(shape[close], beak.field(points[close]), beak.fillet_mm)
+        return shape
+
+    def near(points: Array) -> NDArray[np.bool_]:
+        return np.asarray(np.any([beak.near(points) for beak in beaks], axis=0))
+
+    rough = bare
+    for beak in beaks:
+        rough = rough + beak.solid(0.0).refine_to_length(1.0)
+    return Grown(checked(evened(rough, whole, _ROUNDS, near), f"{bone} with osteophytes"), tuple(beaks))
 
 
-def _ball(centre_mm: tuple[float, float, float], radius_mm: float) -> Manifold:
-    return Manifold.sphere(radius_mm, 32).translate(np.asarray(centre_mm))
+def _at_margin(where: str, direction: float, bare: Manifold, size_mm: float) -> Beak:
+    table = tables.data("anatomy")["osteophytes"][where]
+    points = mesh_of(bare).vertices
+    band = points[(points[:, 2] >= table["band_z"][0]) & (points[:, 2] <= table["band_z"][1])]
+    margin = float((band[:, 0] * direction).max())
+    tip_mm, foot_mm, width = 0.35 + 0.15 * size_mm, 1.6 + 0.5 * size_mm, 4.0 + 2.0 * size_mm
+    inward = margin - foot_mm - 1.2 - 1.5 * np.array([1.0, 0.0, 1.0])
+    feet = np.column_stack((direction * inward, [-width, 0.0, width], np.full(3, table["foot_z"])))
+    tip = np.array([direction * (margin + size_mm - tip_mm), 0.0, table["tip_z"]])
+    return Beak(feet, foot_mm, tip, tip_mm, size_mm)
+
+
+def _on_spine(where: str, direction: float, bare: Manifold, size_mm: float) -> Beak:
+    points = mesh_of(bare).vertices
+    side = points[points[:, 0] * direction > 1.0]
+    top = side[side[:, 2].argmax()]
+    tip_mm, foot_mm = 0.35 + 0.15 * size_mm, 1.0 + 0.3 * size_mm
+    feet = top - [0.0, 0.0, foot_mm + 0.6] + np.array([[0.0, -3.0, -0.6], [0.0, 0.0, 0.0], [0.0, 3.0, -0.6]])
+    tip = top + np.array([0.0, 0.0, size_mm - tip_mm])
+    return Beak(feet, foot_mm, tip, tip_mm, size_mm)
+
+
+def _cone(points: Array, foot: Array, foot_mm: float, tip: Array, tip_mm: float) -> Array:
+    axis = tip - foot
+    share = np.clip((points - foot) @ axis / (axis @ axis), 0.0, 1.0)
+    away = np.linalg.norm(points - foot - share[:, None] * axis, axis=1)
+    return np.asarray(away - foot_mm - share * (tip_mm - foot_mm))
+
+
+def _ball(centre_mm: Array, radius_mm: float) -> Manifold:
+    return Manifold.sphere(radius_mm, 32).translate(centre_mm)

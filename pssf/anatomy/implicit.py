@@ -1,0 +1,129 @@
+"""Shapes as fields: approximate signed distances (mm, negative inside), blended; and solids settled onto them.
+
+CSG makes a solid of the right topology with hard creases; settling moves its vertices onto the level set of a field in
+which the same parts are blended, so that one part flows into the other.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from manifold3d import Manifold
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+from scipy.sparse import coo_array
+
+from ..checks import Array
+from .solids import mesh_of, solid_of
+
+Field = Callable[[Array], Array]
+Choice = Callable[[Array], NDArray[np.bool_]]
+
+# Step of the differences that give a field's gradient, mm: fields are smooth over this, and float64 resolves it.
+_STEP_MM = 0.01
+_MOST_MM = 1.5
+
+
+def blend(one: Array, other: Array, radius_mm: float) -> Array:
+    """(n,)  union of two fields with a fillet (polynomial smooth minimum, Quilez 2013)"""
+    overlap = np.maximum(radius_mm - np.abs(one - other), 0.0) / radius_mm
+    return np.minimum(one, other) - overlap**2 * radius_mm / 4
+
+
+def meet(one: Array, other: Array, radius_mm: float) -> Array:
+    """(n,)  intersection of two fields with a rounded edge"""
+    return -blend(-one, -other, radius_mm)
+
+
+def carve(one: Array, other: Array, radius_mm: float) -> Array:
+    """(n,)  one field without the other, with a rounded edge"""
+    return meet(one, -other, radius_mm)
+
+
+def ellipsoid(points: Array, centre_mm: list[float], half_mm: list[float]) -> Array:
+    """(n,)  field of an ellipsoid; points (n, 3)"""
+    half = np.asarray(half_mm)
+    scaled = (points - centre_mm) / half
+    norm = np.sqrt((scaled**2).sum(axis=1))
+    slope = np.sqrt(((scaled / half) ** 2).sum(axis=1))
+    return np.where(slope > 0, norm * (norm - 1) / np.maximum(slope, 1e-9), -half.min())
+
+
+class Column:
+    """Field of superelliptic sections interpolated in height; beyond the first and the last they go on unchanged.
+
+    sections  (n, 5)  z, half ML, half AP, centre y, centre x; any order in z
+    """
+
+    def __init__(self, sections: Array, power: float) -> None:
+        rows = np.asarray(sections, dtype=np.float64)
+        rows = rows[np.argsort(rows[:, 0])]
+        self.ends, self.power = (rows[0, 0], rows[-1, 0]), power
+        self.at = PchipInterpolator(rows[:, 0], rows[:, 1:])
+
+    def __call__(self, points: Array) -> Array:
+        half_x, half_y, y, x = self.at(np.clip(points[:, 2], *self.ends)).T
+        u, v, power = np.abs(points[:, 0] - x) / half_x, np.abs(points[:, 1] - y) / half_y, self.power
+        norm = (u**power + v**power) ** (1 / power)
+        slope = np.hypot(u ** (power - 1) / half_x, v ** (power - 1) / half_y)
+        return (norm - 1) * np.maximum(norm, 1e-6) ** (power - 1) / np.maximum(slope, 1e-3)
+
+
+def gradient(field: Field, points: Array, value: Array) -> Array:
+    """(n, 3)  differences of a field at points (n, 3), where it has the values (n,)"""
+    return np.stack([(field(points + shift) - value) / _STEP_MM for shift in np.eye(3) * _STEP_MM], axis=1)
+
+
+def refined(solid: Manifold, edge_mm: float, shaft_from_mm: float) -> Manifold:
+    """The solid with edges of at most `edge_mm`, and four times that along the shaft, beyond a distance from z = 0."""
+
+    def pressed(factor: float) -> Callable[[Array], Array]:
+        def move(points: Array) -> Array:
+            places = np.array(points)
+            beyond = np.maximum(np.abs(places[:, 2]) - shaft_from_mm, 0.0)
+            places[:, 2] += np.sign(places[:, 2]) * beyond * (factor - 1)
+            return places
+
+        return move
+
+    short = solid.simplify(0.02).warp_batch(pressed(0.25))
+    return short.refine_to_length(edge_mm).warp_batch(pressed(4.0))
+
+
+def settle(solid: Manifold, field: Field, *, depth_mm: Field | None = None, steps: int = 5) -> Manifold:
+    """The solid with its vertices moved along the gradient to where the field is zero, or a depth below it (Newton).
+
+    depth_mm  how deep inside; 0 everywhere if None
+    """
+    return solid.warp_batch(lambda points: _onto(np.array(points), field, depth_mm, steps))
+
+
+def evened(
+    solid: Manifold, field: Field, rounds: int, near: Callable[[Array], NDArray[np.bool_]] | None = None
+) -> Manifold:
+    """A solid settled on a field, its vertices spread evenly over it, free of the slivers that CSG leaves at creases.
+
+    near  which vertices may move at all: (n, 3) -> (n,) bool; all of them if None
+    """
+    mesh = mesh_of(solid)
+    places = np.array(mesh.vertices)
+    free = np.ones(len(places), np.bool_) if near is None else near(places)
+    ends = np.vstack((mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]))
+    beside = coo_array((np.ones(len(ends)), ends.T), shape=2 * [len(places)]).tocsr()[free]
+    share = 1.0 / beside.sum(axis=1)[:, None]
+    places[free] = _onto(places[free], field, None, 5)
+    for _ in range(rounds):
+        places[free] = _onto((places[free] + share * (beside @ places)) / 2, field, None, 2)
+    return solid_of(places, mesh.faces, "evened")
+
+
+def _onto(places: Array, field: Field, depth_mm: Field | None, steps: int) -> Array:
+    """Places (n, 3) after so many steps towards where the field is zero, or a depth below it."""
+    for _ in range(steps):
+        value = field(places)
+        slope = gradient(field, places, value)
+        miss = value + (0.0 if depth_mm is None else depth_mm(places))
+        step = -miss[:, None] * slope / np.maximum((slope**2).sum(axis=1), 0.05)[:, None]
+        length = np.linalg.norm(step, axis=1)
+        # Where fields are blended the gradient is short; a long step would leave the neighbourhood.
+        places = places + step * np.minimum(1.0, _MOST_MM / np.maximum(length, 1e-12))[:, None]
+    return places
