@@ -9,8 +9,8 @@ from numpy.testing import assert_allclose
 
 import pssf
 from pssf import anatomy
-from pssf.anatomy import bones
-from pssf.anatomy.solids import checked, height_field, loft, mesh_of, ring
+from pssf.anatomy import bones, cartilage, femur
+from pssf.anatomy.solids import checked, height_field, loft, mesh_of, ring, solid_of
 
 REFERENCE = pssf.load_protocol("reference")
 MEAN = bones.Build(scale=1.0, cortex=1.0, plate=1.0, slope_deg=5.0, femur_valgus_deg=5.0, tibia_varus_deg=0.0)
@@ -59,7 +59,7 @@ def test_knees_at_the_corners_of_their_ranges_build(corner):
 
 def test_a_knee_without_room_for_its_osteophytes_is_refused():
     beaks = tuple(pssf.Osteophyte(site=site, size_mm=6.0) for site in pssf.knee.SITES)
-    with pytest.raises(pssf.InputError, match="and .* overlap by"):
+    with pytest.raises(pssf.InputError, match=r"and .* overlap by"):
         pssf.build(pssf.Knee(
             jsw_medial_mm=1.0, jsw_lateral_mm=1.0, stature_mm=1400.0, bone_scale=0.85, osteophytes=beaks,
             tibial_slope_deg=12.0, flexion_deg=15.0, rotation_deg=-10.0, varus_deg=-8.0,
@@ -129,3 +129,23 @@ def test_varus_is_the_angle_of_the_shafts_whatever_the_joint_spaces(varus):
     for medial in (2.5, 5.0):
         measured = shaft_angle_deg(pssf.Knee(varus_deg=varus, jsw_medial_mm=medial))
         assert measured == pytest.approx(5.0 - varus, abs=0.4)
+
+
+def test_soft_structures_lie_clear_of_bones_and_of_each_other_within_the_fascia(scene):
+    solids = {s.name: solid_of(np.array(s.mesh.vertices), np.array(s.mesh.faces), s.name) for s in scene.surfaces}
+    soft = [s.name for s in scene.surfaces if s.outside == "muscle" and s.inside != "cortical_bone"]
+    assert len(soft) == 10
+    assert {"femur_cartilage", "tibia_cartilage", "medial_meniscus", "lateral_meniscus", "fat_pad"} < set(soft)
+    for number, name in enumerate(soft):
+        assert solids[name].volume() > 100
+        assert (solids[name] - solids["muscle"]).volume() < 1e-3
+        for other in (*soft[number + 1 :], "femur", "tibia", "fibula", "patella"):
+            assert (solids[name] ^ solids[other]).volume() < 0.05, (name, other)
+
+
+def test_cartilage_takes_its_share_of_the_joint_space():
+    for space in (2.0, 6.0):
+        layer = cartilage.on_femur(femur.outer(), 1.0, (space, space))
+        thick = np.linalg.norm(layer.top - layer.bone, axis=1)
+        assert thick.max() == pytest.approx(0.47 * space, rel=1e-9)
+        assert (thick[layer.bone[:, 2] > 60] == 0).all()

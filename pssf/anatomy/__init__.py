@@ -4,6 +4,8 @@ anatomy.truth_of  knee, scene, protocol  -> labels and landmarks on that radiogr
 bones        femur, tibia, fibula, patella as nested solids     osteophytes  beaks that flow into the bone
 femur, tibia their outer shapes, blended                        implicit     fields, blends, settling onto them
 soft         skin, fat, muscle                                  joint        the pose that gives the joint spaces
+cartilage    cartilage and menisci                              planes       fat planes, fat pad, patellar tendon
+tissues      all of these, carved clear of each other
 contours     projected outlines and the gap between them        solids       lofts, hulls, height fields, checks
 """
 
@@ -24,12 +26,13 @@ from . import bones, soft
 from .contours import Gap, edges_of, measure_gap
 from .joint import half_ml_mm, solve_pose
 from .solids import checked, mesh_of
+from .tissues import between
 
 __all__ = ["build", "measured_jsw_mm", "truth_of"]
 
 
 def build(knee: Knee) -> Scene:
-    """The knee as closed surfaces: skin, adipose, muscle, and cortex, trabecular bone and marrow of each bone.
+    """The knee as closed surfaces: skin, fat, muscle, what lies between, and cortex, trabeculae and marrow of bones.
 
     Surfaces are named ("femur", "femur_trabecular", "femur_marrow", "skin", ...), in the knee frame, mm.
     raises  InputError if a solid fails its checks, which the ranges of `Knee` exclude
@@ -56,6 +59,8 @@ def build(knee: Knee) -> Scene:
         _surface(wraps["adipose"], "adipose", "skin", "adipose", knee),
         _surface(wraps["muscle"], "muscle", "adipose", "muscle", knee),
     ]
+    for tissue in between(knee, shape, pose, (femur, tibia), placed, wraps["muscle"]):
+        surfaces.append(_sided(tissue.mesh, tissue.material, "muscle", tissue.name, knee))
     for name, part in placed.items():
         surfaces.append(_surface(part.outer, "cortical_bone", "muscle", name, knee))
         surfaces.append(_surface(part.inner, "trabecular_bone", "cortical_bone", f"{name}_trabecular", knee))
@@ -132,7 +137,11 @@ def _check_nesting(placed: dict[str, bones.Bone], muscle: Manifold) -> None:
 
 
 def _surface(solid: Manifold, inside: str, outside: str, name: str, knee: Knee) -> Surface:
-    mesh = mesh_of(checked(solid, name))
+    return _sided(mesh_of(checked(solid, name)), inside, outside, name, knee)
+
+
+def _sided(mesh: trimesh.Trimesh, inside: str, outside: str, name: str, knee: Knee) -> Surface:
+    """The surface of a mesh, mirrored for a left knee."""
     if knee.side == "left":
         mesh = trimesh.Trimesh(mesh.vertices * [-1.0, 1.0, 1.0], mesh.faces[:, ::-1], process=False)
     return Surface(mesh, inside=inside, outside=outside, name=name)

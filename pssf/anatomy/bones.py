@@ -120,14 +120,16 @@ def femur(build: Build, grown: Grown) -> Bone:
     canal_levels = _levels(table["canal_from_z_mm"] * s, SHAFT_END_MM - 4.0, 2.5)
     canal = _canal(sections, cortex, canal_levels, table["canal_full_z_mm"] * s, "femur canal")
 
-    def placed(solid: Manifold, end_mm: float) -> Manifold:
-        bent = leaned(solid, table["shaft_pivot_z_mm"] * s, -build.femur_valgus_deg, +1)
-        return checked(_trimmed(bent, +1, end_mm), "femur")
+    canal = leaned(canal, table["shaft_pivot_z_mm"] * s, -build.femur_valgus_deg, +1)
+
+    def standing(solid: Manifold, end_mm: float) -> Manifold:
+        stood = solid.warp_batch(lambda points: stand_femur(np.array(points), build))
+        return checked(_trimmed(stood, +1, end_mm), "femur")
 
     return Bone(
-        outer=placed(grown.outer.scale((s, s, s)), SHAFT_END_MM),
-        inner=placed(grown.filled(marrow, s).scale((s, s, s)), SHAFT_END_MM - 2.0),
-        canal=placed(canal, SHAFT_END_MM),
+        outer=standing(grown.outer, SHAFT_END_MM),
+        inner=standing(grown.filled(marrow, s), SHAFT_END_MM - 2.0),
+        canal=checked(canal, "femur canal"),
     )
 
 
@@ -171,28 +173,38 @@ def tibia(build: Build, grown: Grown) -> Bone:
     return Bone(
         outer=standing(grown.outer, build),
         inner=standing(grown.filled(marrow, s), build, 2.0),
-        canal=_under(canal, build, 0.0),
+        canal=checked(leaned(canal, table["shaft_pivot_z_mm"] * s, build.tibia_varus_deg, -1), "tibia canal"),
     )
 
 
 def standing(solid: Manifold, build: Build, short_mm: float = 0.0) -> Manifold:
-    """A solid of the mean man's tibia at its size, its plateau sloping and its shaft leaning."""
-    s, slope = build.scale, np.tan(np.deg2rad(build.slope_deg))
-
-    def sloped(points: Array) -> Array:
-        places = np.array(points)
-        # The plateau falls backwards; the shaft below the tuberosity stays as it is.
-        places[:, 2] -= slope * places[:, 1] * np.clip(1 + places[:, 2] / (60.0 * s), 0.0, 1.0) ** 2
-        return places
-
-    return _under(solid.scale((s, s, s)).warp_batch(sloped), build, short_mm)
+    """A solid of the mean man's tibia as it stands in this knee, cut off at its end or short of it."""
+    stood = solid.warp_batch(lambda points: stand_tibia(np.array(points), build))
+    return checked(_trimmed(stood, -1, -SHAFT_END_MM + short_mm), "tibia")
 
 
-def _under(solid: Manifold, build: Build, short_mm: float) -> Manifold:
-    """The solid with the shaft of the tibia leaning, cut off at its end or short of it."""
+def stand_tibia(points: Array, build: Build) -> Array:
+    """(n, 3)  places of the mean man's tibia in this one: at its size, plateau falling backwards, shaft leaning"""
+    places = sloped(points * build.scale, build)
     pivot_mm = tables.data("anatomy")["tibia"]["shaft_pivot_z_mm"] * build.scale
-    bent = leaned(solid, pivot_mm, build.tibia_varus_deg, -1)
-    return checked(_trimmed(bent, -1, -SHAFT_END_MM + short_mm), "tibia")
+    places[:, 0] += sideways(places[:, 2], pivot_mm, build.tibia_varus_deg, -1)
+    return places
+
+
+def stand_femur(points: Array, build: Build) -> Array:
+    """(n, 3)  places of the mean man's femur in this one: at its size, shaft leaning"""
+    places = points * build.scale
+    pivot_mm = tables.data("anatomy")["femur"]["shaft_pivot_z_mm"] * build.scale
+    places[:, 0] += sideways(places[:, 2], pivot_mm, -build.femur_valgus_deg, +1)
+    return places
+
+
+def sloped(points_mm: Array, build: Build) -> Array:
+    """(n, 3)  places of a tibia whose plateau falls backwards; below the tuberosity the shaft stays as it is"""
+    places = points_mm.copy()
+    fade = np.clip(1 + places[:, 2] / (60.0 * build.scale), 0.0, 1.0) ** 2
+    places[:, 2] -= np.tan(np.deg2rad(build.slope_deg)) * places[:, 1] * fade
+    return places
 
 
 def fibula(build: Build) -> Bone:

@@ -94,7 +94,7 @@ def settle(solid: Manifold, field: Field, *, depth_mm: Field | None = None, step
 
     depth_mm  how deep inside; 0 everywhere if None
     """
-    return solid.warp_batch(lambda points: _onto(np.array(points), field, depth_mm, steps))
+    return solid.warp_batch(lambda points: onto(np.array(points), field, depth_mm, steps))
 
 
 def evened(
@@ -110,13 +110,13 @@ def evened(
     ends = np.vstack((mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]))
     beside = coo_array((np.ones(len(ends)), ends.T), shape=2 * [len(places)]).tocsr()[free]
     share = 1.0 / beside.sum(axis=1)[:, None]
-    places[free] = _onto(places[free], field, None, 5)
+    places[free] = onto(places[free], field, None, 5)
     for _ in range(rounds):
-        places[free] = _onto((places[free] + share * (beside @ places)) / 2, field, None, 2)
+        places[free] = onto((places[free] + share * (beside @ places)) / 2, field, None, 2)
     return solid_of(places, mesh.faces, "evened")
 
 
-def _onto(places: Array, field: Field, depth_mm: Field | None, steps: int) -> Array:
+def onto(places: Array, field: Field, depth_mm: Field | None, steps: int) -> Array:
     """Places (n, 3) after so many steps towards where the field is zero, or a depth below it."""
     for _ in range(steps):
         value = field(places)

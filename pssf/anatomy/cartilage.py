@@ -1,0 +1,122 @@
+"""Cartilage and menisci: layers on the articular surfaces that share the joint space, and wedges between them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from manifold3d import Manifold
+from numpy.typing import NDArray
+
+from ..checks import Array
+from ..files import tables
+from . import femur as femur_shape
+from . import tibia as tibia_shape
+from .implicit import Field, onto
+from .solids import loft, mesh_of, ring, solid_of
+
+# Farther than this from the bare bone's surface is osteophyte, which bears no cartilage.
+_BARE_MM = 0.02
+_THINNEST_MM = 0.05
+_STEPS = 4
+
+
+@dataclass(frozen=True)
+class Layer:
+    """Cartilage on a bone: the bone's mesh, and the same mesh with the layer on it.
+
+    bone   (n, 3)  vertices, at the mean man's size
+    top    (n, 3)  the same, moved outward by the layer's thickness
+    faces  (m, 3)
+    """
+
+    bone: Array
+    top: Array
+    faces: Array
+
+    def covered(self) -> Manifold:
+        """The bone with its cartilage."""
+        return solid_of(self.top, self.faces, "bone with cartilage")
+
+    def alone(self) -> tuple[Array, Array]:
+        """Vertices and faces of the cartilage alone; its lower side is the bone's own surface, face by face."""
+        thick = (self.top != self.bone).any(axis=1)
+        # A margin vertex, where the layer has no thickness, belongs to both sides; so the layer is closed.
+        upper = np.where(thick, np.arange(len(thick)) + len(thick), np.arange(len(thick)))
+        chosen = self.faces[thick[self.faces].any(axis=1)]
+        return np.vstack((self.bone, self.top)), np.vstack((upper[chosen], chosen[:, ::-1]))
+
+
+def on_femur(outer: Manifold, scale: float, spaces_mm: tuple[float, float]) -> Layer:
+    """Cartilage on an outer femur at the mean man's size.
+
+    spaces_mm  medial and lateral joint space, of which the femur's cartilage takes its share
+    """
+    limits = tables.data("anatomy")["cartilage"]["femur"]
+
+    def zone(points: Array) -> Array:
+        x, y, z = points.T
+        below = z - limits["below_z"]
+        behind = np.maximum(limits["behind_y"] - y, z - limits["behind_z"])
+        before = np.max([y - limits["before_y"], z - limits["before_z"], np.abs(x) - limits["before_x"]], axis=0)
+        notch = np.minimum(limits["notch_x"] - np.abs(x), y - limits["notch_y"])
+        return np.asarray(np.maximum(np.min([below, behind, before], axis=0), notch))
+
+    return _layer(outer, femur_shape.field, zone, scale, spaces_mm)
+
+
+def on_tibia(outer: Manifold, scale: float, spaces_mm: tuple[float, float]) -> Layer:
+    """Cartilage on an outer tibia at the mean man's size, level; arguments as in `on_femur`."""
+    parts = tables.data("anatomy")["cartilage"]["tibia"]
+
+    def zone(points: Array) -> Array:
+        ovals = [
+            (np.hypot((points[:, 0] - p["x"]) / p["half_x"], (points[:, 1] - p["y"]) / p["half_y"]) - 1) * p["half_x"]
+            for p in parts
+        ]
+        return np.asarray(np.maximum(np.min(ovals, axis=0), -2.5 - tibia_shape.above(points)))
+
+    return _layer(outer, tibia_shape.field, zone, scale, spaces_mm)
+
+
+def menisci(scale: float) -> list[Manifold]:
+    """Medial and lateral ring, open to the spines, in the tibia's frame; bones and cartilage leave wedges of them."""
+    table = tables.data("anatomy")["menisci"]
+    rings = []
+    for part in (table["medial"], table["lateral"]):
+        outer, inner = (_disc(part, half, table["height_mm"]) for half in (part["outer"], part["inner"]))
+        middle = float(np.sign(part["x"])) * table["gap_mm"] / 2
+        gap = Manifold.cube((table["gap_mm"], 18.0, 40.0), True).translate((middle, part["y"], 0.0))
+        rings.append((outer - inner - gap).scale((scale, scale, scale)))
+    return rings
+
+
+def _layer(outer: Manifold, field: Field, zone: Field, scale: float, spaces_mm: tuple[float, float]) -> Layer:
+    mesh = mesh_of(outer)
+    points = np.array(mesh.vertices)
+    medial = np.clip(0.5 + points[:, 0] / 12.0, 0.0, 1.0)
+    full = tables.data("anatomy")["cartilage"]["share"] / scale * (medial * spaces_mm[0] + (1 - medial) * spaces_mm[1])
+    # From the margin inwards it grows to its full thickness over 4 mm.
+    thickness = full * np.clip(-zone(points) / 4.0, 0.0, 1.0)
+    thickness[thickness < _THINNEST_MM] = 0.0
+    candidates = np.flatnonzero(thickness)
+    thickness[candidates[np.abs(field(points[candidates])) > _BARE_MM]] = 0.0
+    faces = np.asarray(mesh.faces)
+    while len(pinched := _pinched(faces, thickness > 0)):
+        thickness[pinched] = _THINNEST_MM
+    bearing = np.flatnonzero(thickness)
+    top = points.copy()
+    way = onto(points[bearing], field, lambda _: -thickness[bearing], _STEPS) - points[bearing]
+    top[bearing] += way * (thickness[bearing] / np.linalg.norm(way, axis=1))[:, None]
+    return Layer(points, top, faces)
+
+
+def _pinched(faces: Array, thick: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Vertices without thickness on an edge that has the layer on both sides: there it would touch itself."""
+    chosen = faces[thick[faces].any(axis=1)]
+    edges = np.sort(np.vstack((chosen[:, [0, 1]], chosen[:, [1, 2]], chosen[:, [2, 0]])), axis=1)
+    edges, count = np.unique(edges[~thick[edges].any(axis=1)], axis=0, return_counts=True)
+    return np.unique(edges[count > 1])
+
+
+def _disc(part: dict, half: list[float], height_mm: list[float]) -> Manifold:
+    centre = (part["x"], part["y"])
+    return loft(np.array([ring(half[0], half[1], (*centre, z), 2.0, 64) for z in height_mm]), "meniscus")
