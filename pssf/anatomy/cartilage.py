@@ -17,6 +17,7 @@ from .solids import loft, mesh_of, ring, solid_of
 _BARE_MM = 0.02
 _THINNEST_MM = 0.05
 _STEPS = 4
+_THINNINGS = 12
 
 
 @dataclass(frozen=True)
@@ -103,10 +104,24 @@ def _layer(outer: Manifold, field: Field, zone: Field, scale: float, spaces_mm: 
     while len(pinched := _pinched(faces, thickness > 0)):
         thickness[pinched] = _THINNEST_MM
     bearing = np.flatnonzero(thickness)
-    top = points.copy()
     way = onto(points[bearing], field, lambda _: -thickness[bearing], _STEPS) - points[bearing]
-    top[bearing] += way * (thickness[bearing] / np.linalg.norm(way, axis=1))[:, None]
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    top = points.copy()
+    for _ in range(_THINNINGS):
+        top[bearing] = points[bearing] + way * thickness[bearing, None]
+        folded = _folded(points, top, faces)
+        if not len(folded):
+            break
+        thickness[folded] /= 2
     return Layer(points, top, faces)
+
+
+def _folded(bone: Array, top: Array, faces: Array) -> NDArray[np.int64]:
+    """Vertices of triangles that a layer turns by more than 70 degrees, where a hollow is too tight for it."""
+    moved = faces[(bone[faces] != top[faces]).any(axis=(1, 2))]
+    below, above = (np.cross(p[moved[:, 1]] - p[moved[:, 0]], p[moved[:, 2]] - p[moved[:, 0]]) for p in (bone, top))
+    size = np.linalg.norm(below, axis=1) * np.linalg.norm(above, axis=1)
+    return np.unique(moved[(below * above).sum(axis=1) < 0.34 * size])
 
 
 def _pinched(faces: Array, thick: NDArray[np.bool_]) -> NDArray[np.int64]:
