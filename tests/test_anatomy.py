@@ -149,3 +149,14 @@ def test_cartilage_takes_its_share_of_the_joint_space():
         thick = np.linalg.norm(layer.top - layer.bone, axis=1)
         assert thick.max() == pytest.approx(0.47 * space, rel=1e-9)
         assert (thick[layer.bone[:, 2] > 60] == 0).all()
+
+
+def test_cartilage_keeps_off_an_osteophyte_at_its_margin():
+    beaks = tuple(
+        pssf.Osteophyte(site=site, size_mm=size)
+        for site, size in (("lateral_tibia", 2.7548), ("lateral_spine", 1.2385), ("medial_tibia", 1.6925))
+    )
+    knee = pssf.Knee(jsw_medial_mm=2.8925, jsw_lateral_mm=4.6688, bone_scale=0.9353, osteophytes=beaks)
+    layers = [s for s in pssf.build(knee).surfaces if s.name.endswith("_cartilage")]
+    for layer in layers:
+        assert str(pssf.check(pssf.Scene([layer], "muscle"))) == "no faults"

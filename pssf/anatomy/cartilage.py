@@ -15,6 +15,8 @@ from .solids import loft, mesh_of, ring, solid_of
 
 # Farther than this from the bare bone's surface is osteophyte, which bears no cartilage.
 _BARE_MM = 0.02
+# Nor do so many rings of triangles around one.
+_RINGS = 3
 _THINNEST_MM = 0.05
 _STEPS = 4
 _THINNINGS = 12
@@ -99,8 +101,12 @@ def _layer(outer: Manifold, field: Field, zone: Field, scale: float, spaces_mm: 
     thickness = full * np.clip(-zone(points) / 4.0, 0.0, 1.0)
     thickness[thickness < _THINNEST_MM] = 0.0
     candidates = np.flatnonzero(thickness)
-    thickness[candidates[np.abs(field(points[candidates])) > _BARE_MM]] = 0.0
     faces = np.asarray(mesh.faces)
+    grown = np.zeros(len(points), np.bool_)
+    grown[candidates] = np.abs(field(points[candidates])) > _BARE_MM
+    for _ in range(_RINGS):
+        grown[faces[grown[faces].any(axis=1)]] = True
+    thickness[grown] = 0.0
     while len(pinched := _pinched(faces, thickness > 0)):
         thickness[pinched] = _THINNEST_MM
     bearing = np.flatnonzero(thickness)
