@@ -83,10 +83,12 @@ def meshes(
     grade: Grade = 0,
     seed: Seed = 0,
     knee: KneeFile = None,
-    kinds: Annotated[str, typer.Option("--formats", help="Any of stl, ply, glb, with commas.")] = "stl,ply,glb",
+    kinds: Annotated[
+        str, typer.Option("--formats", help="Any of stl, ply, glb, 3mf, with commas.")
+    ] = "stl,ply,glb,3mf",
     tolerance_mm: Annotated[float, typer.Option(help="How far a surface may move to save triangles, mm.")] = 0.0,
 ) -> None:
-    """The solids of a knee as STL, PLY and GLB, in mm."""
+    """The solids of a knee as STL, PLY, GLB and 3MF, in mm."""
     from .anatomy import build
     from .files.meshes import export_meshes
 

@@ -1,6 +1,8 @@
 import errno
 import json
 import os
+import zipfile
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -93,7 +95,7 @@ def test_an_existing_file_survives_a_failed_write(radiograph, tmp_path, monkeypa
 
 def test_exported_meshes_read_back_with_their_volumes(scene, tmp_path):
     written = pssf.export_meshes(scene, tmp_path)
-    assert len(written) == 2 * len(scene.surfaces) + 1
+    assert len(written) == 2 * len(scene.surfaces) + 2
     for surface in scene.surfaces:
         for kind in ("stl", "ply"):
             mesh = meshes.read_mesh(tmp_path / f"knee-{surface.name}.{kind}")
@@ -107,6 +109,122 @@ def test_a_glb_has_one_named_node_a_surface_with_its_material(scene, tmp_path):
     for surface in scene.surfaces:
         assert loaded.geometry[surface.name].visual.material.name == surface.inside
         assert loaded.geometry[surface.name].visual.material.alphaMode == "BLEND"
+
+
+CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
+
+
+def read_3mf(path):
+    """The model's root, its objects by number, and the objects that are meshes as (element, mesh) by name."""
+    with zipfile.ZipFile(path) as package:
+        assert package.testzip() is None
+        assert package.namelist() == ["[Content_Types].xml", "_rels/.rels", "3D/3dmodel.model"]
+        assert {entry.date_time for entry in package.infolist()} == {(1980, 1, 1, 0, 0, 0)}
+        root = ElementTree.fromstring(package.read("3D/3dmodel.model"))
+    objects = {item.get("id"): item for item in root.iter(f"{CORE}object")}
+    found = {}
+    for item in objects.values():
+        if item.find(f"{CORE}mesh") is not None:
+            points = [[float(v.get(k)) for k in "xyz"] for v in item.iter(f"{CORE}vertex")]
+            faces = [[int(t.get(k)) for k in ("v1", "v2", "v3")] for t in item.iter(f"{CORE}triangle")]
+            found[item.get("name")] = (item, trimesh.Trimesh(points, faces, process=False))
+    return root, objects, found
+
+
+@pytest.fixture(scope="module")
+def package(scene, tmp_path_factory):
+    return pssf.export_meshes(scene, tmp_path_factory.mktemp("3mf"), formats=("3mf",))[0]
+
+
+@pytest.fixture(scope="module")
+def model(package):
+    return read_3mf(package)
+
+
+def test_a_3mf_has_one_named_object_a_surface_with_its_volume_in_millimetres(scene, model):
+    root, _, found = model
+    assert root.get("unit") == "millimeter"
+    assert list(found) == [surface.name for surface in scene.surfaces]
+    for surface in scene.surfaces:
+        item, mesh = found[surface.name]
+        assert item.get("type") == "model"
+        assert mesh.volume == pytest.approx(surface.mesh.volume, rel=1e-7)
+        assert abs(mesh.vertices - surface.solid.points).max() < 1e-6
+
+
+def test_a_3mf_names_and_colours_the_material_of_every_surface(scene, model):
+    root, _, found = model
+    (group,) = root.iter(f"{CORE}basematerials")
+    bases = [(base.get("name"), base.get("displaycolor")) for base in group]
+    assert len(set(bases)) == len(bases) == len({surface.inside for surface in scene.surfaces})
+    for surface in scene.surfaces:
+        item = found[surface.name][0]
+        assert item.get("pid") == group.get("id")
+        name, colour = bases[int(item.get("pindex"))]
+        assert name == surface.inside
+        assert tuple(bytes.fromhex(colour[1:])) == meshes.colour_of(surface.inside)
+        assert 0 < int(colour[7:], 16) < 255
+
+
+def test_a_3mf_builds_one_assembly_in_which_what_is_inside_comes_later(model):
+    root, objects, found = model
+    (item,) = root.iter(f"{CORE}item")
+    parts = [
+        objects[part.get("objectid")].get("name") for part in objects[item.get("objectid")].iter(f"{CORE}component")
+    ]
+    assert sorted(parts) == sorted(found)
+    for outer, inner in (("skin", "muscle"), ("muscle", "femur"), ("tibia", "tibia_trabecular")):
+        assert parts.index(outer) < parts.index(inner)
+
+
+def test_a_solid_whose_bodies_share_an_edge_is_no_3mf_model_but_a_surface(tmp_path):
+    cubes = [trimesh.creation.box(extents=(10, 10, 10)).apply_translation((k, k, 0)) for k in (0, 10)]
+    mesh = trimesh.util.concatenate(cubes)
+    mesh.merge_vertices()
+    pssf.export_meshes(pssf.Scene([pssf.Surface(mesh, "water", "air")]), tmp_path, formats=("3mf",))
+    _, _, found = read_3mf(tmp_path / "knee.3mf")
+    assert [item.get("type") for item, _ in found.values()] == ["surface"]
+
+
+def test_the_3mf_consortiums_own_reader_takes_a_3mf_without_a_warning(scene, package):
+    lib3mf = pytest.importorskip("lib3mf", reason="uv run --with lib3mf pytest")
+    model = lib3mf.get_wrapper().CreateModel()
+    reader = model.QueryReader("3mf")
+    reader.SetStrictModeActive(True)
+    reader.ReadFromFile(str(package))
+    assert reader.GetWarningCount() == 0
+    found, names = model.GetMeshObjects(), []
+    while found.MoveNext():
+        mesh = found.GetCurrentMeshObject()
+        assert mesh.IsManifoldAndOriented()
+        names.append(mesh.GetName())
+    assert names == [surface.name for surface in scene.surfaces]
+
+
+@pytest.mark.parametrize("kind", meshes.FORMATS)
+def test_the_same_scene_gives_the_same_mesh_files(scene, tmp_path, kind):
+    few = pssf.Scene(scene.surfaces[:4])
+    one, two = (pssf.export_meshes(few, tmp_path / k, formats=(kind,)) for k in "ab")
+    assert [path.read_bytes() for path in one] == [path.read_bytes() for path in two]
+
+
+def test_ply_and_stl_say_what_they_hold_and_ply_shows_its_colour(scene, tmp_path):
+    femur = next(surface for surface in scene.surfaces if surface.name == "femur")
+    pssf.export_meshes(pssf.Scene([femur]), tmp_path, formats=("ply", "stl"))
+    remark = f"femur: cortical_bone in {femur.outside}, mm".encode()
+    assert (tmp_path / "knee-femur.stl").read_bytes()[:80].strip() == b"STL " + remark
+    assert b"comment " + remark in (tmp_path / "knee-femur.ply").read_bytes()[:400]
+    colours = trimesh.load(tmp_path / "knee-femur.ply", process=False).visual.vertex_colors
+    assert (colours == meshes.colour_of("cortical_bone")).all()
+
+
+def test_a_tolerance_gives_fewer_triangles_that_move_by_no_more(scene, tmp_path):
+    femur = next(surface for surface in scene.surfaces if surface.name == "femur")
+    pssf.export_meshes(pssf.Scene([femur]), tmp_path, formats=("stl",), tolerance_mm=0.1)
+    mesh = meshes.read_mesh(tmp_path / "knee-femur.stl")
+    assert len(mesh.faces) < 0.7 * len(femur.mesh.faces)
+    assert abs(mesh.volume - femur.mesh.volume) < 0.1 * femur.mesh.area
+    assert abs(mesh.bounds - femur.mesh.bounds).max() < 0.1
 
 
 def test_an_exported_scene_traces_like_the_one_it_came_from(scene, small, tmp_path):
@@ -131,7 +249,7 @@ def test_a_file_that_is_no_mesh_is_refused(tmp_path, content):
 
 
 def test_an_unknown_mesh_format_is_refused(scene, tmp_path):
-    with pytest.raises(pssf.InputError, match="format = 'obj3'; allowed: stl, ply, glb"):
+    with pytest.raises(pssf.InputError, match="format = 'obj3'; allowed: stl, ply, glb, 3mf"):
         pssf.export_meshes(scene, tmp_path, formats=("obj3",))
 
 

@@ -1,0 +1,23 @@
+"""A page to inspect a knee: its solids, to turn and to take apart, beside its radiograph; opens in any browser."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+import pssf
+from pssf.files.viewer import write_viewer
+
+
+def run(out: Path, pixels: int = 2048) -> list[Path]:
+    """Write a drawn grade 2 knee as one HTML page; `pixels` is the side of the detector."""
+    knee = pssf.draw_knee(grade=2, rng=np.random.default_rng(7))
+    reference = pssf.load_protocol("reference")
+    protocol = dataclasses.replace(reference, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
+    scene = pssf.build(knee)
+    radiograph = pssf.simulate(knee, protocol, seed=7, scene=scene)
+    return [write_viewer(scene, radiograph, out / "inspect_knee.html", title="Knee 7, inspected")]
+
+
+if __name__ == "__main__":
+    run(Path("runs/examples"))

@@ -1,0 +1,211 @@
+import base64
+import dataclasses
+import importlib.util
+import io
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+import pssf
+from pssf.files.meshes import colour_of
+from pssf.files.viewer import shaded, write_viewer
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+FLAGS = [
+    "--headless",
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--window-size=1200,500",
+    "--virtual-time-budget=2000",
+    "--enable-logging=stderr",
+    "--dump-dom",
+]
+
+
+@pytest.fixture(scope="module")
+def radiograph(knee, scene, small):
+    return pssf.simulate(knee, small, seed=7, scene=scene)
+
+
+@pytest.fixture(scope="module")
+def page(scene, radiograph, tmp_path_factory):
+    return write_viewer(scene, radiograph, tmp_path_factory.mktemp("page") / "knee.html", title="A & B")
+
+
+def content_of(page):
+    return json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', page.read_text())[1])
+
+
+def mesh_of(layer):
+    def numbers(name, kind):
+        return np.frombuffer(base64.b64decode(layer[name]), kind).reshape(-1, 3)
+
+    points = numbers("points", "<u2") * np.array(layer["step"]) + layer["low"]
+    return trimesh.Trimesh(points, numbers("faces", "<u4" if layer["wide"] else "<u2"), process=False)
+
+
+def spheres():
+    outer, inner = (trimesh.creation.icosphere(subdivisions=4, radius=radius) for radius in (40, 20))
+    return pssf.Scene(
+        [pssf.Surface(outer, "skin", "air", name="outer"), pssf.Surface(inner, "marrow", "skin", name="inner")]
+    )
+
+
+def test_the_page_holds_every_surface_where_it_is(scene, page):
+    layers = content_of(page)["layers"]
+    assert len(layers) == len(scene.surfaces)
+    left = {surface.name: surface.solid for surface in scene.surfaces}
+    for layer in layers:
+        mesh = mesh_of(layer)
+        # The page does not keep names: the solid is known by its box.
+        name = min(left, key=lambda name: abs(left[name].points.min(axis=0) - mesh.bounds[0]).max())
+        solid = left.pop(name)
+        whole = trimesh.Trimesh(solid.points, solid.faces, process=False)
+        assert abs(mesh.bounds - whole.bounds).max() < 0.06
+        assert abs(mesh.volume - whole.volume) < 0.06 * whole.area
+
+
+def test_the_page_asks_nothing_of_a_network(page):
+    text = page.read_text()
+    assert "default-src 'none'" in text
+    assert set(re.findall(r"https?://[^\"'\s]+", text)) == {"http://www.w3.org/2000/svg"}
+    assert not re.search(r"<link|@import|\bfetch\(|XMLHttpRequest|\bimport\(|\ssrc=", text)
+
+
+def test_the_page_of_a_knee_is_smaller_than_6_mb(page):
+    assert page.stat().st_size < 6e6
+
+
+def test_the_same_knee_gives_the_same_page(scene, radiograph, page, tmp_path):
+    again = write_viewer(scene, radiograph, tmp_path / "again.html", title="A & B")
+    assert again.read_bytes() == page.read_bytes()
+
+
+def test_the_radiograph_on_the_page_is_the_one_for_eyes(radiograph, page):
+    shown = content_of(page)["radiograph"]
+    with Image.open(io.BytesIO(base64.b64decode(shown["png"].split(",")[1]))) as image:
+        assert (np.asarray(image) == pssf.present(radiograph.pixels)).all()
+    assert (shown["height"], shown["width"]) == radiograph.pixels.shape
+
+
+def test_a_large_radiograph_is_shown_smaller_and_its_landmarks_stay_in_place(radiograph, tmp_path):
+    large = dataclasses.replace(radiograph, pixels=np.kron(radiograph.pixels, np.ones((9, 9), np.uint16)))
+    shown = content_of(write_viewer(spheres(), large, tmp_path / "large.html"))["radiograph"]
+    assert (shown["height"], shown["width"]) == (768, 768)
+    row, col = radiograph.truth.landmarks_px["joint_centre"]
+    assert shown["landmarks"]["joint centre"] == pytest.approx([(row + 0.5) / 2304, (col + 0.5) / 2304])
+
+
+def test_shells_of_a_bone_are_listed_under_it_and_by_their_material(page):
+    layers = content_of(page)["layers"]
+    femur = {layer["label"]: layer["colour"] for layer in layers if layer["group"] == "femur"}
+    assert {"cortical bone", "trabecular bone", "marrow"} <= set(femur)
+    assert tuple(femur["marrow"]) == colour_of("marrow")
+    assert {"skin", "adipose", "muscle"} <= {layer["label"] for layer in layers if layer["group"] == ""}
+
+
+def test_surfaces_that_differ_by_a_number_share_a_row(radiograph, tmp_path):
+    box = trimesh.creation.box(extents=(5, 5, 5))
+    names = ("leg", "leg_pin_1", "leg_pin_2", "pin", "pin")
+    places = [box.copy().apply_translation((8 * k, 0, 0)) for k in range(5)]
+    scene = pssf.Scene([pssf.Surface(m, "water", "air", name=n) for m, n in zip(places, names, strict=True)])
+    layers = content_of(write_viewer(scene, radiograph, tmp_path / "pins.html"))["layers"]
+    rows = [(layer["group"], layer["label"]) for layer in layers]
+    assert rows == [("leg", "leg"), ("leg", "pin"), ("leg", "pin"), ("", "pin"), ("", "pin")]
+
+
+def test_what_a_name_says_cannot_leave_its_place_on_the_page(radiograph, tmp_path):
+    evil = "</script><script>alert(1)</script>"
+    box = trimesh.creation.box(extents=(9, 9, 9))
+    path = write_viewer(pssf.Scene([pssf.Surface(box, evil, "air")]), radiograph, tmp_path / "x.html", title="<b>A</b>")
+    assert evil not in path.read_text()
+    assert "<b>A" not in path.read_text()
+    assert content_of(path)["layers"][0]["material"] == evil
+
+
+def test_edges_of_a_box_stay_sharp_and_a_sphere_stays_smooth():
+    points, normals, faces = shaded(trimesh.creation.box())
+    assert len(points) == 24
+    assert sorted(map(tuple, np.abs(normals))) == sorted(map(tuple, np.repeat(np.eye(3), 8, axis=0)))
+    assert trimesh.Trimesh(points, faces, process=False).volume == pytest.approx(1)
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    points, normals, _ = shaded(ball)
+    assert len(points) == len(ball.vertices)
+    assert (points * normals).sum(axis=1).min() > 0.98
+
+
+def test_a_mesh_that_bounds_no_solid_gives_no_page(radiograph, tmp_path):
+    box = trimesh.creation.box(extents=(9, 9, 9))
+    box.update_faces(np.arange(11))
+    with pytest.raises(pssf.InputError, match="surface: edges of a hole"):
+        write_viewer(pssf.Scene([pssf.Surface(box, "water", "air")]), radiograph, tmp_path / "x.html")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
+def test_a_browser_draws_the_solids_switches_layers_and_cuts_without_an_error(radiograph, tmp_path):
+    page = write_viewer(spheres(), radiograph, tmp_path / "spheres.html")
+    script = """
+      const drawn = () => {
+        [...draw(12, true)];
+        const canvas = find("canvas"), gl = canvas.getContext("webgl2");
+        const pixels = new Uint8Array(4 * canvas.width * canvas.height);
+        gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+        const middle = 4 * ((canvas.height >> 1) * canvas.width + (canvas.width >> 1));
+        return [pixels.filter((value, k) => k % 4 === 3 && value > 0).length, ...pixels.slice(middle, middle + 4)];
+      };
+      const found = {}, [outer, inner] = document.querySelectorAll("label.row input");
+      camera = { ...HOME, turn: 0, tilt: 0 };
+      found.both = drawn();
+      outer.click(); found.inner = drawn();
+      outer.click(); find("#opacity").value = 5; found.opaque = drawn();
+      find("#cut").value = 0.5; found.cut = drawn();
+      found.errors = find("canvas").getContext("webgl2").getError();
+      document.title = JSON.stringify(found);
+    </script></body>"""
+    page.write_text(re.sub(r"</script>\s*</body>", lambda _: script, page.read_text()))
+    command = [CHROMIUM, *FLAGS, f"--user-data-dir={tmp_path / 'profile'}", page.as_uri()]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert "CONSOLE" not in done.stderr
+    found = json.loads(re.search("<title>(.*?)</title>", done.stdout)[1])
+    assert found["errors"] == 0
+    # Twice the radius, four times the area; perspective adds a little.
+    assert found["both"][0] / found["inner"][0] == pytest.approx(4.0, rel=0.05)
+    # Four sheets, one behind the other, each as opaque as the slider says at its start.
+    left = [(1 - colour_of(material)[3] / 255) ** (2 * 2**-0.7) for material in ("skin", "marrow")]
+    assert found["both"][4] == pytest.approx(255 * (1 - left[0] * left[1]), abs=3)
+    red, _, blue, opacity = found["opaque"][1:]
+    assert opacity > 250
+    assert abs(blue / red - 140 / 224) < 0.08  # skin; marrow, behind it, has 0.39
+    expected = [0.1 * 255 + 0.9 * value for value in colour_of("marrow")[:3]]
+    assert found["cut"][1:] == pytest.approx([*expected, 255], abs=3)
+
+
+def test_the_picture_of_the_solids_shows_every_shell_of_a_bone_that_is_cut(scene):
+    path = Path(__file__).parents[1] / "examples" / "solids.py"
+    spec = importlib.util.spec_from_file_location("solids", path)
+    solids = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(solids)
+    window = solids.Window(scene, solids.FRONT, rows=240)
+    whole, cut = solids.in_limb(scene, window), solids.cut_open(scene, window, 3.0)
+
+    def share(picture, material):
+        return (np.abs(picture.astype(int) - colour_of(material)[:3]).max(axis=2) <= 3).mean()
+
+    for material, least in (("cortical_bone", 0.005), ("trabecular_bone", 0.05), ("marrow", 0.02)):
+        assert share(cut, material) > least
+        assert share(whole, material) < 0.002
