@@ -168,8 +168,9 @@ def test_a_browser_draws_the_solids_switches_layers_and_cuts_without_an_error(ra
         const middle = 4 * ((canvas.height >> 1) * canvas.width + (canvas.width >> 1));
         return [pixels.filter((value, k) => k % 4 === 3 && value > 0).length, ...pixels.slice(middle, middle + 4)];
       };
+      const turned = (selector) => { find(selector).click(); return viewOf(300, 200).matrix; };
       const found = {}, [outer, inner] = document.querySelectorAll("label.row input");
-      camera = { ...HOME, turn: 0, tilt: 0 };
+      found.side = turned('[data-turn="90 0"]'); found.front = turned('[data-turn="0 0"]');
       found.both = drawn();
       outer.click(); found.inner = drawn();
       outer.click(); find("#opacity").value = 5; found.opaque = drawn();
@@ -183,6 +184,11 @@ def test_a_browser_draws_the_solids_switches_layers_and_cuts_without_an_error(ra
     assert "CONSOLE" not in done.stderr
     found = json.loads(re.search("<title>(.*?)</title>", done.stdout)[1])
     assert found["errors"] == 0
+    # Column by column, where x, y and z point: right, up, ahead, and away from the eye. The front is the radiograph's.
+    front, side = (np.reshape(found[name], (4, 4))[:3, [0, 1, 3]] for name in ("front", "side"))
+    assert (np.sign(front.round(9)) == [[1, 0, 0], [0, 0, 1], [0, 1, 0]]).all()
+    assert (np.sign(side.round(9)) == [[0, 0, -1], [1, 0, 0], [0, 1, 0]]).all()
+    assert front[0, 0] * 300 == pytest.approx(front[2, 1] * 200)
     # Twice the radius, four times the area; perspective adds a little.
     assert found["both"][0] / found["inner"][0] == pytest.approx(4.0, rel=0.05)
     # Four sheets, one behind the other, each as opaque as the slider says at its start.

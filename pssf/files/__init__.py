@@ -3,7 +3,8 @@
 tables   the package's own data files, and protocols by name or path
 atomic   a file appears whole or not at all
 images   radiographs as TIFF and PNG, and back
-meshes   scenes as STL, PLY and GLB
+meshes   scenes as STL, PLY, GLB and 3MF
+viewer   a page to inspect a scene beside its radiograph
 records  a cohort's records and manifest
 results  tables, pictures and pages of a study
 """
