@@ -1,0 +1,297 @@
+import dataclasses
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.testing import assert_allclose
+
+import pssf
+from pssf import InputError
+from pssf.anatomy import lattice as struts
+from pssf.anatomy.trabeculae import BONES, Trabeculae, error_rows, trabeculae
+from pssf.density import Density
+from pssf.files import tables
+
+HEALTHY = dict(seed=3, scale=1.0, frame=np.eye(3, 4), mirror="right", sclerosis=1.0, age_years=55.0, sex="male")
+FLAT = dict(shaft=0.15, bvtv=0.15, medial=0.0, load=0.0, plate_medial=0.0, plate_lateral=0.0, fan=0.0, scar_bvtv=0.0)
+NO_STRUTS = dict(gain=0.0, gain_shaft=0.0)
+EVEN = dict(FLAT, gain=1.0, gain_shaft=1.0)
+
+
+def bone(name: str = "tibia", **changed) -> Trabeculae:
+    return trabeculae(name, **{**HEALTHY, **changed})
+
+
+def region(density: Trabeculae, **changed) -> Trabeculae:
+    return dataclasses.replace(density, region=density.region._replace(**changed))
+
+
+def segments(count: int, seed: int = 0, spread_mm: float = 40.0) -> np.ndarray:
+    """(2, count, 3)  starts and ends in any direction"""
+    return np.random.default_rng(seed).normal(size=(2, count, 3)) * spread_mm
+
+
+def through(x_mm, z_mm, half_mm: float = 20.0) -> tuple[np.ndarray, np.ndarray]:
+    """Segments along y through places (x, z)."""
+    x, z = np.broadcast_arrays(np.asarray(x_mm, float).ravel(), np.asarray(z_mm, float).ravel())
+    return np.column_stack((x, x * 0 - half_mm, z)), np.column_stack((x, x * 0 + half_mm, z))
+
+
+def bvtv(density: Trabeculae, x_mm, z_mm, half_mm: float = 20.0) -> float:
+    """Mean BV/TV of a man of 55 along y, between places (x, z)."""
+    starts, ends = through(x_mm, z_mm, half_mm)
+    tissue = tables.data("trabeculae")["tissue"]
+    mean = density.integrate(starts, ends).mean() / (2 * half_mm)
+    return (mean - tissue["marrow"]) / (1 - tissue["marrow"]) * tissue["bvtv"]
+
+
+def turn(degrees: float) -> np.ndarray:
+    """A rotation about an oblique axis."""
+    return trimesh.transformations.rotation_matrix(np.deg2rad(degrees), (1.0, 2.0, -0.5))[:3, :3]
+
+
+@pytest.fixture(scope="module")
+def patch() -> np.ndarray:
+    """(128, 128)  integrals of 40 mm along y of even trabecular bone, every 0.15 mm; rows from proximal"""
+    x, z = np.meshgrid(np.arange(128) * 0.15 + 13, -np.arange(128) * 0.15 - 6)
+    return region(bone(), **EVEN).integrate(*through(x, z)).reshape(x.shape)
+
+
+def test_without_struts_and_regions_the_integral_is_the_length():
+    starts, ends = segments(500)
+    length = np.linalg.norm(ends - starts, axis=1)
+    even = region(bone(), **FLAT, **NO_STRUTS)
+    assert_allclose(even.integrate(starts, ends), length, rtol=1e-12)
+    assert_allclose(region(even, marrow=0.0).integrate(starts, ends), length * (1 - even.region.marrow), rtol=1e-12)
+
+
+def test_a_segment_without_length_and_no_segments_give_nothing():
+    starts, _ = segments(3)
+    assert bone().integrate(starts, starts).tolist() == [0.0, 0.0, 0.0]
+    assert bone().integrate(starts[:0], starts[:0]).shape == (0,)
+    assert isinstance(bone(), Density)
+
+
+@pytest.mark.parametrize("name", BONES)
+@pytest.mark.parametrize("along_y", [0.0, 1.0])
+def test_integrals_of_the_parts_of_a_segment_add_up_to_that_of_the_whole(name, along_y):
+    starts, ends = segments(300)
+    # Within a few degrees of y, and in any direction: samples are placed in two ways.
+    ends = ends + along_y * (starts + np.array([0.0, 60.0, 0.0]) - ends) + along_y * segments(300, 2, 1.0)[0]
+    share = np.random.default_rng(1).random((300, 1))
+    middles = starts + share * (ends - starts)
+    density = bone(name)
+    parts = density.integrate(starts, middles) + density.integrate(middles, ends)
+    assert_allclose(parts, density.integrate(starts, ends), atol=1e-9)
+
+
+def test_a_segment_run_along_the_other_way_has_the_same_integral():
+    starts, ends = segments(300)
+    assert_allclose(bone().integrate(starts, ends), bone().integrate(ends, starts), rtol=1e-9)
+
+
+def test_the_same_seed_is_the_same_bone_and_another_seed_is_another():
+    starts, ends = through(np.linspace(-30, 30, 400), -12.0)
+    first, again, other = (bone(seed=seed) for seed in (5, 5, 6))
+    assert first == again
+    assert first != other
+    one, two, three = (density.integrate(starts, ends) for density in (first, other, again))
+    assert np.array_equal(one, three)
+    assert abs(np.corrcoef(one - np.convolve(one, np.ones(40) / 40, "same"), two)[0, 1]) < 0.3
+
+
+def test_the_bones_of_a_knee_have_struts_of_their_own():
+    starts, ends = through(np.linspace(-30, 30, 400), -12.0)
+    one, two = (region(bone(name), **EVEN).integrate(starts, ends) for name in ("tibia", "femur"))
+    assert one.std() > 0.3
+    assert abs(np.corrcoef(one, two)[0, 1]) < 0.3
+
+
+def test_moving_bone_and_rays_together_changes_nothing():
+    starts, ends = segments(300)
+    matrix, shift = turn(37.0), np.array([3.0, -11.0, 25.0])
+    moved = bone(frame=np.column_stack((matrix, shift)))
+    found = moved.integrate(starts @ matrix.T + shift, ends @ matrix.T + shift)
+    assert_allclose(found, bone().integrate(starts, ends), rtol=1e-9)
+    assert np.abs(moved.integrate(starts, ends) / found - 1).max() > 0.01
+
+
+def test_a_left_knee_is_the_mirror_image_of_a_right_one():
+    starts, ends = segments(300)
+    frame, flip = np.column_stack((turn(8.0), (2.0, 1.0, -4.0))), np.array([-1.0, 1.0, 1.0])
+    right, left = (bone(frame=frame, mirror=side) for side in ("right", "left"))
+    assert_allclose(left.integrate(starts * flip, ends * flip), right.integrate(starts, ends), rtol=1e-9)
+    assert np.abs(left.integrate(starts, ends) / right.integrate(starts, ends) - 1).max() > 0.01
+
+
+@pytest.mark.parametrize("name", BONES)
+def test_density_is_never_below_that_of_marrow_and_comes_near_it_between_struts(name):
+    rng = np.random.default_rng(0)
+    starts = rng.uniform(-60, 60, (20_000, 3))
+    ends = starts + rng.normal(size=starts.shape) * 0.02
+    density = bone(name, sclerosis=2.5, age_years=20.0)
+    found = density.integrate(starts, ends) / np.linalg.norm(ends - starts, axis=1)
+    assert found.min() >= density.region.marrow * (1 - 1e-12)
+    assert found.min() < density.region.marrow + (0.25 if name == "patella" else 0.05)
+    assert found.max() > 1.5
+
+
+def test_the_lattice_is_bone_in_about_its_share_and_repeats():
+    block, unit = struts.lattice(3)
+    assert block.shape == (512, 256, 128)
+    assert_allclose(block.mean() * unit, 1.0, rtol=1e-12)
+    assert 0.12 < (block > 127).mean() < 0.18
+    even = region(bone(), **EVEN)
+    starts, ends = through(np.linspace(-20, 20, 200), -12.0)
+    for period_mm in ((81.92, 0.0, 0.0), (0.0, 64.0, 0.0), (0.0, 0.0, 51.2)):
+        assert_allclose(even.integrate(starts + period_mm, ends + period_mm), even.integrate(starts, ends), rtol=1e-6)
+    assert np.abs(even.integrate(starts + 20.0, ends + 20.0) / even.integrate(starts, ends) - 1).max() > 0.01
+
+
+def test_the_lattice_is_made_once_when_it_is_needed_and_for_one_seed_at_a_time(monkeypatch):
+    made = []
+
+    def make(seed):
+        made.append(seed)
+        block = np.zeros((512, 256, 128), np.uint8)
+        block.setflags(write=False)
+        return block, 1.0
+
+    monkeypatch.setattr(struts, "_made", make)
+    monkeypatch.setattr(struts, "_LAST", {})
+    density, ends = bone(seed=11), segments(10)
+    density.integrate(*segments(0))
+    assert made == []
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(lambda _: density.integrate(*ends), range(8)))
+    bone("femur", seed=11).integrate(*ends)
+    assert made == [11]
+    bone(seed=12).integrate(*ends)
+    assert made == [11, 12]
+    assert list(struts._LAST) == [12]
+
+
+def test_projected_struts_are_upright_fine_and_about_gaussian(patch):
+    from numpy.fft import fft2, fftfreq
+
+    flat = patch - patch.mean()
+    assert 0.02 < flat.std() / patch.mean() < 0.12
+    z = flat / flat.std()
+    assert abs((z**3).mean()) < 0.6
+    assert -0.5 < (z**4).mean() - 3 < 1.0
+    window = np.hanning(128)[:, None] * np.hanning(128)
+    power = np.abs(fft2(flat * window)) ** 2
+    fx, fz = np.meshgrid(fftfreq(128, 0.15), fftfreq(128, 0.15))
+    radius, angle = np.hypot(fx, fz), np.degrees(np.arctan2(np.abs(fz), np.abs(fx)))
+    band = (radius > 0.3 * 1.21) & (radius < 1.5 * 1.21)
+    assert 1.7 < power[band & (angle < 30)].mean() / power[band & (angle > 60)].mean() < 6
+    low, middle, high = (power[(radius > f / 1.2) & (radius < f * 1.2)].mean() for f in (0.4, 1.0, 2.4))
+    # Two slopes: flat to the struts' own spacing, steep above; the detector's blur adds 2 to the second.
+    assert -1.8 < np.log(middle / low) / np.log(1.0 / 0.4) < 0.2
+    assert -3.5 < np.log(high / middle) / np.log(2.4) < -1.2
+
+
+def test_bone_is_denser_at_the_plate_and_medially_and_fades_down_the_shaft():
+    x = np.linspace(-4, 4, 30)
+    medial, lateral = ([bvtv(bone(), x + at, z) for z in (-3.0, -9.0, -18.0)] for at in (23.0, -23.0))
+    assert medial[0] > 1.15 * medial[1] > 1.15 * medial[2]
+    assert all(m > 1.1 * other for m, other in zip(medial, lateral, strict=True))
+    assert 0.18 < medial[0] < 0.37
+    assert 0.08 < medial[2] < 0.22
+    assert bvtv(bone(), x, -120.0) < 0.05
+    assert 0.7 < 1.083 * 4.5 * np.mean([bvtv(bone(), x + 23, z, 22.5) for z in np.arange(-22, -3)]) < 1.15
+    wavy, calm = (bone().integrate(*through(np.linspace(-8, 8, 200), z)).std() for z in (-30.0, -130.0))
+    assert calm < 0.2 * wavy
+
+
+def test_sclerosis_makes_the_plate_denser_medially_more_than_laterally_and_leaves_the_rest():
+    x, healthy, hard = np.linspace(-4, 4, 30), bone(), bone(sclerosis=1.78)
+    rise = {(at, z): bvtv(hard, x + at, z) / bvtv(healthy, x + at, z) for at in (23.0, -23.0) for z in (-2.5, -40.0)}
+    assert 1.25 < rise[23.0, -2.5] < 1.47  # Rapagna 2021: 1.47 right under the plate
+    assert 1.02 < rise[-23.0, -2.5] < 0.5 + 0.5 * rise[23.0, -2.5]
+    assert all(1.0 <= rise[at, -40.0] < 1.02 for at in (23.0, -23.0))
+    assert bone("fibula", sclerosis=1.78) == bone("fibula")
+
+
+def test_age_and_sex_take_bone_away():
+    x = np.linspace(-20, 20, 60)
+    young, old = (bvtv(bone(age_years=age), x, -15.0) for age in (20.0, 90.0))
+    assert_allclose(old / young, 1 - 0.265, atol=0.02)  # Khosla et al. 2006
+    assert_allclose(bvtv(bone(sex="female"), x, -15.0) / bvtv(bone(), x, -15.0), 0.89, atol=1e-9)
+    swing = [bone(sex="female", age_years=age).region.gain for age in (20.0, 90.0)]
+    assert 0.8 < swing[0] < swing[1] <= 1.0
+
+
+def test_a_bone_of_another_size_has_the_same_regions_further_apart_and_struts_of_the_same_size():
+    small, usual = (region(bone(scale=scale), **NO_STRUTS) for scale in (0.8, 1.0))
+    starts, ends = segments(200)
+    assert_allclose(small.integrate(starts * 0.8, ends * 0.8), 0.8 * usual.integrate(starts, ends), rtol=2e-3)
+    small, usual = (region(bone(scale=scale), **EVEN) for scale in (0.8, 1.0))
+    assert_allclose(small.integrate(starts, ends), usual.integrate(starts, ends), rtol=1e-9)
+
+
+def test_the_scar_is_counted_in_full_however_thin_it_is():
+    for half_mm in (0.5, 0.005):
+        scarred = region(bone(), scar_per_mm=1 / half_mm, scar_slope=0.0, scar_bow_per_mm=0.0)
+        at = np.array([[scarred.region.scar_x, 0.0, scarred.region.scar_z]])
+        up, across = np.array([0.0, 0.0, 20.0]), np.array([0.0, 15.0, 0.0])
+        plain = region(scarred, scar_bvtv=0.0)
+        added = [scarred.integrate(at - way, at + way) - plain.integrate(at - way, at + way) for way in (up, across)]
+        strength = scarred.region.scar_bvtv * scarred.region.per_bvtv
+        # The profile (1 + q^2)^-1.5 holds twice its half thickness.
+        assert_allclose(added[0], 2 * half_mm * strength, rtol=0.01)
+        assert_allclose(added[1], 30.0 * strength, rtol=1e-6)
+    assert all(-20 <= bone(seed=seed).region.scar_z <= -15 for seed in range(20))
+
+
+def test_the_error_of_the_step_is_as_stated_and_falls_with_it():
+    rows = error_rows()
+    coarse = [row for row in rows if row["step_mm"] == 0.5]
+    assert [row["turned_deg"] for row in coarse] == [0.0, 5.0, 10.0]
+    for row, rms, texture in zip(coarse, (0.001, 0.004, 0.006), (0.01, 0.05, 0.08), strict=True):
+        assert 0 < row["rms"] < rms
+        assert 0 < row["texture"] < texture
+    for first, second in pairwise(rows):
+        assert second["step_mm"] > first["step_mm"] or second["rms"] < 0.6 * first["rms"]
+
+
+def test_between_surfaces_that_share_a_density_the_path_is_its_integral_there():
+    density = bone()
+    box, canal = (trimesh.creation.box((size, size, size)) for size in (30.0, 12.0))
+    scene = pssf.Scene(
+        [
+            pssf.Surface(box, inside="trabecular_bone", outside="air", name="box", inside_density=density),
+            pssf.Surface(canal, inside="marrow", outside="trabecular_bone", name="canal", outside_density=density),
+        ]
+    )
+    view = pssf.geometry.View(source_mm=(0, -950, 0), centre_mm=(0, 200, 0), rows=3, cols=3, pixel_mm=2.0)
+    paths = pssf.trace(scene, view, engine="scanline", precision="float64").path_mm
+    way = np.array([-2.0, 1150.0, 2.0])  # from the source to the pixel on the top left
+    depths = np.array([935.0, 944.0, 956.0, 965.0]) / 1150.0
+    places = np.array([0.0, -950.0, 0.0]) + depths[:, None] * way
+    expected = density.integrate(places[[0, 2]], places[[1, 3]]).sum()
+    assert_allclose(paths["trabecular_bone"][0, 0], expected, rtol=1e-9)
+    assert_allclose(paths["marrow"][0, 0], np.linalg.norm(places[2] - places[1]), rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"mirror": "up"}, "mirror = 'up'"),
+        ({"sex": "none"}, "sex = 'none'"),
+        ({"seed": -1}, "seed = -1"),
+        ({"scale": 3.0}, "scale = 3.0"),
+        ({"sclerosis": float("nan")}, "sclerosis = nan"),
+        ({"age_years": 5.0}, "age_years = 5.0"),
+        ({"frame": 2 * np.eye(3, 4)}, "frame = .*allowed: a rotation"),
+        ({"frame": np.diag([1.0, 1.0, -1.0, 1.0])[:3]}, "frame = .*allowed: a rotation"),
+        ({"frame": np.eye(4)}, "frame = .*allowed: a rotation"),
+    ],
+)
+def test_what_makes_no_bone_is_refused_by_name(changed, message):
+    with pytest.raises(InputError, match=message):
+        bone(**changed)
+    with pytest.raises(InputError, match="bone = 'humerus'"):
+        bone("humerus")
