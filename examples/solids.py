@@ -83,9 +83,10 @@ def cut_open(scene: pssf.Scene, window: Window, depth_mm: float) -> np.ndarray:
     for surface in scene.surfaces:
         mask, colour = section(surface, window, depth_mm), np.float32(colour_of(surface.inside)[:3])
         soft = surface.inside in SOFT
-        picture = over(picture, 0.4 * PAPER + 0.6 * colour if soft else colour, 0.7 * mask if soft else mask)
-        rim = mask - ndimage.grey_erosion(mask, (3, 3))
-        picture = over(picture, 0.55 * colour, 0.45 * rim)
+        for box in ndimage.find_objects(mask.astype(np.uint8)):
+            cut = mask[box]
+            tinted = over(picture[box], 0.4 * PAPER + 0.6 * colour if soft else colour, 0.7 * cut if soft else cut)
+            picture[box] = over(tinted, 0.55 * colour, 0.45 * (cut - ndimage.grey_erosion(cut, (3, 3))))
     return reduced(picture)
 
 
