@@ -1,4 +1,5 @@
 import dataclasses
+import time
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
@@ -155,6 +156,7 @@ def test_the_lattice_is_made_once_when_it_is_needed_and_for_one_seed_at_a_time(m
 
     def make(seed):
         made.append(seed)
+        time.sleep(0.05)  # long enough for a second thread to ask as well
         block = np.zeros((512, 256, 128), np.uint8)
         block.setflags(write=False)
         return block, 1.0
