@@ -42,6 +42,8 @@ class Knee:
     cortex_scale       cortical thickness relative to the mean
     limb_ap_mm         antero-posterior thickness of the limb at the joint
     fat_mm             subcutaneous fat, medial and lateral
+    age_years          thins the trabeculae
+    texture_seed       of the trabeculae; the same seed in a knee changed in another field gives the same struts
     grade              KL-like grade that it was drawn for, or None
     raises             InputError for a value out of range, or two osteophytes at one site
     """
@@ -61,6 +63,8 @@ class Knee:
     tibial_slope_deg: float = 5.0
     limb_ap_mm: float = 120.0
     fat_mm: float = 8.0
+    age_years: float = 55.0
+    texture_seed: int = 0
     grade: int | None = None
 
     def __post_init__(self) -> None:
@@ -78,6 +82,8 @@ class Knee:
         require("tibial_slope_deg", self.tibial_slope_deg, 0, 12, "deg")
         require("limb_ap_mm", self.limb_ap_mm, 90, 180, "mm")
         require("fat_mm", self.fat_mm, 2, 30, "mm")
+        require("age_years", self.age_years, 18, 100, "years")
+        require_whole("texture_seed", self.texture_seed, 0, 2**63 - 1, "")
         require_choice("grade", self.grade, (*GRADES, None))
         if not isinstance(self.osteophytes, tuple | list) or not all(
             isinstance(item, Osteophyte) for item in self.osteophytes
@@ -107,7 +113,7 @@ def knee_table(knee: Knee) -> dict[str, Any]:
 def draw_knee(*, grade: int, rng: np.random.Generator, **fixed: Any) -> Knee:
     """A knee of a KL-like grade with parameters drawn from `data/grades.toml`.
 
-    rng    the only source of chance
+    rng    the only source of chance; shape and pose are drawn from it, the texture's seed from a child of it
     fixed  fields of `Knee` to hold at a value; the draw of the others does not depend on them
     raises InputError for an unknown grade or field
     """
@@ -124,6 +130,7 @@ def draw_knee(*, grade: int, rng: np.random.Generator, **fixed: Any) -> Knee:
         drawn[name] = _uniform(rng, ranges[name])
     for name, law in pose.items():
         drawn[name] = _uniform(rng, law)
+    drawn["texture_seed"] = int(rng.spawn(1)[0].integers(2**63))
     drawn["osteophytes"] = _draw_osteophytes(rng, ranges["osteophyte_count"], ranges["largest_osteophyte_mm"])
     return from_table(Knee, {**drawn, **fixed}, "draw_knee")
 

@@ -14,7 +14,8 @@ class Protocol:
     """A technique. The central ray passes the origin of the knee frame; see `geometry.view_of`.
 
     A stage that is not asked for costs nothing: focal_spot_mm = 0 leaves out the focal-spot blur, mono_kev replaces the
-    tube's spectrum by one energy, and scatter, detector_blur and noise take "none".
+    tube's spectrum by one energy, and texture, scatter, detector_blur and noise take "none". Without texture,
+    spongy bone has its material's own density throughout.
     raises InputError for a value out of range
     """
 
@@ -31,6 +32,7 @@ class Protocol:
     cols: int
     pixel_mm: float
     mono_kev: float | None = None
+    texture: str = "trabecular"
     scatter: str = "kernel"
     detector_blur: str = "csi"
     noise: str = "quantum"
@@ -53,6 +55,7 @@ class Protocol:
         require("pixel_mm", self.pixel_mm, 0.001, 50, "mm")
         if self.mono_kev is not None:
             require("mono_kev", self.mono_kev, 5, 150, "keV")
+        require_choice("texture", self.texture, ("trabecular", "none"))
         require_choice("scatter", self.scatter, ("kernel", "none"))
         require_choice("detector_blur", self.detector_blur, ("csi", "none"))
         require_choice("noise", self.noise, ("quantum", "none"))

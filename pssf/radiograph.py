@@ -15,14 +15,20 @@ from .protocol import Protocol
 class Truth:
     """Labels that are true by construction. Landmarks are (row, column) on this radiograph, in pixels.
 
-    jsw_*_mm      smallest vertical gap of the projected cortical contours under the protocol `reference`, joint plane
-    landmarks_px  name -> (row, column)
+    jsw_medial_mm, jsw_lateral_mm
+                       smallest vertical gap of the projected cortical contours under `reference`, joint plane
+    jsw_at_mm          the same gap at fractions of the plateau's width from its medial edge (JSW(x))
+    landmarks_px       name -> (row, column): joint_centre, notch; medial_ and lateral_ joint_line, condyle_edge,
+                       epicondyle, plateau_edge (osteophytes aside) and spine
+    masks              if asked for: name -> (rows, cols) bool, where a bone or an osteophyte is seen
     """
 
     jsw_medial_mm: float
     jsw_lateral_mm: float
     grade: int | None
     landmarks_px: Mapping[str, tuple[float, float]]
+    jsw_at_mm: Mapping[float, float] = field(default_factory=dict)
+    masks: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict, compare=False)
 
     @property
     def medial_joint_line_px(self) -> tuple[float, float]:

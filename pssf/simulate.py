@@ -1,6 +1,7 @@
 """simulate: a knee, or any scene, and a protocol -> a radiograph."""
 
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from functools import cache
 from importlib.metadata import version
 from time import perf_counter
@@ -13,10 +14,10 @@ from .checks import InputError, require_choice, require_whole
 from .geometry import view_of
 from .knee import Knee
 from .protocol import Protocol
-from .radiograph import Radiograph
+from .radiograph import Radiograph, Truth
 from .scene import Scene
 
-KEEP = ("path_mm", "primary", "scatter", "noise_free")
+KEEP = ("path_mm", "primary", "scatter", "noise_free", "masks")
 # Streams below a radiograph's seed; shape and pose are drawn with the knee, before it.
 _NOISE = 3
 
@@ -34,7 +35,7 @@ def simulate(
     """A radiograph of a knee, or of a scene of one's own.
 
     seed     of the noise; the same seed gives the same bytes on any number of workers
-    keep     maps to hold in `kept`, of "path_mm", "primary", "scatter", "noise_free"
+    keep     maps to hold in `kept`, of "path_mm", "primary", "scatter", "noise_free"; and "masks", for a knee's `truth`
     engine   "embree" or "scanline"
     workers  threads
     scene    what `build(knee)` gave, where several protocols see the same knee
@@ -43,6 +44,8 @@ def simulate(
     require_whole("seed", seed, 0, 2**63 - 1, "")
     for name in keep:
         require_choice("keep", name, KEEP)
+    if "masks" in keep and isinstance(knee, Scene):
+        raise InputError("keep = masks of a scene; allowed: of a Knee, whose bones are known by name")
     if not isinstance(protocol, Protocol):
         raise InputError(f"protocol = {protocol!r}; allowed: a Protocol, as load_protocol gives it")
     if not isinstance(knee, Knee | Scene):
@@ -71,13 +74,22 @@ def simulate(
         protocol=protocol,
         seed=seed,
         knee=who,
-        truth=None if who is None else anatomy.truth_of(who, scene, protocol),
+        truth=None if who is None else _truth(who, scene, protocol, "masks" in keep),
         engine=engine,
         audit=paths.audit.counts(),
         versions=versions(),
         kept=kept,
         seconds={**seconds, **stages},
     )
+
+
+def _truth(knee: Knee, scene: Scene, protocol: Protocol, masked: bool) -> Truth:
+    truth = anatomy.truth_of(knee, scene, protocol)
+    if not masked:
+        return truth
+    solids = {surface.name: surface.mesh for surface in scene.surfaces if surface.name in anatomy.BONES}
+    solids |= {f"{site}_osteophyte": mesh for site, mesh in anatomy.osteophytes_of(knee).items()}
+    return replace(truth, masks={name: raycast.shadow(mesh, protocol) for name, mesh in solids.items()})
 
 
 def _refuse_negative(path_mm: Mapping[str, NDArray[np.float32]]) -> None:

@@ -1,5 +1,6 @@
 import csv
 import dataclasses
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -7,7 +8,7 @@ import trimesh
 from numpy.testing import assert_allclose
 
 from pssf import InputError, accuracy, load_protocol
-from pssf.accuracy import agreement, engines, figure, solids, stages
+from pssf.accuracy import agreement, engines, figure, morphometry, solids, stages, tessellation, texture
 from pssf.geometry import view_of
 
 
@@ -81,6 +82,57 @@ def test_more_nodes_of_the_spectrum_err_less():
     errors = [row["max_relative_error"] for row in stages.spectrum_rows((4, 12, 36))]
     assert errors[0] > errors[1] > errors[2]
     assert errors[2] < 1e-3
+
+
+def test_outlines_of_the_bones_are_within_a_fiftieth_of_a_millimetre():
+    rows = tessellation.tessellation_rows()
+    for bone in ("femur", "tibia"):
+        some = [row for row in rows if row["bone"] == bone]
+        assert all(one["rms_mm"] >= other["rms_mm"] for one, other in pairwise(some))
+        assert all(one["triangles"] < other["triangles"] for one, other in pairwise(some))
+    for row in (row for row in rows if row["used"]):
+        assert row["rms_mm"] < 0.015
+        assert row["max_mm"] < 0.06
+
+
+def test_the_error_of_the_step_is_as_stated_and_falls_with_it():
+    rows = texture.step_rows()
+    coarse = [row for row in rows if row["used"]]
+    assert [row["turned_deg"] for row in coarse] == [0.0, 5.0, 10.0]
+    for row, rms, most in zip(coarse, (0.001, 0.004, 0.006), (0.01, 0.05, 0.08), strict=True):
+        assert 0 < row["rms"] < rms
+        assert 0 < row["texture"] < most
+    for first, second in pairwise(rows):
+        assert second["step_mm"] > first["step_mm"] or second["rms"] < 0.6 * first["rms"]
+
+
+def test_texture_of_a_made_field_is_what_it_was_made_of():
+    rng = np.random.default_rng(1)
+    f = np.hypot(*np.meshgrid(*2 * [np.fft.fftfreq(256, 0.1)]))
+    spectrum = np.fft.fft2(rng.standard_normal((256, 256))) * np.where(f > 0, np.maximum(f, 1e-9) ** -1.0, 0)
+    field = np.fft.ifft2(spectrum).real
+    found = texture.texture(100 + 3 * field / field.std(), 0.1)
+    assert found["slope_0.2_2"] == pytest.approx(-2.0, abs=0.15)
+    assert found["vertical_over_horizontal"] == pytest.approx(1.0, abs=0.25)
+    stripes = texture.texture(100 + 3 * np.cos(2 * np.pi * 0.8 * 0.1 * np.arange(256)) + field[:, :], 0.1)
+    assert stripes["vertical_over_horizontal"] > 3
+
+
+def test_a_drawn_knee_of_grade_0_has_texture_like_a_real_one():
+    for row in texture.spread_rows(2, 1):
+        wide = row["real_high"] - row["real_low"]
+        assert row["real_low"] - wide < row["mean"] < row["real_high"] + wide, row
+
+
+def test_knees_measure_about_what_is_published():
+    rows = morphometry.knee_rows(8, 1)
+    labels = {row["quantity"]: row["value"] for row in rows if not row["reference"]}
+    assert labels["error of jsw_medial_mm"] < 1e-3
+    assert labels["error of varus_deg"] < 0.1
+    sizes = [row for row in rows if row["reference"]]
+    assert len(sizes) > 30
+    # Of four knees of a sex the mean is within two standard errors, 1.0, of the half deviation allowed.
+    assert all(abs(row["off_sd"]) < 1.5 for row in sizes), [row for row in sizes if abs(row["off_sd"]) >= 1.5]
 
 
 def test_a_run_writes_the_tables_that_are_asked_for(tmp_path, monkeypatch):

@@ -2,6 +2,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from manifold3d import Manifold
@@ -9,8 +10,9 @@ from numpy.testing import assert_allclose
 
 import pssf
 from pssf import anatomy
-from pssf.anatomy import bones, cartilage, femur
-from pssf.anatomy.solids import checked, height_field, loft, mesh_of, ring, solid_of
+from pssf.accuracy import morphometry
+from pssf.anatomy import bones, cartilage, femur, implicit, joint
+from pssf.anatomy.solids import checked, edges_of, halved, height_field, loft, mesh_of, ring, solid_of
 
 REFERENCE = pssf.load_protocol("reference")
 MEAN = bones.Build(scale=1.0, cortex=1.0, plate=1.0, slope_deg=5.0, femur_valgus_deg=5.0, tibia_varus_deg=0.0)
@@ -57,13 +59,12 @@ def test_knees_at_the_corners_of_their_ranges_build(corner):
     assert_allclose(anatomy.measured_jsw_mm(knee, pssf.build(knee), REFERENCE), [2.5, 5.5], atol=0.01)
 
 
-def test_a_knee_without_room_for_its_osteophytes_is_refused():
-    beaks = tuple(pssf.Osteophyte(site=site, size_mm=6.0) for site in pssf.knee.SITES)
-    with pytest.raises(pssf.InputError, match=r"and .* overlap by"):
-        pssf.build(pssf.Knee(
-            jsw_medial_mm=1.0, jsw_lateral_mm=1.0, stature_mm=1400.0, bone_scale=0.85, osteophytes=beaks,
-            tibial_slope_deg=12.0, flexion_deg=15.0, rotation_deg=-10.0, varus_deg=-8.0,
-        ))  # fmt: skip
+def test_bones_that_would_overlap_are_refused(knee, monkeypatch):
+    stance = joint.stance_of(knee)
+    sunk = dataclasses.replace(stance, pose=dataclasses.replace(stance.pose, raise_mm=stance.pose.raise_mm - 7.0))
+    monkeypatch.setattr(anatomy, "stance_of", lambda knee: sunk)
+    with pytest.raises(pssf.InputError, match=r"femur and tibia overlap by .* mm3"):
+        pssf.build(knee)
 
 
 def test_a_left_knee_is_the_mirror_image_of_a_right_one(knee, scene):
@@ -112,23 +113,35 @@ def test_a_thicker_subchondral_plate_takes_its_volume_from_trabecular_bone():
     assert_allclose(sclerotic.outer.volume(), normal.outer.volume(), rtol=1e-12)
 
 
-def shaft_angle_deg(knee):
-    """Angle between femoral and tibial shaft in the frontal plane; more is more valgus."""
-    axes = {}
-    for surface in pssf.build(dataclasses.replace(knee, rotation_deg=0.0, flexion_deg=0.0)).surfaces:
-        if surface.name in ("femur", "tibia"):
-            z, x = surface.mesh.vertices[:, 2], surface.mesh.vertices[:, 0]
-            heights = [110.0, 170.0] if surface.name == "femur" else [-110.0, -170.0]
-            mids = [(x[abs(z - h) < 3].max() + x[abs(z - h) < 3].min()) / 2 for h in heights]
-            axes[surface.name] = np.rad2deg(np.arctan2(mids[1] - mids[0], abs(heights[1] - heights[0])))
-    return -(axes["femur"] + axes["tibia"])
-
-
 @pytest.mark.parametrize("varus", [-5.0, 0.0, 5.0])
 def test_varus_is_the_angle_of_the_shafts_whatever_the_joint_spaces(varus):
     for medial in (2.5, 5.0):
-        measured = shaft_angle_deg(pssf.Knee(varus_deg=varus, jsw_medial_mm=medial))
-        assert measured == pytest.approx(5.0 - varus, abs=0.4)
+        found = morphometry.measured(pssf.Knee(varus_deg=varus, jsw_medial_mm=medial))
+        assert abs(found["error of varus_deg"]) < 0.1
+
+
+@given(data=st.data())
+def test_halved_edges_leave_a_closed_surface_of_the_same_volume(data):
+    box = trimesh.creation.box((2.0, 3.0, 5.0))
+    edges = edges_of(box.faces)
+    chosen = edges[data.draw(st.lists(st.integers(0, len(edges) - 1), min_size=1, unique=True))]
+    points = np.vstack((box.vertices, box.vertices[chosen].mean(axis=1)))
+    mesh = trimesh.Trimesh(points, halved(np.asarray(box.faces), chosen, len(box.vertices)), process=False)
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    assert len(mesh.faces) == len(box.faces) + 2 * len(chosen)
+    assert_allclose(mesh.volume, 30.0, rtol=1e-12)
+
+
+def test_a_resolved_solid_keeps_every_edge_within_tolerance_of_its_field():
+    def ball(points):
+        return np.linalg.norm(points, axis=1) - 20.0
+
+    coarse = implicit.settle(Manifold.sphere(20.0, 16), ball)
+    fine = implicit.resolved(coarse, ball, 0.05, 6)
+    mesh = mesh_of(fine)
+    assert np.abs(ball(mesh.vertices[edges_of(mesh.faces)].mean(axis=1))).max() < 0.06
+    assert np.abs(ball(mesh.vertices)).max() < 1e-6
 
 
 def test_soft_structures_lie_clear_of_bones_and_of_each_other_within_the_fascia(scene):

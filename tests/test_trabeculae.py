@@ -1,7 +1,6 @@
 import dataclasses
 import time
 from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from numpy.testing import assert_allclose
 import pssf
 from pssf import InputError
 from pssf.anatomy import lattice as struts
-from pssf.anatomy.trabeculae import BONES, Trabeculae, error_rows, trabeculae
+from pssf.anatomy.trabeculae import BONES, Trabeculae, trabeculae
 from pssf.density import Density
 from pssf.files import tables
 
@@ -246,17 +245,6 @@ def test_the_scar_is_counted_in_full_however_thin_it_is():
         assert_allclose(added[0], 2 * half_mm * strength, rtol=0.01)
         assert_allclose(added[1], 30.0 * strength, rtol=1e-6)
     assert all(-20 <= bone(seed=seed).region.scar_z <= -15 for seed in range(20))
-
-
-def test_the_error_of_the_step_is_as_stated_and_falls_with_it():
-    rows = error_rows()
-    coarse = [row for row in rows if row["step_mm"] == 0.5]
-    assert [row["turned_deg"] for row in coarse] == [0.0, 5.0, 10.0]
-    for row, rms, texture in zip(coarse, (0.001, 0.004, 0.006), (0.01, 0.05, 0.08), strict=True):
-        assert 0 < row["rms"] < rms
-        assert 0 < row["texture"] < texture
-    for first, second in pairwise(rows):
-        assert second["step_mm"] > first["step_mm"] or second["rms"] < 0.6 * first["rms"]
 
 
 def test_between_surfaces_that_share_a_density_the_path_is_its_integral_there():

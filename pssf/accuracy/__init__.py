@@ -3,7 +3,11 @@
 engines    ray casting: seconds, memory and error by engine, triangles, pixels and precision; how they grow
 agreement  both engines on random knees from random sides
 stages     the stages of simulate; nodes of the spectrum
+physics    spectrum, attenuation, primary and scatter beside references
+morphometry  drawn knees beside published sizes, and the errors of their labels
 solids     spheres as polyhedra, and their exact chords
+tessellation  outlines of the bones by triangles
+texture    trabeculae: integrals by step, and their look on radiographs beside real ones
 figure     error against run time, drawn                      (extra "study")
 """
 
@@ -17,13 +21,19 @@ from ..checks import require_choice
 from ..files.atomic import write_bytes
 from ..files.records import write_csv, write_json
 from ..simulate import versions
-from ..validation import knee_rows, physics_rows
 from .agreement import agreement_rows
 from .engines import Row, engine_rows, growth_rows, nested_rows
+from .morphometry import knee_rows
+from .physics import physics_rows
 from .stages import spectrum_rows, stage_rows
+from .tessellation import tessellation_rows
+from .texture import spread_rows, step_rows
 
 # Those that measure memory come first: a process that is started begins with the peak of the one that started it.
-TABLES = ("engines", "growth", "nested", "stages", "agreement", "spectrum", "physics", "knees")
+TABLES = (
+    "engines", "growth", "nested", "stages", "agreement", "spectrum", "physics", "tessellation", "texture_steps",
+    "texture", "knees",
+)  # fmt: skip
 
 
 def measure(
@@ -37,7 +47,7 @@ def measure(
     """Measure what is asked for and write it as CSV, with machine.json and a figure; returns their paths.
 
     tables    of TABLES; "growth" is worked out from "engines"
-    knees     how many both engines are compared on
+    knees     how many are drawn for "agreement", "texture" and "knees"
     progress  told what is being measured
     raises    InputError for an unknown table, or a disk that is full or cannot be written
     """
@@ -55,7 +65,10 @@ def measure(
         "agreement": lambda: agreement_rows(knees, workers),
         "spectrum": spectrum_rows,
         "physics": physics_rows,
-        "knees": knee_rows,
+        "tessellation": tessellation_rows,
+        "texture_steps": step_rows,
+        "texture": lambda: spread_rows(knees, workers),
+        "knees": lambda: knee_rows(knees, workers),
     }
     paths = []
     for name in (name for name in TABLES if name in tables):

@@ -5,8 +5,9 @@ bones        femur, tibia, fibula, patella as nested solids     osteophytes  bea
 femur, tibia their outer shapes, blended                        implicit     fields, blends, settling onto them
 soft         skin, fat, muscle                                  joint        the pose that gives the joint spaces
 cartilage    cartilage and menisci                              planes       fat planes, fat pad, patellar tendon
-tissues      all of these, carved clear of each other
+tissues      all of these, carved clear of each other           trabeculae   density of the spongy bone within
 contours     projected outlines and the gap between them        solids       lofts, hulls, height fields, checks
+truth        labels and landmarks
 """
 
 from dataclasses import replace
@@ -15,20 +16,17 @@ import numpy as np
 import trimesh
 from manifold3d import Manifold
 
-from ..checks import InputError
-from ..files import tables
-from ..geometry import view_of
+from ..checks import Array, InputError
 from ..knee import Knee
-from ..protocol import Protocol
-from ..radiograph import Truth
 from ..scene import Scene, Surface
 from . import bones, soft
-from .contours import Gap, edges_of, measure_gap
-from .joint import half_ml_mm, solve_pose
+from .joint import stance_of
 from .solids import checked, mesh_of
 from .tissues import between
+from .trabeculae import BONES, Trabeculae, trabeculae
+from .truth import measured_jsw_mm, osteophytes_of, truth_of
 
-__all__ = ["build", "measured_jsw_mm", "truth_of"]
+__all__ = ["BONES", "build", "measured_jsw_mm", "osteophytes_of", "truth_of"]
 
 
 def build(knee: Knee) -> Scene:
@@ -37,14 +35,11 @@ def build(knee: Knee) -> Scene:
     Surfaces are named ("femur", "femur_trabecular", "femur_marrow", "skin", ...), in the knee frame, mm.
     raises  InputError if a solid fails its checks, which the ranges of `Knee` exclude
     """
-    shape = _shape(knee)
-    femur, tibia = bones.grown_femur(shape, knee.osteophytes), bones.grown_tibia(shape, knee.osteophytes)
-    pose = solve_pose(knee, shape, femur.outer, bones.standing(tibia.outer, shape))
-    # The femur's tilt closes the joint; its shaft gives that tilt back, so that varus_deg is the angle of the shafts.
-    shape = replace(shape, femur_valgus_deg=shape.femur_valgus_deg + pose.tilt_deg)
+    stance = stance_of(knee)
+    shape, pose = stance.build, stance.pose
     parts = {
-        "femur": bones.femur(shape, femur),
-        "tibia": bones.tibia(shape, tibia),
+        "femur": bones.femur(shape, stance.femur),
+        "tibia": bones.tibia(shape, stance.tibia),
         "fibula": bones.fibula(shape),
         "patella": bones.patella(shape),
     }
@@ -59,60 +54,33 @@ def build(knee: Knee) -> Scene:
         _surface(wraps["adipose"], "adipose", "skin", "adipose", knee),
         _surface(wraps["muscle"], "muscle", "adipose", "muscle", knee),
     ]
-    for tissue in between(knee, shape, pose, (femur, tibia), placed, wraps["muscle"]):
+    for tissue in between(knee, stance, placed, wraps["muscle"]):
         surfaces.append(_sided(tissue.mesh, tissue.material, "muscle", tissue.name, knee))
     for name, part in placed.items():
+        density = _texture(knee, name, shape.scale, frames[name])
         surfaces.append(_surface(part.outer, "cortical_bone", "muscle", name, knee))
-        surfaces.append(_surface(part.inner, "trabecular_bone", "cortical_bone", f"{name}_trabecular", knee))
+        spongy = _surface(part.inner, "trabecular_bone", "cortical_bone", f"{name}_trabecular", knee)
+        surfaces.append(replace(spongy, inside_density=density))
         if part.canal is not None:
-            surfaces.append(_surface(part.canal, "marrow", "trabecular_bone", f"{name}_marrow", knee))
+            canal = _surface(part.canal, "marrow", "trabecular_bone", f"{name}_marrow", knee)
+            surfaces.append(replace(canal, outside_density=density))
     return Scene(surfaces)
 
 
-def truth_of(knee: Knee, scene: Scene, protocol: Protocol) -> Truth:
-    """What is known about the radiograph of a built knee under a protocol.
-
-    scene   as `build(knee)` gives it
-    """
-    medial, lateral = _gaps(knee, scene, protocol)
-    spots = {"medial_joint_line": medial.middle_px(), "lateral_joint_line": lateral.middle_px()}
-    ends = np.array(list(spots.values()))
-    spots["joint_centre"] = (float(ends[:, 0].mean()), float(ends[:, 1].mean()))
-    return Truth(
-        jsw_medial_mm=knee.jsw_medial_mm, jsw_lateral_mm=knee.jsw_lateral_mm, grade=knee.grade, landmarks_px=spots
+def _texture(knee: Knee, bone: str, scale: float, frame: Array) -> Trabeculae:
+    return trabeculae(
+        bone,
+        seed=knee.texture_seed,
+        scale=scale,
+        frame=frame,
+        mirror=knee.side,
+        sclerosis=knee.subchondral_plate,
+        age_years=knee.age_years,
+        sex=knee.sex,
     )
 
 
-def measured_jsw_mm(knee: Knee, scene: Scene, protocol: Protocol) -> tuple[float, float]:
-    """Medial and lateral joint space measured on the projected contours of a built knee, osteophytes and all."""
-    medial, lateral = _gaps(knee, scene, protocol)
-    return medial.jsw_mm, lateral.jsw_mm
-
-
-def _gaps(knee: Knee, scene: Scene, protocol: Protocol) -> tuple[Gap, Gap]:
-    """The medial and the lateral joint space as a protocol's detector sees them."""
-    meshes = {s.name: s.mesh for s in scene.surfaces if s.name in ("femur", "tibia")}
-    femur, tibia = ((m.vertices, edges_of(m.faces)) for m in (meshes["femur"], meshes["tibia"]))
-    medial, half = (1 if knee.side == "right" else -1), half_ml_mm(_shape(knee).scale)
-    view = view_of(protocol)
-    return measure_gap(femur, tibia, view, medial, half), measure_gap(femur, tibia, view, -medial, half)
-
-
-def _shape(knee: Knee) -> bones.Build:
-    table = tables.data("anatomy")
-    size = table["size"]
-    sex_scale = size["female_over_male"] if knee.sex == "female" else 1.0
-    return bones.Build(
-        scale=sex_scale * knee.bone_scale * knee.stature_mm / size["stature_mm"][knee.sex],
-        cortex=knee.cortex_scale,
-        plate=knee.subchondral_plate,
-        slope_deg=knee.tibial_slope_deg,
-        femur_valgus_deg=table["femur"]["valgus_deg"] - knee.varus_deg / 2,
-        tibia_varus_deg=knee.varus_deg / 2,
-    )
-
-
-def _placed(part: bones.Bone, transform: np.ndarray) -> bones.Bone:
+def _placed(part: bones.Bone, transform: Array) -> bones.Bone:
     canal = None if part.canal is None else part.canal.transform(transform)
     return bones.Bone(outer=part.outer.transform(transform), inner=part.inner.transform(transform), canal=canal)
 

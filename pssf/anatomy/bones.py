@@ -8,7 +8,7 @@ from manifold3d import Manifold
 
 from ..checks import Array
 from ..files import tables
-from ..knee import Osteophyte
+from ..knee import Knee, Osteophyte
 from . import femur as femur_shape
 from . import tibia as tibia_shape
 from .implicit import settle
@@ -17,6 +17,8 @@ from .solids import checked, column
 
 # Shafts end here, outside the beam of any protocol in the package and within the soft tissue's own length.
 SHAFT_END_MM = 180.0
+# Inner surfaces and straight shafts are drawn with fewer triangles, within this.
+_COARSER_MM = 0.02
 # Steps of 1.5 mm at most, down to the inside of the thickest cortex.
 _INWARD_STEPS = 6
 
@@ -42,6 +44,21 @@ class Build:
     tibia_varus_deg: float
 
 
+def build_of(knee: Knee) -> Build:
+    """What a knee's parameters make of the mean man's bones."""
+    table = tables.data("anatomy")
+    size = table["size"]
+    sex_scale = size["female_over_male"] if knee.sex == "female" else 1.0
+    return Build(
+        scale=sex_scale * knee.bone_scale * knee.stature_mm / size["stature_mm"][knee.sex],
+        cortex=knee.cortex_scale,
+        plate=knee.subchondral_plate,
+        slope_deg=knee.tibial_slope_deg,
+        femur_valgus_deg=table["femur"]["valgus_deg"] - knee.varus_deg / 2,
+        tibia_varus_deg=knee.varus_deg / 2,
+    )
+
+
 def scaled(sections: list[list[float]], scale: float) -> Array:
     """(n, m)  a table of lengths, scaled"""
     return np.asarray(sections, dtype=np.float64) * scale
@@ -51,7 +68,7 @@ def thickness(table: list[list[float]], scale: float, factor: float) -> Callable
     """Cortical thickness (mm) as a function of height (mm), from a table of height and thickness."""
     rows = np.asarray(table, dtype=np.float64)
     rows = rows[np.argsort(rows[:, 0])]
-    return lambda z_mm: np.interp(z_mm, rows[:, 0] * scale, rows[:, 1]) * factor
+    return lambda z_mm: np.interp(z_mm, rows[:, 0] * scale, rows[:, 1]) * factor * scale
 
 
 def lean(sections: Array, pivot_mm: float, angle_deg: float, direction: int) -> Array:
@@ -128,8 +145,8 @@ def femur(build: Build, grown: Grown) -> Bone:
 
     return Bone(
         outer=standing(grown.outer, SHAFT_END_MM),
-        inner=standing(grown.filled(marrow, s), SHAFT_END_MM - 2.0),
-        canal=checked(canal, "femur canal"),
+        inner=standing(grown.filled(marrow, s), SHAFT_END_MM - 2.0).simplify(_COARSER_MM),
+        canal=checked(canal, "femur canal").simplify(_COARSER_MM),
     )
 
 
@@ -172,8 +189,8 @@ def tibia(build: Build, grown: Grown) -> Bone:
     canal = _canal(sections, cortex, canal_levels, table["canal_full_z_mm"] * s, "tibia canal")
     return Bone(
         outer=standing(grown.outer, build),
-        inner=standing(grown.filled(marrow, s), build, 2.0),
-        canal=checked(leaned(canal, table["shaft_pivot_z_mm"] * s, build.tibia_varus_deg, -1), "tibia canal"),
+        inner=standing(grown.filled(marrow, s), build, 2.0).simplify(_COARSER_MM),
+        canal=leaned(canal, table["shaft_pivot_z_mm"] * s, build.tibia_varus_deg, -1).simplify(_COARSER_MM),
     )
 
 
@@ -216,7 +233,11 @@ def fibula(build: Build) -> Bone:
     gap = table["gap_to_tibia_mm"]
     outer = column(sections, _none, _levels(low, high, 1.5), "fibula", count=64) - tibia_column(build, gap)
     inner = column(sections, cortex, _levels(low + 2.0, high - 0.8, 1.5), "fibula marrow", count=64)
-    return Bone(outer=checked(outer, "fibula"), inner=checked(inner - tibia_column(build, gap + 0.7), "fibula marrow"))
+    inner = inner - tibia_column(build, gap + 0.7)
+    return Bone(
+        outer=checked(outer.simplify(_COARSER_MM / 2), "fibula"),
+        inner=checked(inner.simplify(_COARSER_MM), "fibula marrow"),
+    )
 
 
 def patella(build: Build) -> Bone:
@@ -226,6 +247,8 @@ def patella(build: Build) -> Bone:
     cortex = thickness(table["cortex"], s, build.cortex)
     low, high = sections[:, 0].min(), sections[:, 0].max()
     place = tuple(s * c for c in table["centre_mm"])
-    outer = column(sections, _none, _levels(low, high, 1.0), "patella", power=2.1)
-    inner = column(sections, cortex, _levels(low + 1.2, high - 1.2, 1.0), "patella marrow", power=2.1)
+    outer = column(sections, _none, _levels(low, high, 1.0), "patella", power=2.1).simplify(_COARSER_MM / 2)
+    inner = column(sections, cortex, _levels(low + 1.2, high - 1.2, 1.0), "patella marrow", power=2.1).simplify(
+        _COARSER_MM
+    )
     return Bone(outer=outer.translate(place), inner=inner.translate(place))

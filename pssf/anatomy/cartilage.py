@@ -11,7 +11,7 @@ from ..files import tables
 from . import femur as femur_shape
 from . import tibia as tibia_shape
 from .implicit import Field, onto
-from .solids import loft, mesh_of, ring, solid_of
+from .solids import edges_of, loft, mesh_of, ring, solid_of
 
 # Farther than this from the bare bone's surface is osteophyte, which bears no cartilage.
 _BARE_MM = 0.02
@@ -112,6 +112,7 @@ def _layer(outer: Manifold, field: Field, zone: Field, scale: float, spaces_mm: 
     bearing = np.flatnonzero(thickness)
     way = onto(points[bearing], field, lambda _: -thickness[bearing], _STEPS) - points[bearing]
     way /= np.linalg.norm(way, axis=1)[:, None]
+    thickness[bearing] = np.minimum(thickness[bearing], _room(points, bearing, way, faces))
     top = points.copy()
     for _ in range(_THINNINGS):
         top[bearing] = points[bearing] + way * thickness[bearing, None]
@@ -120,6 +121,20 @@ def _layer(outer: Manifold, field: Field, zone: Field, scale: float, spaces_mm: 
             break
         thickness[folded] /= 2
     return Layer(points, top, faces)
+
+
+def _room(points: Array, bearing: NDArray[np.int64], way: Array, faces: Array) -> Array:
+    """(n,)  how thick a layer may be where the bone is hollow: half the radius in which the ways outward converge"""
+    normals = np.zeros_like(points)
+    normals[bearing] = way
+    edges = edges_of(faces)
+    edges = edges[(normals[edges] != 0).any(axis=2).all(axis=1)]
+    span, turn = (part[edges[:, 1]] - part[edges[:, 0]] for part in (points, normals))
+    bend = np.maximum(-(span * turn).sum(axis=1) / (span**2).sum(axis=1), 0.0)
+    most = np.zeros(len(points))
+    for end in (0, 1):
+        np.maximum.at(most, edges[:, end], bend)
+    return np.maximum(0.5 / np.maximum(most[bearing], 1e-6), _THINNEST_MM)
 
 
 def _folded(bone: Array, top: Array, faces: Array) -> NDArray[np.int64]:

@@ -45,12 +45,6 @@ class Gap:
         return (float(np.interp(self.middle_col_px, self.columns_px, rows)), self.middle_col_px)
 
 
-def edges_of(faces: Array) -> Array:
-    """(m, 2)  every edge of a mesh once"""
-    directed = np.sort(np.vstack((faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]])), axis=1)
-    return np.unique(directed, axis=0)
-
-
 def measure_gap(
     femur: tuple[Array, Array], tibia: tuple[Array, Array], view: View, side_x: int, half_ml_mm: float
 ) -> Gap:
@@ -64,13 +58,19 @@ def measure_gap(
     first, last = np.sort(project(ends, view)[:, 1])
     columns = np.arange(np.ceil(first), np.floor(last) + 1)
     outline = [
-        _envelope(project(vertices, view), edges, int(columns[0]), len(columns), lowest)
+        envelope(project(vertices, view), edges, int(columns[0]), len(columns), lowest)
         for (vertices, edges), lowest in ((femur, 1.0), (tibia, -1.0))
     ]
     return Gap(columns, outline[0], outline[1], view.pixel_mm / magnification(view), float(first + last) / 2)
 
 
-def _envelope(points_px: Array, edges: Array, first: int, count: int, lowest: float) -> Array:
+def envelope(points_px: Array, edges: Array, first: int, count: int, lowest: float) -> Array:
+    """(count,)  row of the outline of a projected mesh in columns from `first` on
+
+    points_px  (n, 2)  its vertices
+    edges      (m, 2)
+    lowest     +1 for the lower outline, -1 for the upper one
+    """
     return _walk_edges(np.ascontiguousarray(points_px), np.ascontiguousarray(edges), first, count, lowest) * lowest
 
 

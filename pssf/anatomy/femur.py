@@ -10,12 +10,12 @@ from manifold3d import Manifold
 
 from ..checks import Array
 from ..files import tables
-from .implicit import Column, blend, carve, ellipsoid, evened, meet, refined
+from .implicit import Column, blend, carve, ellipsoid, evened, meet, refined, resolved
 from .solids import checked, column, hull, loft
 
 _POWER = 2.3
-# Rounds of evening out the mesh.
-_ROUNDS = 6
+# Rounds of evening out the mesh, and halvings of edges where the surface bends.
+_ROUNDS, _HALVINGS = 6, 3
 # Cut flat here, outside the beam of any protocol in the package.
 _END_MM = 285.0
 
@@ -23,7 +23,8 @@ _END_MM = 285.0
 def field(points: Array) -> Array:
     """(n,)  approximate distance from the femur's outer surface at points (n, 3), mm, negative inside"""
     table = tables.data("anatomy")["femur"]
-    shaft = meet(_shaft()(points), table["trochlea_end_z"] - points[:, 2], table["fillet_mm"])
+    end = table["trochlea_end_z"] - table["trochlea_end_bend"] * points[:, 0] ** 2
+    shaft = meet(_shaft()(points), end - points[:, 2], table["fillet_mm"])
     shape = meet(shaft, points[:, 2] - _END_MM, 0.5)
     for side in ("medial", "lateral"):
         shape = blend(shape, condyle_field(points, side), table["fillet_mm"])
@@ -36,10 +37,14 @@ def field(points: Array) -> Array:
 
 
 @cache
-def outer() -> Manifold:
-    """The femur's outer solid with a straight shaft."""
+def outer(tolerance_mm: float | None = None) -> Manifold:
+    """The femur's outer solid with a straight shaft.
+
+    tolerance_mm  how far middles of edges may be off the surface; that of `data/anatomy.toml` if None
+    """
     table = tables.data("anatomy")["femur"]
-    return checked(evened(refined(_rough(), table["edge_mm"], 70.0), field, _ROUNDS), "femur")
+    even = evened(refined(_rough(), table["edge_mm"], 70.0), field, _ROUNDS)
+    return checked(resolved(even, field, tolerance_mm or table["tolerance_mm"], _HALVINGS), "femur")
 
 
 def condyle_field(points: Array, side: str) -> Array:
@@ -83,7 +88,11 @@ def _notch_field(points: Array) -> Array:
     roof, bend, half = _notch_at(points[:, 1])
     across = points[:, 0]
     under = (points[:, 2] - roof + bend * across**2) / np.sqrt(1.29 + (2 * bend * across) ** 2)
-    return meet(under, np.abs(across) - half, 5.0)
+    return meet(under, np.abs(across) - half - _flare() * np.maximum(roof - points[:, 2], 0.0), 5.0)
+
+
+def _flare() -> float:
+    return float(tables.data("anatomy")["femur"]["notch"]["flare"])
 
 
 def _rough() -> Manifold:
@@ -109,5 +118,6 @@ def _rough_notch() -> Manifold:
         roof, bend, half = _notch_at(np.array(y))
         across = np.linspace(half, -half, 25)
         arch = np.column_stack((across, np.full(25, y), roof - bend * across**2))
-        rings.append(np.vstack(([[-half, y, -30.0], [half, y, -30.0]], arch)))
+        foot = half + _flare() * (roof + 30.0)
+        rings.append(np.vstack(([[-foot, y, -30.0], [foot, y, -30.0]], arch)))
     return loft(np.array(rings), "femur notch")

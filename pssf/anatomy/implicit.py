@@ -13,7 +13,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.sparse import coo_array
 
 from ..checks import Array
-from .solids import mesh_of, solid_of
+from .solids import edges_of, halved, mesh_of, solid_of
 
 Field = Callable[[Array], Array]
 Choice = Callable[[Array], NDArray[np.bool_]]
@@ -114,6 +114,22 @@ def evened(
     for _ in range(rounds):
         places[free] = onto((places[free] + share * (beside @ places)) / 2, field, None, 2)
     return solid_of(places, mesh.faces, "evened")
+
+
+def resolved(solid: Manifold, field: Field, tolerance_mm: float, rounds: int) -> Manifold:
+    """A solid settled on a field, with those edges halved, up to so many times, whose middles are farther off it."""
+    mesh = mesh_of(solid)
+    places, faces = np.array(mesh.vertices), np.asarray(mesh.faces)
+    for _ in range(rounds):
+        edges = edges_of(faces)
+        middles = places[edges].mean(axis=1)
+        settled = onto(middles, field, None, 3)
+        off = np.linalg.norm(settled - middles, axis=1) > tolerance_mm
+        if not off.any():
+            break
+        faces = halved(faces, edges[off], len(places))
+        places = np.vstack((places, settled[off]))
+    return solid_of(places, faces, "resolved")
 
 
 def onto(places: Array, field: Field, depth_mm: Field | None, steps: int) -> Array:

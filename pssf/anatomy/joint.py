@@ -1,6 +1,7 @@
 """The joint: places the femur over the tibia so that the projected joint spaces are what the knee asks for."""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from manifold3d import Manifold
@@ -10,9 +11,10 @@ from ..files import tables
 from ..geometry import View, magnification, project, view_of
 from ..knee import Knee
 from ..protocol import load_protocol
-from .bones import Build
-from .contours import edges_of, measure_gap
-from .solids import mesh_of
+from .bones import Build, build_of, grown_femur, grown_tibia, stand_femur, stand_tibia, standing
+from .contours import measure_gap
+from .osteophytes import Grown
+from .solids import edges_of, mesh_of
 
 _TOLERANCE_MM = 1e-4
 
@@ -68,6 +70,38 @@ def moved(vertices_mm: Array, transform: Array) -> Array:
 def half_ml_mm(scale: float) -> float:
     """Half the medio-lateral width of the tibial plateau."""
     return tables.data("anatomy")["size"]["male_tibial_ml_mm"] / 2 * scale
+
+
+@dataclass(frozen=True)
+class Stance:
+    """A knee's build, its outer femur and tibia at the mean man's size, and where they go."""
+
+    build: Build
+    femur: Grown
+    tibia: Grown
+    pose: Pose
+
+    def femur_mm(self, points: Array) -> Array:
+        """(n, 3)  places of the mean man's femur in the frame of a right knee"""
+        return moved(stand_femur(points, self.build), self.pose.femur())
+
+    def tibia_mm(self, points: Array) -> Array:
+        """(n, 3)  places of the mean man's tibia in the frame of a right knee"""
+        return moved(stand_tibia(points, self.build), self.pose.tibia())
+
+
+@lru_cache(maxsize=4)
+def stance_of(knee: Knee) -> Stance:
+    """How a knee stands; kept, as its labels ask for it after its solids.
+
+    raises  InputError if the joint spaces cannot be met
+    """
+    build = build_of(knee)
+    femur, tibia = grown_femur(build, knee.osteophytes), grown_tibia(build, knee.osteophytes)
+    pose = solve_pose(knee, build, femur.outer, standing(tibia.outer, build))
+    # The femur's tilt closes the joint; its shaft gives that tilt back, so that varus_deg is the angle of the shafts.
+    build = replace(build, femur_valgus_deg=build.femur_valgus_deg + pose.tilt_deg)
+    return Stance(build, femur, tibia, pose)
 
 
 def solve_pose(knee: Knee, build: Build, femur: Manifold, tibia: Manifold) -> Pose:

@@ -10,6 +10,13 @@ from scipy.interpolate import PchipInterpolator
 
 from ..checks import Array, InputError
 
+# Of a triangle with 1, 2 or 3 edges halved: its pieces, by corner (0 to 2) and middle (3 to 5).
+_PIECES = {
+    1: [[0, 3, 2], [3, 1, 2]],
+    2: [[3, 1, 4], [0, 3, 4], [0, 4, 2]],
+    3: [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]],
+}
+
 
 def checked(solid: Manifold, name: str) -> Manifold:
     """The solid itself, or a refusal: manifold3d reports a failure by status and an empty result, never by raising.
@@ -34,6 +41,37 @@ def mesh_of(solid: Manifold) -> trimesh.Trimesh:
     """The boundary of a solid, in float64."""
     mesh = solid.to_mesh64()
     return trimesh.Trimesh(mesh.vert_properties[:, :3], mesh.tri_verts.astype(np.int64), process=False)
+
+
+def edges_of(faces: Array) -> Array:
+    """(m, 2)  every edge of a mesh once, the smaller vertex first"""
+    number = int(faces.max()) + 1
+    ends = np.stack((faces, np.roll(faces, -1, axis=1)), axis=-1)
+    key = np.unique(ends.min(axis=-1) * number + ends.max(axis=-1))
+    return np.column_stack((key // number, key % number))
+
+
+def halved(faces: Array, edges: Array, first: int) -> Array:
+    """(k, 3)  faces of a closed mesh with some of its edges halved, each neighbour split to fit
+
+    faces  (m, 3)
+    edges  (n, 2)  those to halve, the smaller vertex first; their middles are vertices first, first + 1, ...
+    """
+    key = edges[:, 0] * first + edges[:, 1]
+    order = np.argsort(key)
+    ends = np.sort(np.stack((faces, np.roll(faces, -1, axis=1)), axis=-1), axis=-1)
+    wanted = ends[..., 0] * first + ends[..., 1]
+    place = np.minimum(np.searchsorted(key, wanted, sorter=order), len(key) - 1)
+    middle = np.where(key[order[place]] == wanted, first + order[place], -1)
+    count = (middle >= 0).sum(axis=1)
+    # Turned so that the edges to halve come first: corners a, b, c, and the middles of ab, bc, ca.
+    start = np.where(count == 1, np.argmax(middle >= 0, axis=1), (np.argmax(middle < 0, axis=1) + 1) % 3)
+    turn = (start[:, None] + np.arange(3)) % 3
+    turned = np.hstack([np.take_along_axis(part, turn, axis=1) for part in (faces, middle)])
+    pieces = [faces[count == 0]]
+    for halves, corners in _PIECES.items():
+        pieces.append(turned[count == halves][:, corners].reshape(-1, 3))
+    return np.vstack(pieces)
 
 
 def hull(points_mm: Array, name: str) -> Manifold:

@@ -10,19 +10,19 @@ from manifold3d import Manifold
 
 from ..checks import Array
 from ..files import tables
-from .implicit import Column, blend, ellipsoid, evened, meet, refined
+from .implicit import Column, blend, ellipsoid, evened, meet, refined, resolved
 from .solids import checked, column, height_field
 
 _POWER = 2.3
-# Rounds of evening out the mesh.
-_ROUNDS = 6
+# Rounds of evening out the mesh, and halvings of edges where the surface bends.
+_ROUNDS, _HALVINGS = 6, 3
 _END_MM = -285.0
 
 
 def field(points: Array) -> Array:
     """(n,)  approximate distance from the tibia's outer surface at points (n, 3), mm, negative inside"""
     table = tables.data("anatomy")["tibia"]
-    shape = meet(_shaft()(points), _END_MM - points[:, 2], 0.5)
+    shape = meet(_shaft()(_evenly_deep(points)), _END_MM - points[:, 2], 0.5)
     for part in table["bumps"]:
         shape = blend(shape, ellipsoid(points, part["centre"], part["half"]), part["fillet_mm"])
     return meet(shape, above(points), table["rim_mm"])
@@ -35,15 +35,28 @@ def above(points: Array) -> Array:
 
 
 @cache
-def outer() -> Manifold:
-    """The tibia's outer solid with a level plateau and a straight shaft."""
+def outer(tolerance_mm: float | None = None) -> Manifold:
+    """The tibia's outer solid with a level plateau and a straight shaft.
+
+    tolerance_mm  how far middles of edges may be off the surface; that of `data/anatomy.toml` if None
+    """
     table = tables.data("anatomy")["tibia"]
-    return checked(evened(refined(_rough(), table["edge_mm"], 70.0), field, _ROUNDS), "tibia")
+    even = evened(refined(_rough(), table["edge_mm"], 70.0), field, _ROUNDS)
+    return checked(resolved(even, field, tolerance_mm or table["tolerance_mm"], _HALVINGS), "tibia")
 
 
 @cache
 def _shaft() -> Column:
     return Column(np.array(tables.data("anatomy")["tibia"]["sections"]), _POWER)
+
+
+def _evenly_deep(points: Array) -> Array:
+    """(n, 3)  points moved to where they would be if both sides of the plateau were as deep as its middle"""
+    table = tables.data("anatomy")["tibia"]
+    fade = np.clip(1 - points[:, 2] / table["deeper_above_z"], 0.0, 1.0) ** 2
+    places = points.copy()
+    places[:, 1] /= 1 + np.clip(table["deeper_medially"] * points[:, 0], -0.15, 0.15) * fade
+    return places
 
 
 def _relief(x: Array, y: Array) -> tuple[Array, Array, Array]:

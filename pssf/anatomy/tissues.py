@@ -10,8 +10,7 @@ from manifold3d import Manifold
 from ..checks import Array
 from ..knee import Knee
 from . import bones, cartilage
-from .joint import Pose, moved
-from .osteophytes import Grown
+from .joint import Stance
 from .planes import fat_pad, fat_planes, tendon
 from .solids import mesh_of
 
@@ -30,26 +29,18 @@ class Part:
     mesh: trimesh.Trimesh
 
 
-def between(
-    knee: Knee,
-    build: bones.Build,
-    pose: Pose,
-    grown: tuple[Grown, Grown],
-    placed: dict[str, bones.Bone],
-    muscle: Manifold,
-) -> list[Part]:
+def between(knee: Knee, stance: Stance, placed: dict[str, bones.Bone], muscle: Manifold) -> list[Part]:
     """Cartilage, menisci, patellar tendon, fat pad and fat planes of a knee, in its frame, none overlapping another.
 
-    grown   outer femur and tibia at the mean man's size
     placed  the bones, in the knee's frame
     muscle  all that lies within the fascia
     """
-    s, spaces_mm = build.scale, (knee.jsw_medial_mm, knee.jsw_lateral_mm)
-    layers = (cartilage.on_femur(grown[0].outer, s, spaces_mm), cartilage.on_tibia(grown[1].outer, s, spaces_mm))
-    moves = (
-        lambda points: moved(bones.stand_femur(points, build), pose.femur()),
-        lambda points: moved(bones.stand_tibia(points, build), pose.tibia()),
+    s, pose, spaces_mm = stance.build.scale, stance.pose, (knee.jsw_medial_mm, knee.jsw_lateral_mm)
+    layers = (
+        cartilage.on_femur(stance.femur.outer, s, spaces_mm),
+        cartilage.on_tibia(stance.tibia.outer, s, spaces_mm),
     )
+    moves = (stance.femur_mm, stance.tibia_mm)
     parts, keep = [], []
     for name, layer, move in zip(("femur_cartilage", "tibia_cartilage"), layers, moves, strict=True):
         vertices, faces = layer.alone()

@@ -14,7 +14,7 @@ from ..protocol import Protocol, load_protocol, protocol_table
 # Keys of the streams under a cohort's seed. A knee's index stands first, so the order of making changes nothing.
 _SHAPE, _NOISE, _BODY = 0, 3, 2**31
 # What the two knees of a subject share.
-_BODY_FIELDS = ("sex", "stature_mm", "bone_scale", "cortex_scale", "limb_ap_mm", "fat_mm")
+_BODY_FIELDS = ("sex", "stature_mm", "bone_scale", "cortex_scale", "limb_ap_mm", "fat_mm", "age_years")
 
 
 @dataclass(frozen=True)

@@ -89,6 +89,7 @@ def description(radiograph: Radiograph) -> dict[str, Any]:
         else {
             "jsw_medial_mm": truth.jsw_medial_mm,
             "jsw_lateral_mm": truth.jsw_lateral_mm,
+            "jsw_at_mm": {f"{fraction:g}": space for fraction, space in truth.jsw_at_mm.items()},
             "grade": truth.grade,
             "landmarks_px": {name: list(place) for name, place in truth.landmarks_px.items()},
         },
@@ -116,4 +117,5 @@ def _as_json(radiograph: Radiograph, indent: int | None = None) -> str:
 
 def _truth(table: dict[str, Any]) -> Truth:
     spots = {name: (float(row), float(col)) for name, (row, col) in table["landmarks_px"].items()}
-    return Truth(**{**table, "landmarks_px": spots})
+    spaces = {float(fraction): space for fraction, space in table["jsw_at_mm"].items()}
+    return Truth(**{**table, "landmarks_px": spots, "jsw_at_mm": spaces})

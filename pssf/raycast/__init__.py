@@ -1,4 +1,5 @@
 """raycast.trace    scene, protocol  -> path lengths per material, (rows, cols), and an audit of the rays
+raycast.shadow   mesh, protocol   -> where it is seen
 raycast.check    scene            -> what is wrong with its meshes
 
 paths      what comes back
@@ -17,25 +18,29 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
 from ..checks import Array, InputError, require_choice, require_whole
 from ..density import Density
 from ..geometry import View, view_of
+from ..mending import require_sound
 from ..protocol import Protocol
 from ..scene import Scene, Surface, require_traceable
 from . import scanline
 from .check import Report, check
-from .crossings import integrals
+from .crossings import Crossings, chords, integrals, joined
 from .paths import Audit, Paths, total
 from .rays import add_box, to_mm
 from .sheets import BAND_ROWS, Sheet, frame_of, sheet_of
 
-__all__ = ["Audit", "Paths", "Report", "check", "trace"]
+__all__ = ["Audit", "Paths", "Report", "check", "shadow", "trace"]
 
 ENGINES = ("embree", "scanline")
 PRECISIONS = ("float32", "float64")
 Sums = dict[str, NDArray[Any]]
+# Material and identity of a density -> the density, and the crossings of the surfaces that bound it.
+_Varying = dict[tuple[str, int], tuple[Density, list[tuple[Crossings, int]]]]
 
 
 def trace(
@@ -73,21 +78,40 @@ def trace(
         list(pool.map(lambda surface: surface.solid, scene.surfaces))
         require_traceable(scene)
         asked = [surface for surface in scene.surfaces if {surface.inside, surface.outside} & path_mm.keys()]
-        layers = _layers(asked, view, engine, pool)
+        smooth = isinstance(protocol, Protocol) and protocol.texture == "none"
+        layers = _layers(asked, view, engine, smooth, pool)
         audits = pool.map(partial(_band, scene, view, layers, path_mm), range(0, view.rows, BAND_ROWS))
         return Paths(path_mm=path_mm, audit=total(audits))
 
 
+def shadow(mesh: trimesh.Trimesh, protocol: Protocol | View) -> NDArray[np.bool_]:
+    """(rows, cols)  where a closed mesh is seen
+
+    raises  InputError for a mesh that bounds no solid
+    """
+    view = protocol if isinstance(protocol, View) else view_of(protocol)
+    solid = Surface(mesh, "solid", "air").solid
+    require_sound(solid)
+    sheet, seen = sheet_of(solid, view), np.zeros((view.rows, view.cols), np.bool_)
+    columns = slice(*sheet.cols)
+    for first in range(0, view.rows, BAND_ROWS):
+        top, bottom = max(first, sheet.rows[0]), min(first + BAND_ROWS, sheet.rows[1])
+        if top < bottom:
+            seen[top:bottom, columns] = scanline.counts(sheet, top, bottom) > 0
+    return seen
+
+
 @dataclass(frozen=True)
 class _Layer:
-    """A surface, how a detector sees it, and what casts its rays."""
+    """A surface, the densities inside and outside it, how a detector sees it, and what casts its rays."""
 
     surface: Surface
+    densities: tuple[Density | None, Density | None]
     sheet: Sheet
     caster: Any
 
 
-def _layers(surfaces: list[Surface], view: View, engine: str, pool: Executor) -> list[_Layer]:
+def _layers(surfaces: list[Surface], view: View, engine: str, smooth: bool, pool: Executor) -> list[_Layer]:
     """One for each surface that covers a pixel.
 
     raises  InputError for a surface that the source lies on
@@ -102,7 +126,8 @@ def _layers(surfaces: list[Surface], view: View, engine: str, pool: Executor) ->
         sheet = sheet_of(surface.solid, view)
         around = _around(sheet, view, surface.name)
         covers = sheet.rows[0] < sheet.rows[1] and sheet.cols[0] < sheet.cols[1]
-        return _Layer(surface, sheet, Caster(sheet, around)) if covers else None
+        densities = (None, None) if smooth else (surface.inside_density, surface.outside_density)
+        return _Layer(surface, densities, sheet, Caster(sheet, around)) if covers else None
 
     return [found for found in pool.map(layer, surfaces) if found is not None]
 
@@ -127,21 +152,27 @@ def _band(scene: Scene, view: View, layers: list[_Layer], path_mm: Sums, first: 
     """Fill the rows of one band, in every material; returns the audit of its rays."""
     stop = min(first + BAND_ROWS, view.rows)
     sums = {material: np.zeros((stop - first, view.cols)) for material in path_mm}
-    touched = {scene.ambient}
-    audits = [Audit()]
+    frame, touched, audits = frame_of(view), {scene.ambient}, [Audit()]
+    varying: _Varying = {}
     for layer in layers:
         surface, sheet = layer.surface, layer.sheet
         top, bottom = max(first, sheet.rows[0]), min(stop, sheet.rows[1])
         if top >= bottom:
             continue
-        inside, outside, audit = _cast(layer, top, bottom)
+        chord, crossings, audit = _cast(layer, top, bottom)
         audits.append(audit)
-        for material, found, add in ((surface.inside, inside, np.add), (surface.outside, outside, np.subtract)):
-            if material in sums:
-                part = sums[material][top - first : bottom - first, sheet.cols[0] : sheet.cols[1]]
-                add(part, found, out=part)
-                touched.add(material)
-    frame = frame_of(view)
+        for material, density, sign in zip((surface.inside, surface.outside), layer.densities, (+1, -1), strict=True):
+            if material not in sums:
+                continue
+            touched.add(material)
+            if density is not None and crossings is not None:
+                varying.setdefault((material, id(density)), (density, []))[1].append((crossings, sign))
+            else:
+                _add(sums[material], chord, top - first, sheet.cols[0], sign)
+    for (material, _), (density, parts) in varying.items():
+        # Surfaces that share a density are integrated over together, so that what lies between them is seen once.
+        whole = joined(parts)
+        _add(sums[material], integrals(whole, frame, density), whole.window[0] - first, whole.window[1], +1)
     if scene.ambient in sums:
         add_box(frame, scene.bounds_mm, first, sums[scene.ambient])
     for material in touched & sums.keys():
@@ -149,15 +180,15 @@ def _band(scene: Scene, view: View, layers: list[_Layer], path_mm: Sums, first: 
     return total(audits)
 
 
-def _cast(layer: _Layer, top: int, bottom: int) -> tuple[Array, Array, Audit]:
-    """What a surface adds to the material inside, what it takes from the one outside, and the audit of its rays."""
-    surface = layer.surface
-    if surface.inside_density is None and surface.outside_density is None:
+def _add(sums: Array, found: Array, row: int, col: int, sign: int) -> None:
+    part = sums[row : row + found.shape[0], col : col + found.shape[1]]
+    (np.add if sign > 0 else np.subtract)(part, found, out=part)
+
+
+def _cast(layer: _Layer, top: int, bottom: int) -> tuple[Array, Crossings | None, Audit]:
+    """Chords within a surface, its crossings if a density needs them, and the audit of its rays."""
+    if layer.densities == (None, None):
         chord, audit = layer.caster.chords(top, bottom)
-        return chord, chord, audit
+        return chord, None, audit
     crossings, audit = layer.caster.crossings(top, bottom)
-
-    def integral(density: Density | None) -> Array:
-        return integrals(crossings, layer.sheet.frame, density)
-
-    return integral(surface.inside_density), integral(surface.outside_density), audit
+    return chords(crossings), crossings, audit

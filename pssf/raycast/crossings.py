@@ -1,6 +1,7 @@
 """Where rays cross a surface, in order along each ray: lengths between them, and integrals of a density."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,27 @@ class Crossings:
     sign: NDArray[np.int8]
 
 
+def joined(parts: Sequence[tuple[Crossings, int]]) -> Crossings:
+    """Crossings of several surfaces as if of one, around what is in the first, without what is in those with factor -1.
+
+    parts  crossings, each with +1 or -1
+    """
+    if len(parts) == 1 and parts[0][1] == 1:
+        return parts[0][0]
+    windows = np.array([part.window for part, _ in parts])
+    low, high = windows[:, :2].min(axis=0), (windows[:, :2] + windows[:, 2:]).max(axis=0)
+    number = np.zeros(high - low, np.int64)
+    for (part, _), (row, col, rows, cols) in zip(parts, windows - [*low, 0, 0], strict=True):
+        number[row : row + rows, col : col + cols] += np.diff(part.starts).reshape(rows, cols)
+    starts = np.zeros(number.size + 1, np.int64)
+    np.cumsum(number, out=starts[1:])
+    depth, sign, free = np.empty(starts[-1]), np.empty(starts[-1], np.int8), starts[:-1].copy().reshape(number.shape)
+    for (part, factor), window in zip(parts, windows - [*low, 0, 0], strict=True):
+        _append(part.starts, part.depth, part.sign, factor, window, free, depth, sign)
+    order(starts, depth, sign)
+    return Crossings(window=(int(low[0]), int(low[1]), *number.shape), starts=starts, depth=depth, sign=sign)
+
+
 def chords(crossings: Crossings) -> Array:
     """(rows, cols)  lengths inside, as fractions of the way from the source to the pixel"""
     out = np.empty(crossings.window[2:])
@@ -51,6 +73,37 @@ def integrals(crossings: Crossings, frame: Array, density: Density | None) -> Ar
     found = np.asarray(density.integrate(starts_mm[:count], ends_mm[:count]), dtype=np.float64)
     total = np.bincount(pixels[:count], weights=weights[:count] * found, minlength=window[2] * window[3])
     return np.asarray(total, dtype=np.float64).reshape(crossings.window[2:])
+
+
+@njit(cache=True, nogil=True)
+def order(starts: NDArray[np.int64], depth: Array, sign: NDArray[np.int8]) -> None:
+    """Order the crossings of each ray by depth, in place; rays have few."""
+    for pixel in range(len(starts) - 1):
+        for k in range(starts[pixel] + 1, starts[pixel + 1]):
+            d, s, n = depth[k], sign[k], k
+            while n > starts[pixel] and depth[n - 1] > d:
+                depth[n], sign[n] = depth[n - 1], sign[n - 1]
+                n -= 1
+            depth[n], sign[n] = d, s
+
+
+@njit(cache=True, nogil=True)
+def _append(
+    starts: NDArray[np.int64],
+    depth: Array,
+    sign: NDArray[np.int8],
+    factor: int,
+    window: NDArray[np.int64],
+    free: NDArray[np.int64],
+    to_depth: Array,
+    to_sign: NDArray[np.int8],
+) -> None:
+    """Write the crossings of a window (first row, first column, rows, columns) to where `free` says, and move it on."""
+    for pixel in range(len(starts) - 1):
+        row, col = window[0] + pixel // window[3], window[1] + pixel % window[3]
+        for k in range(starts[pixel], starts[pixel + 1]):
+            to_depth[free[row, col]], to_sign[free[row, col]] = depth[k], factor * sign[k]
+            free[row, col] += 1
 
 
 @njit(cache=True, nogil=True)

@@ -12,7 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ..checks import Array
-from .crossings import Crossings
+from .crossings import Crossings, order
 from .paths import Audit
 from .sheets import Sheet
 
@@ -72,7 +72,7 @@ def crossings(sheet: Sheet, first: int, stop: int) -> Crossings:
     geometry = (sheet.faces, sheet.seen, sheet.depth, sheet.planes, sheet.frame)
     window = (first, sheet.cols[0], *number.shape)
     _list(sheet.in_band(first), *geometry, np.array(window), starts[:-1].copy(), depth, sign)
-    _sort(starts, depth, sign)
+    order(starts, depth, sign)
     return Crossings(window=window, starts=starts, depth=depth, sign=sign)
 
 
@@ -222,15 +222,3 @@ def _list(
                 at[free[pixel]] = found if found < high else high
                 sign[free[pixel]] = 1 if up < down else -1
                 free[pixel] += 1
-
-
-@njit(cache=True, nogil=True)
-def _sort(starts: NDArray[np.int64], depth: Array, sign: NDArray[np.int8]) -> None:
-    """Order the crossings of each ray by depth, in place; rays have few."""
-    for pixel in range(len(starts) - 1):
-        for k in range(starts[pixel] + 1, starts[pixel + 1]):
-            d, s, n = depth[k], sign[k], k
-            while n > starts[pixel] and depth[n - 1] > d:
-                depth[n], sign[n] = depth[n - 1], sign[n - 1]
-                n -= 1
-            depth[n], sign[n] = d, s

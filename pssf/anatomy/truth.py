@@ -1,0 +1,148 @@
+"""What is known about the radiograph of a built knee: joint spaces, landmarks, and where its osteophytes are."""
+
+import numpy as np
+import trimesh
+from manifold3d import Manifold, OpType
+
+from ..checks import Array
+from ..geometry import View, project, view_of
+from ..knee import Knee
+from ..protocol import Protocol, load_protocol
+from ..radiograph import Truth
+from ..scene import Scene
+from . import femur as femur_shape
+from . import tibia as tibia_shape
+from .contours import Gap, envelope, measure_gap
+from .implicit import settle
+from .joint import half_ml_mm, stance_of
+from .osteophytes import BONE, Beak
+from .solids import edges_of, mesh_of
+
+# Joint space is told at these fractions of the plateau's width from its medial edge, as JSW(x) (Neumann et al. 2009).
+FRACTIONS = (0.15, 0.2, 0.25, 0.3, 0.7, 0.75, 0.8, 0.85)
+# Height bands (mean man's size, in each bone's frame) in which the bones' edges are looked for.
+_CONDYLES, _EPICONDYLES, _PLATEAU = (1.0, 12.0), (22.0, 42.0), (-9.0, 1.0)
+_SPINES_MM = 13.0
+# Farther out than this from the bare bone is osteophyte.
+_OUT_MM = 0.05
+
+
+def truth_of(knee: Knee, scene: Scene, protocol: Protocol) -> Truth:
+    """What is known about the radiograph of a built knee under a protocol.
+
+    scene   as `build(knee)` gives it
+    """
+    view, reference = view_of(protocol), view_of(load_protocol("reference"))
+    gaps = _gaps(knee, scene, view)
+    return Truth(
+        jsw_medial_mm=knee.jsw_medial_mm,
+        jsw_lateral_mm=knee.jsw_lateral_mm,
+        jsw_at_mm=_jsw_at_mm(knee, gaps if view == reference else _gaps(knee, scene, reference), reference),
+        grade=knee.grade,
+        landmarks_px=_joint_lines(gaps) | _landmarks(knee, view),
+    )
+
+
+def measured_jsw_mm(knee: Knee, scene: Scene, protocol: Protocol) -> tuple[float, float]:
+    """Medial and lateral joint space measured on the projected contours of a built knee, osteophytes and all."""
+    medial, lateral = _gaps(knee, scene, view_of(protocol))
+    return medial.jsw_mm, lateral.jsw_mm
+
+
+def osteophytes_of(knee: Knee) -> dict[str, trimesh.Trimesh]:
+    """Site -> what an osteophyte adds to its bone, where it stands out by more than 0.05 mm, in the knee frame."""
+    stance = stance_of(knee)
+    bones = {
+        "femur": (stance.femur, femur_shape.outer(), femur_shape.field, stance.femur_mm),
+        "tibia": (stance.tibia, tibia_shape.outer(), tibia_shape.field, stance.tibia_mm),
+    }
+    found = {}
+    for bone, (grown, bare, field, move) in bones.items():
+        sites = [beak.site for beak in knee.osteophytes if BONE[beak.site.split("_")[1]] == bone]
+        if not sites:
+            continue
+        added = grown.outer - settle(bare, field, depth_mm=lambda points: np.full(len(points), -_OUT_MM))
+        for site, beak in zip(sites, grown.beaks, strict=True):
+            mesh = mesh_of(_around(added, beak, grown.beaks))
+            faces = mesh.faces if knee.side == "right" else mesh.faces[:, ::-1]
+            found[site] = trimesh.Trimesh(_mirrored(move(mesh.vertices), knee), faces, process=False)
+    return found
+
+
+def _around(added: Manifold, beak: Beak, beaks: tuple[Beak, ...]) -> Manifold:
+    """Of what several beaks add to a bone, what is nearest to one of them."""
+    tips = np.array([other.tip for other in beaks])
+    mine = next(k for k, other in enumerate(beaks) if other is beak)
+    pieces = []
+    for piece in added.decompose():
+        middle = np.array(piece.bounding_box()).reshape(2, 3).mean(axis=0)
+        if np.linalg.norm(tips - middle, axis=1).argmin() == mine:
+            pieces.append(piece)
+    return Manifold.batch_boolean(pieces, OpType.Add)
+
+
+def _gaps(knee: Knee, scene: Scene, view: View) -> tuple[Gap, Gap]:
+    """The medial and the lateral joint space as a detector sees them."""
+    meshes = {s.name: s.mesh for s in scene.surfaces if s.name in ("femur", "tibia")}
+    femur, tibia = ((m.vertices, edges_of(m.faces)) for m in (meshes["femur"], meshes["tibia"]))
+    medial, half = _medial(knee), half_ml_mm(stance_of(knee).build.scale)
+    return measure_gap(femur, tibia, view, medial, half), measure_gap(femur, tibia, view, -medial, half)
+
+
+def _joint_lines(gaps: tuple[Gap, Gap]) -> dict[str, tuple[float, float]]:
+    lines = {"medial_joint_line": gaps[0].middle_px(), "lateral_joint_line": gaps[1].middle_px()}
+    row, col = np.mean(list(lines.values()), axis=0)
+    return {**lines, "joint_centre": (float(row), float(col))}
+
+
+def _jsw_at_mm(knee: Knee, gaps: tuple[Gap, Gap], view: View) -> dict[float, float]:
+    """Fraction of the plateau's width from its medial edge -> joint space there."""
+    half, medial = half_ml_mm(stance_of(knee).build.scale), _medial(knee)
+    found = {}
+    for fraction in FRACTIONS:
+        gap = gaps[0] if fraction < 0.5 else gaps[1]
+        col = project(np.array([[medial * half * (1 - 2 * fraction), 0.0, 0.0]]), view)[0, 1]
+        wide_px = np.interp(col, gap.columns_px, gap.tibia_px - gap.femur_px)
+        found[fraction] = float(wide_px * gap.scale_mm)
+    return found
+
+
+def _landmarks(knee: Knee, view: View) -> dict[str, tuple[float, float]]:
+    """Edges of the bones without their osteophytes, tips of the spines with them, and the notch's highest point."""
+    stance, medial = stance_of(knee), _medial(knee)
+    femur, tibia, grown = (mesh_of(s) for s in (femur_shape.outer(), tibia_shape.outer(), stance.tibia.outer))
+    spots: dict[str, tuple[float, float]] = {}
+    for side, sign in (("medial", +1), ("lateral", -1)):
+        for name, mesh, band, move in (
+            ("epicondyle", femur, _EPICONDYLES, stance.femur_mm),
+            ("condyle_edge", femur, _CONDYLES, stance.femur_mm),
+            ("plateau_edge", tibia, _PLATEAU, stance.tibia_mm),
+        ):
+            points = mesh.vertices
+            near = (points[:, 2] > band[0]) & (points[:, 2] < band[1]) & (points[:, 0] * sign > 0)
+            seen = project(_mirrored(move(points[near]), knee), view)
+            spots[f"{side}_{name}"] = _place(seen, (seen[:, 1] * sign * medial).argmax())
+        points = grown.vertices
+        near = (points[:, 0] * sign > 1.0) & (points[:, 0] * sign < _SPINES_MM)
+        seen = project(_mirrored(stance.tibia_mm(points[near]), knee), view)
+        spots[f"{side}_spine"] = _place(seen, seen[:, 0].argmin())
+    seen = project(_mirrored(stance.femur_mm(femur.vertices), knee), view)
+    centre = (spots["medial_condyle_edge"][1] + spots["lateral_condyle_edge"][1]) / 2
+    reach = abs(spots["medial_condyle_edge"][1] - spots["lateral_condyle_edge"][1]) / 8
+    columns = np.arange(np.ceil(centre - reach), centre + reach)
+    rows = envelope(seen, edges_of(femur.faces), int(columns[0]), len(columns), 1.0)
+    top = rows.argmin()
+    return {**spots, "notch": (float(rows[top]), float(columns[top]))}
+
+
+def _place(seen: Array, which: np.intp) -> tuple[float, float]:
+    return (float(seen[which, 0]), float(seen[which, 1]))
+
+
+def _medial(knee: Knee) -> int:
+    """Direction of x in which medial is."""
+    return 1 if knee.side == "right" else -1
+
+
+def _mirrored(points_mm: Array, knee: Knee) -> Array:
+    return points_mm if knee.side == "right" else points_mm * [-1.0, 1.0, 1.0]

@@ -1,0 +1,82 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import pssf
+from pssf import anatomy, raycast
+from pssf.geometry import magnification, view_of
+
+REFERENCE = pssf.load_protocol("reference")
+BEAKS = tuple(pssf.Osteophyte(site=site, size_mm=2.0) for site in ("medial_femur", "medial_tibia", "lateral_spine"))
+
+
+@pytest.fixture(scope="module")
+def grown():
+    knee = pssf.Knee(osteophytes=BEAKS)
+    small = dataclasses.replace(REFERENCE, rows=512, cols=512, pixel_mm=0.3)
+    return pssf.simulate(knee, small, engine="scanline", keep=("masks",))
+
+
+def test_joint_space_at_fractions_of_the_plateau_is_no_less_than_the_smallest(knee, scene):
+    truth = anatomy.truth_of(knee, scene, REFERENCE)
+    for fraction, space in truth.jsw_at_mm.items():
+        least = knee.jsw_medial_mm if fraction < 0.5 else knee.jsw_lateral_mm
+        assert least - 1e-3 <= space < least + 4
+    shifted = anatomy.truth_of(knee, scene, pssf.load_protocol("geometry_shift"))
+    assert shifted.jsw_at_mm == truth.jsw_at_mm
+
+
+def test_landmarks_lie_as_in_a_knee(grown):
+    spots = grown.truth.landmarks_px
+    mm = grown.protocol.pixel_mm / magnification(view_of(grown.protocol))
+    row, col = ({name: place[k] for name, place in spots.items()} for k in (0, 1))
+    for name in ("condyle_edge", "plateau_edge", "epicondyle", "spine", "joint_line"):
+        assert col[f"medial_{name}"] > col["joint_centre"] > col[f"lateral_{name}"]
+    assert row["medial_epicondyle"] < row["medial_condyle_edge"] < row["medial_joint_line"] < row["medial_plateau_edge"]
+    assert row["notch"] < row["lateral_spine"] < row["joint_centre"]
+    assert_allclose((col["medial_plateau_edge"] - col["lateral_plateau_edge"]) * mm, 77.5, atol=2.0)
+    assert_allclose((col["medial_epicondyle"] - col["lateral_epicondyle"]) * mm, 82.65, atol=3.0)
+
+
+def test_masks_are_the_shadows_of_the_bones(grown):
+    masks = grown.truth.masks
+    assert set(masks) == {*anatomy.BONES, *(f"{beak.site}_osteophyte" for beak in BEAKS)}
+    scene = pssf.build(grown.knee)
+    for name in anatomy.BONES:
+        surface = next(s for s in scene.surfaces if s.name == name)
+        paths = pssf.trace(pssf.Scene([surface], "muscle"), grown.protocol, engine="scanline", precision="float64")
+        assert ((paths.path_mm["cortical_bone"] > 0) == masks[name]).mean() > 0.9999
+
+
+def test_the_mask_of_an_osteophyte_reaches_beyond_the_edge_by_its_size(grown):
+    spots, masks = grown.truth.landmarks_px, grown.truth.masks
+    mm = grown.protocol.pixel_mm / magnification(view_of(grown.protocol))
+    cols = np.flatnonzero(masks["medial_tibia_osteophyte"].any(axis=0))
+    assert_allclose((cols.max() - spots["medial_plateau_edge"][1]) * mm, 2.0, atol=0.4)
+    bone = masks["tibia"] | masks["femur"]
+    for beak in BEAKS:
+        mask = masks[f"{beak.site}_osteophyte"]
+        assert 10 < mask.sum() < 1000
+        assert (bone[mask]).all()
+    assert not (masks["medial_tibia_osteophyte"] & masks["lateral_spine_osteophyte"]).any()
+
+
+def test_masks_of_a_left_knee_mirror_those_of_a_right_one(grown):
+    left = dataclasses.replace(grown.knee, side="left")
+    for site, mesh in anatomy.osteophytes_of(left).items():
+        assert mesh.volume > 0
+        seen = raycast.shadow(mesh, grown.protocol)
+        assert (seen[:, ::-1] == grown.truth.masks[f"{site}_osteophyte"]).mean() > 0.9999
+
+
+def test_masks_cost_nothing_unless_asked_for_and_are_refused_for_a_scene(knee, scene):
+    small = dataclasses.replace(REFERENCE, rows=32, cols=32, pixel_mm=5.0)
+    assert not pssf.simulate(knee, small, scene=scene).truth.masks
+    with pytest.raises(pssf.InputError, match="keep = masks of a scene"):
+        pssf.simulate(scene, small, keep=("masks",))
+
+
+def test_truth_survives_a_file(grown, tmp_path):
+    assert pssf.load(pssf.save(grown, tmp_path / "knee.tif")).truth == grown.truth
