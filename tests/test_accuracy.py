@@ -8,7 +8,7 @@ import trimesh
 from numpy.testing import assert_allclose
 
 from pssf import InputError, accuracy, load_protocol
-from pssf.accuracy import agreement, engines, figure, morphometry, solids, stages, tessellation, texture
+from pssf.accuracy import agreement, builds, engines, figure, morphometry, solids, stages, tessellation, texture
 from pssf.geometry import view_of
 
 
@@ -133,6 +133,13 @@ def test_knees_measure_about_what_is_published():
     assert len(sizes) > 30
     # Of four knees of a sex the mean is within two standard errors, 1.0, of the half deviation allowed.
     assert all(abs(row["off_sd"]) < 1.5 for row in sizes), [row for row in sizes if abs(row["off_sd"]) >= 1.5]
+
+
+def test_random_knees_build():
+    (row,) = builds.build_rows(6, 1)
+    assert (row["built"], row["refused"], row["first_refusal"]) == (6, 0, "")
+    assert row["jsw_error_mm"] < 1e-3
+    assert 100_000 < row["least_triangles"] <= row["most_triangles"] < 260_000
 
 
 def test_a_run_writes_the_tables_that_are_asked_for(tmp_path, monkeypatch):

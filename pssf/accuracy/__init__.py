@@ -6,6 +6,7 @@ stages     the stages of simulate; nodes of the spectrum
 physics    spectrum, attenuation, primary and scatter beside references
 morphometry  drawn knees beside published sizes, and the errors of their labels
 solids     spheres as polyhedra, and their exact chords
+builds     random knees, built or refused
 tessellation  outlines of the bones by triangles
 texture    trabeculae: integrals by step, and their look on radiographs beside real ones
 figure     error against run time, drawn                      (extra "study")
@@ -22,6 +23,7 @@ from ..files.atomic import write_bytes
 from ..files.records import write_csv, write_json
 from ..simulate import versions
 from .agreement import agreement_rows
+from .builds import build_rows
 from .engines import Row, engine_rows, growth_rows, nested_rows
 from .morphometry import knee_rows
 from .physics import physics_rows
@@ -32,7 +34,7 @@ from .texture import spread_rows, step_rows
 # Those that measure memory come first: a process that is started begins with the peak of the one that started it.
 TABLES = (
     "engines", "growth", "nested", "stages", "agreement", "spectrum", "physics", "tessellation", "texture_steps",
-    "texture", "knees",
+    "texture", "builds", "knees",
 )  # fmt: skip
 
 
@@ -47,7 +49,7 @@ def measure(
     """Measure what is asked for and write it as CSV, with machine.json and a figure; returns their paths.
 
     tables    of TABLES; "growth" is worked out from "engines"
-    knees     how many are drawn for "agreement", "texture" and "knees"
+    knees     how many are drawn for "agreement", "texture", "builds" and "knees"
     progress  told what is being measured
     raises    InputError for an unknown table, or a disk that is full or cannot be written
     """
@@ -68,6 +70,7 @@ def measure(
         "tessellation": tessellation_rows,
         "texture_steps": step_rows,
         "texture": lambda: spread_rows(knees, workers),
+        "builds": lambda: build_rows(knees, workers),
         "knees": lambda: knee_rows(knees, workers),
     }
     paths = []

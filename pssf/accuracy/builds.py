@@ -1,0 +1,73 @@
+"""Random knees built, half of them drawn as a cohort's, half from all over the ranges of an adult."""
+
+from time import perf_counter
+
+import numpy as np
+
+from ..anatomy import build, measured_jsw_mm
+from ..checks import InputError
+from ..knee import SITES, Knee, Osteophyte, draw_knee
+from ..protocol import load_protocol
+from ..radiomics.parallel import ordered_map
+from .engines import Row
+
+# Of the second half: uniform in these, the widest of what a grade may have and of what is found in adults.
+_RANGES = {
+    "stature_mm": (1450.0, 2000.0),
+    "jsw_medial_mm": (2.5, 5.5),
+    "jsw_lateral_mm": (3.5, 5.5),
+    "subchondral_plate": (1.0, 1.6),
+    "varus_deg": (-5.0, 5.0),
+    "flexion_deg": (0.0, 15.0),
+    "rotation_deg": (-10.0, 10.0),
+    "bone_scale": (0.9, 1.1),
+    "cortex_scale": (0.7, 1.3),
+    "tibial_slope_deg": (0.0, 12.0),
+    "limb_ap_mm": (90.0, 160.0),
+    "fat_mm": (3.0, 25.0),
+}
+
+
+def build_rows(count: int, workers: int) -> list[Row]:
+    """How many were built and how many refused, with the first refusal; largest error of a joint space, triangles.
+
+    A built knee has valid solids, nested shells and bones that keep clear of each other: `build` refuses others.
+    """
+    found = ordered_map(_built, list(range(count)), shared={}, workers=workers)
+    refused = [f"knee {number}: {one['refused']}" for number, one in enumerate(found) if one["refused"]]
+    built = [one for one in found if not one["refused"]]
+    triangles = [one["triangles"] for one in built]
+    return [{
+        "knees": count, "built": len(built), "refused": len(refused), "first_refusal": (refused or [""])[0],
+        "jsw_error_mm": float(f"{max(one['jsw_error_mm'] for one in built):.2g}"),
+        "least_triangles": min(triangles), "most_triangles": max(triangles),
+        "median_seconds": round(float(np.median([one["seconds"] for one in built])), 2),
+    }]  # fmt: skip
+
+
+def _built(number: int) -> Row:
+    rng = np.random.default_rng(np.random.SeedSequence(number, spawn_key=(1,)))
+    knee = draw_knee(grade=number // 2 % 3, rng=rng) if number % 2 else _wide(rng)
+    start = perf_counter()
+    try:
+        scene = build(knee)
+    except InputError as error:
+        return {"refused": str(error)}
+    seconds = perf_counter() - start
+    spaces = measured_jsw_mm(knee, scene, load_protocol("reference"))
+    return {
+        "refused": "",
+        "jsw_error_mm": max(abs(spaces[0] - knee.jsw_medial_mm), abs(spaces[1] - knee.jsw_lateral_mm)),
+        "triangles": sum(len(surface.mesh.faces) for surface in scene.surfaces),
+        "seconds": seconds,
+    }
+
+
+def _wide(rng: np.random.Generator) -> Knee:
+    sites = rng.permutation(SITES)[: rng.integers(0, len(SITES) + 1)]
+    return Knee(
+        side=str(rng.choice(["left", "right"])),
+        sex=str(rng.choice(["male", "female"])),
+        osteophytes=tuple(Osteophyte(site=str(site), size_mm=float(rng.uniform(0.2, 3.0))) for site in sites),
+        **{name: float(rng.uniform(*bounds)) for name, bounds in _RANGES.items()},
+    )
