@@ -6,9 +6,10 @@ import sys
 import numpy as np
 import pytest
 import trimesh
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 import pssf
+from pssf.anatomy.trabeculae import Trabeculae
 
 DIGEST = """
 import dataclasses, hashlib, pssf
@@ -140,3 +141,30 @@ def test_parameters_may_be_numpys_numbers(small, tmp_path):
     knee = pssf.Knee(jsw_medial_mm=np.float64(3.0))
     back = pssf.load(pssf.save(pssf.simulate(knee, protocol, seed=np.int64(5)), tmp_path / "k.tif"))
     assert (back.knee, back.seed, back.protocol.rows) == (knee, 5, 64)
+
+
+def test_texture_is_left_out_when_it_is_not_asked_for(knee, scene, small, monkeypatch):
+    textured = pssf.simulate(knee, small, scene=scene, engine="scanline", keep=("path_mm",))
+
+    def integrate(*_):
+        raise AssertionError
+
+    monkeypatch.setattr(Trabeculae, "integrate", integrate)
+    smooth = dataclasses.replace(small, texture="none")
+    plain = pssf.simulate(knee, smooth, scene=scene, engine="scanline", keep=("path_mm",))
+    lengths = [image.kept["path_mm"]["trabecular_bone"] for image in (textured, plain)]
+    # Spongy bone varies about its material's own density, and what is elsewhere stays as it was.
+    assert 0.5 < lengths[0].sum() / lengths[1].sum() < 2
+    assert np.abs(lengths[0] - lengths[1]).max() > 1
+    assert_array_equal(*(image.kept["path_mm"]["cortical_bone"] for image in (textured, plain)))
+
+
+def test_another_texture_seed_changes_spongy_bone_alone(knee, small):
+    still = dataclasses.replace(small, noise="none", scatter="none", focal_spot_mm=0.0, detector_blur="none")
+    images = [
+        pssf.simulate(dataclasses.replace(knee, texture_seed=seed), still, engine="scanline", keep=("path_mm",))
+        for seed in (1, 2)
+    ]
+    spongy = images[0].kept["path_mm"]["trabecular_bone"] > 0
+    assert (images[0].pixels[spongy] != images[1].pixels[spongy]).mean() > 0.5
+    assert_array_equal(images[0].pixels[~spongy], images[1].pixels[~spongy])

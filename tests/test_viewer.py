@@ -65,6 +65,10 @@ def spheres():
     )
 
 
+def solid_is_a_layer(name):
+    return name.endswith(("_cartilage", "_meniscus"))
+
+
 def test_the_page_holds_every_surface_where_it_is(scene, page):
     layers = content_of(page)["layers"]
     assert len(layers) == len(scene.surfaces)
@@ -75,7 +79,8 @@ def test_the_page_holds_every_surface_where_it_is(scene, page):
         name = min(left, key=lambda name: abs(left[name].points.min(axis=0) - mesh.bounds[0]).max())
         solid = left.pop(name)
         whole = trimesh.Trimesh(solid.points, solid.faces, process=False)
-        assert abs(mesh.bounds - whole.bounds).max() < 0.06
+        # A wedge thinner than the tolerance, as cartilage has at its margins, is cut back from its edge.
+        assert abs(mesh.bounds - whole.bounds).max() < (0.5 if solid_is_a_layer(name) else 0.06)
         assert abs(mesh.volume - whole.volume) < 0.06 * whole.area
 
 

@@ -1,6 +1,7 @@
 """Random knees built, half of them drawn as a cohort's, half from all over the ranges of an adult."""
 
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -65,9 +66,7 @@ def _built(number: int) -> Row:
 
 def _wide(rng: np.random.Generator) -> Knee:
     sites = rng.permutation(SITES)[: rng.integers(0, len(SITES) + 1)]
-    return Knee(
-        side=str(rng.choice(["left", "right"])),
-        sex=str(rng.choice(["male", "female"])),
-        osteophytes=tuple(Osteophyte(site=str(site), size_mm=float(rng.uniform(0.2, 3.0))) for site in sites),
-        **{name: float(rng.uniform(*bounds)) for name, bounds in _RANGES.items()},
-    )
+    fields: dict[str, Any] = {name: float(rng.uniform(*bounds)) for name, bounds in _RANGES.items()}
+    beaks = tuple(Osteophyte(site=str(site), size_mm=float(rng.uniform(0.2, 3.0))) for site in sites)
+    side, sex = rng.choice(["left", "right"]), rng.choice(["male", "female"])
+    return Knee(side=str(side), sex=str(sex), osteophytes=beaks, **fields)
