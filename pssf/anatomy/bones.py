@@ -128,12 +128,13 @@ def femur(build: Build, grown: Grown) -> Bone:
     table, s = tables.data("anatomy")["femur"], build.scale
     sections = scaled(table["sections"], s)
     cortex = thickness(table["cortex"], s, build.cortex)
-    marrow = settle(
-        femur_shape.outer(),
-        femur_shape.field,
-        depth_mm=lambda points: cortex(points[:, 2] * s) / s,
-        steps=_INWARD_STEPS,
-    )
+    plate = table["plate_mm"] * build.cortex * build.plate
+
+    def depth(points: Array) -> Array:
+        share = np.clip((table["plate_below_z"] - points[:, 2]) / 4.0, 0.0, 1.0)
+        return ((1 - share) * cortex(points[:, 2] * s) + share * plate) / s
+
+    marrow = settle(femur_shape.outer(), femur_shape.field, depth_mm=depth, steps=_INWARD_STEPS)
     canal_levels = _levels(table["canal_from_z_mm"] * s, SHAFT_END_MM - 4.0, 2.5)
     canal = _canal(sections, cortex, canal_levels, table["canal_full_z_mm"] * s, "femur canal")
 
