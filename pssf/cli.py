@@ -128,9 +128,9 @@ def study(
 def accuracy(
     out: Out,
     tables: Annotated[
-        str, typer.Option(help="engines, growth, nested, stages, agreement, spectrum, physics, knees; or all.")
+        str, typer.Option(help="Names with commas, or all; an unknown one is refused with those there are.")
     ] = "all",
-    knees: Annotated[int, typer.Option(help="Random knees that both engines are compared on.")] = 30,
+    knees: Annotated[int, typer.Option(help="Random knees for the tables that draw some.")] = 30,
     workers: Workers = 2,
 ) -> None:
     """Error against run time on this machine, as tables (CSV) and a figure."""
