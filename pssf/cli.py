@@ -1,4 +1,4 @@
-"""The command line: pssf simulate | meshes | cohort | study | accuracy."""
+"""The command line: pssf simulate | meshes | cohort | study | accuracy | protocols."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -12,6 +12,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.status import Status
+from rich.table import Table
 
 from .checks import InputError, require_whole
 from .files import tables
@@ -144,6 +145,23 @@ def accuracy(
         )
     for path in paths:
         print(path)
+
+
+@app.command()
+def protocols(
+    name: Annotated[str, typer.Argument(help="Protocol, by name or path, whose values to show.")] = "",
+) -> None:
+    """Fields of a protocol: what each is, its unit, what it may be, its default, where usual values come from."""
+    from .protocol import field_rows, load_protocol, protocol_table
+
+    values = protocol_table(load_protocol(name)) if name else {}
+    if not name:
+        print("protocols:", ", ".join(tables.protocol_names()))
+    table = Table("field", *([name] if name else ["default"]), "unit", "allowed", "what", "source")
+    for row in field_rows():
+        shown = str(values[row["field"]]) if name else row["default"]
+        table.add_row(row["field"], shown, row["unit"], row["allowed"], row["what"], row["source"])
+    Console(width=None if sys.stdout.isatty() else 200).print(table)
 
 
 def _knee_of(path: Path | None, grade: int, seed: int) -> tuple[Knee, str]:

@@ -1,6 +1,6 @@
 """Where source, rays and pixels are, in the knee frame (mm; +x medial of a right knee, +y to detector, +z proximal)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,6 +40,22 @@ def view_of(protocol: Protocol) -> View:
         cols=protocol.cols,
         pixel_mm=protocol.pixel_mm,
     )
+
+
+def spot_views(protocol: Protocol, points: int = 3) -> list[tuple[View, float]]:
+    """The detector as seen from points of a square focal spot, and the share of the spot that each stands for.
+
+    points  a side: a Gauss-Legendre rule, exact where the signal is a polynomial of degree 2 points - 1 over the spot
+    """
+    middle, half = view_of(protocol), protocol.focal_spot_mm / 2
+    places, weights = np.polynomial.legendre.leggauss(points)
+    found = []
+    for dx, wx in zip(places, weights, strict=True):
+        for dz, wz in zip(places, weights, strict=True):
+            x, y, z = middle.source_mm
+            source = (float(x + half * dx), y, float(z + half * dz))
+            found.append((replace(middle, source_mm=source), float(wx * wz / 4)))
+    return found
 
 
 def project(points_mm: Array, view: View) -> Array:

@@ -1,7 +1,7 @@
 """Protocol: how a radiograph is taken. Technique, geometry, detector, and which stages of the chain are wanted."""
 
 import re
-from dataclasses import asdict, dataclass
+from dataclasses import MISSING, asdict, dataclass, fields
 from os import PathLike
 from typing import Any
 
@@ -13,8 +13,9 @@ from .files import tables
 class Protocol:
     """A technique. The central ray passes the origin of the knee frame; see `geometry.view_of`.
 
+    What each field is, its unit and what it may be is in `data/protocol_fields.toml`; `pssf protocols` prints it.
     A stage that is not asked for costs nothing: focal_spot_mm = 0 leaves out the focal-spot blur, mono_kev replaces the
-    tube's spectrum by one energy, and texture, scatter, detector_blur and noise take "none". Without texture,
+    tube's spectrum by one energy, and heel, texture, scatter, detector_blur and noise take "none". Without texture,
     spongy bone has its material's own density throughout.
     raises InputError for a value out of range
     """
@@ -32,33 +33,45 @@ class Protocol:
     cols: int
     pixel_mm: float
     mono_kev: float | None = None
+    heel: str = "none"
     texture: str = "trabecular"
+    focal_spot: str = "blur"
     scatter: str = "kernel"
-    detector_blur: str = "csi"
+    detector: str = "csi"
+    detector_blur: str = "mtf"
+    dead_pixels: float = 0.0
     noise: str = "quantum"
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not re.fullmatch(r"[\w-]{1,64}", self.name):
-            raise InputError(f"name = {self.name!r}; allowed: 1 to 64 letters, digits, _ and - (it names files)")
-        require("tube_kv", self.tube_kv, 40, 120, "kV")
-        require("mas", self.mas, 0, 500, "mAs")
-        require("filtration_mm_al", self.filtration_mm_al, 0.5, 40, "mm Al")
-        require("anode_angle_deg", self.anode_angle_deg, 6, 22, "deg")
-        require("focal_spot_mm", self.focal_spot_mm, 0, 3, "mm")
-        require("sdd_mm", self.sdd_mm, 500, 3000, "mm")
-        require("sod_mm", self.sod_mm, 300, 2900, "mm")
+        for field, law in tables.data("protocol_fields").items():
+            value, unit = getattr(self, field), law.get("unit", "")
+            if law.get("optional") and value is None:
+                continue
+            if "pattern" in law and not (isinstance(value, str) and re.fullmatch(r"[\w-]{1,64}", value)):
+                raise InputError(f"{field} = {value!r}; allowed: {law['pattern']}")
+            if "range" in law:
+                require(field, value, law["range"][0], law["range"][1], unit)
+            if "whole" in law:
+                require_whole(field, value, law["whole"][0], law["whole"][1], unit)
+            if "choices" in law:
+                require_choice(field, value, law["choices"])
         if not self.sod_mm < self.sdd_mm:
             raise InputError(f"sod_mm = {self.sod_mm!r} mm; allowed: less than sdd_mm = {self.sdd_mm!r} mm")
-        require("beam_angle_deg", self.beam_angle_deg, -30, 30, "deg")
-        require_whole("rows", self.rows, 1, 8192, "pixels")
-        require_whole("cols", self.cols, 1, 8192, "pixels")
-        require("pixel_mm", self.pixel_mm, 0.001, 50, "mm")
-        if self.mono_kev is not None:
-            require("mono_kev", self.mono_kev, 5, 150, "keV")
-        require_choice("texture", self.texture, ("trabecular", "none"))
-        require_choice("scatter", self.scatter, ("kernel", "none"))
-        require_choice("detector_blur", self.detector_blur, ("csi", "none"))
-        require_choice("noise", self.noise, ("quantum", "none"))
+
+
+def field_rows() -> list[dict[str, str]]:
+    """One row a field: name, what it is, unit, what is allowed, its default ("" where it must be given), source."""
+    rows = []
+    for field in fields(Protocol):
+        law = tables.data("protocol_fields")[field.name]
+        bounds = law.get("range") or law.get("whole")
+        allowed = f"{bounds[0]:g} to {bounds[1]:g}" if bounds else law.get("pattern") or ", ".join(law["choices"])
+        default = "" if field.default is MISSING else "none" if field.default is None else str(field.default)
+        rows.append({
+            "field": field.name, "what": law["what"], "unit": law.get("unit", ""), "allowed": allowed,
+            "default": default, "source": law.get("source", ""),
+        })  # fmt: skip
+    return rows
 
 
 def protocol_from(table: dict[str, Any], what: str) -> Protocol:
@@ -69,7 +82,8 @@ def protocol_from(table: dict[str, Any], what: str) -> Protocol:
 def load_protocol(name_or_path: str | PathLike[str]) -> Protocol:
     """A protocol that comes with the package, by name, or any TOML file, by path.
 
-    raises  InputError for an unknown name, an unreadable file, a misspelt, missing or refused field
+    A file may name another as its `base`, by name or by a path from where it lies, and give only what differs.
+    raises  InputError for an unknown name, an unreadable file, a misspelt, missing or refused field, a base of itself
     """
     table, what = tables.read_protocol(name_or_path)
     return protocol_from(table, what)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from . import anatomy, detector, raycast
 from .checks import InputError, require_choice, require_whole
-from .geometry import view_of
+from .geometry import spot_views, view_of
 from .knee import Knee
 from .protocol import Protocol
 from .radiograph import Radiograph, Truth
@@ -64,8 +64,11 @@ def simulate(
     seconds["rays"] = perf_counter() - start
     gap_mm = max(0.0, view_of(protocol).centre_mm[1] - float(scene.bounds_mm[1, 1]))
     noise = np.random.SeedSequence(seed, spawn_key=(_NOISE,))
+    start = perf_counter()
+    primary = _sampled(scene, protocol, engine, workers) if protocol.focal_spot == "sampled" else None
+    seconds |= {"focal spot": perf_counter() - start} if primary else {}
     pixels, kept, stages = detector.expose(
-        paths.path_mm, protocol, gap_mm=gap_mm, seed=noise, keep=keep, workers=workers
+        paths.path_mm, protocol, gap_mm=gap_mm, seed=noise, primary=primary, keep=keep, workers=workers
     )
     if "path_mm" in keep:
         kept["path_mm"] = paths.path_mm
@@ -81,6 +84,17 @@ def simulate(
         kept=kept,
         seconds={**seconds, **stages},
     )
+
+
+def _sampled(scene: Scene, protocol: Protocol, engine: str, workers: int) -> detector.Signal:
+    """Primary signal as the mean over rays from points of the focal spot."""
+    kev, square = (np.zeros((protocol.rows, protocol.cols), np.float32) for _ in range(2))
+    for view, share in spot_views(protocol):
+        paths = raycast.trace(scene, view, engine=engine, texture=protocol.texture != "none", workers=workers)
+        one = detector.primary_of(paths.path_mm, protocol, workers, view)
+        kev += np.float32(share) * one.kev
+        square += np.float32(share) * one.kev * one.photon_kev
+    return detector.Signal(kev, np.divide(square, kev, out=np.zeros_like(kev), where=kev > 0))
 
 
 def _truth(knee: Knee, scene: Scene, protocol: Protocol, masked: bool) -> Truth:

@@ -1,5 +1,6 @@
 import dataclasses
 import tomllib
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from pssf.detector import panel
 from pssf.detector.coarse import block_mean, enlarge
 from pssf.detector.materials import attenuation_per_mm, density_g_per_cm3
 from pssf.detector.primary import transmit
-from pssf.detector.spectrum import Beam, beam_of, tube_spectrum
+from pssf.detector.spectrum import Beam, beam_for, beam_of, heel_factor
 from pssf.geometry import view_of
 
 SEED = np.random.SeedSequence(1)
@@ -33,21 +34,55 @@ def test_an_unknown_material_is_refused_by_name(name):
         attenuation_per_mm(name, np.array([50.0]))
 
 
-def test_folding_the_spectrum_changes_no_signal_by_a_thousandth():
+@given(share=st.lists(st.floats(0, 1), min_size=4, max_size=4))
+@settings(max_examples=50, deadline=None)
+def test_folding_the_spectrum_changes_no_signal_by_a_thousandth(share):
     protocol = pssf.load_protocol("reference")
-    beam = beam_of(protocol)
-    energies, photons = tube_spectrum(protocol.tube_kv, protocol.anode_angle_deg, protocol.filtration_mm_al)
-    from pssf.detector.spectrum import _response
+    most = {"muscle": 150.0, "cortical_bone": 30.0, "trabecular_bone": 80.0, "Ti@4.51": 10.0}
+    whole, few = beam_of(protocol), beam_for(protocol, most)
+    assert len(few.energies_kev) <= 16 < len(whole.energies_kev)
+    for second, within in ((False, 1e-3), (True, 1e-2)):
+        signals = []
+        for beam in (whole, few):
+            path = sum(
+                attenuation_per_mm(m, beam.energies_kev) * s * t for (m, t), s in zip(most.items(), share, strict=True)
+            )
+            weight = beam.square_kev2 if second else beam.signal_kev
+            signals.append((beam.photons_per_mm2 * weight * np.exp(-path)).sum())
+        assert_allclose(signals[1], signals[0], rtol=within)
 
-    signal, _ = _response(energies)
-    for mix in ({"muscle": 120}, {"muscle": 80, "cortical_bone": 10}, {"adipose": 40}, {"cortical_bone": 40}):
-        folded = sum(-attenuation_per_mm(m, beam.energies_kev) * t for m, t in mix.items())
-        whole = sum(-attenuation_per_mm(m, energies) * t for m, t in mix.items())
-        assert_allclose(
-            (beam.photons_per_mm2 * beam.signal_kev * np.exp(folded)).sum(),
-            (photons * protocol.mas * signal * np.exp(whole)).sum(),
-            rtol=1e-3,
-        )
+
+def test_a_metre_of_lead_or_no_current_gives_numbers(small):
+    paths = {"Pb@11.35": np.full((8, 8), 1000.0, np.float32), "muscle": np.full((8, 8), 50.0, np.float32)}
+    tiny = dataclasses.replace(small, rows=8, cols=8)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for path_mm, protocol in ((paths, tiny), ({}, dataclasses.replace(tiny, mas=0.0))):
+            pixels, kept, _ = detector.expose(path_mm, protocol, gap_mm=50.0, seed=SEED, keep=("primary", "scatter"))
+            assert (kept["primary"] == 0).all()
+            assert np.isfinite(kept["scatter"]).all()
+            assert abs(pixels.astype(float) - 100).max() < 30
+
+
+def test_the_heel_effect_falls_towards_the_anode(small):
+    rows = heel_factor(dataclasses.replace(small, heel="anode_proximal"))
+    assert_allclose(rows[::-1], heel_factor(dataclasses.replace(small, heel="anode_distal")), rtol=1e-6)
+    # Away from the anode the longer way through the filter takes back a little.
+    assert (np.diff(rows[: len(rows) // 2]) > 0).all()
+    assert 0.85 < rows[0] < 0.99 < rows[len(rows) // 2] < 1.01
+    assert rows[-1] > 1
+    bare = dataclasses.replace(small, noise="none", scatter="none", detector_blur="none", focal_spot_mm=0.0)
+    one, other = (detector.primary_of({}, dataclasses.replace(bare, heel=heel)) for heel in ("none", "anode_proximal"))
+    assert_allclose(other.kev, one.kev * rows[:, None], rtol=1e-5)
+
+
+def test_dead_pixels_read_nothing_and_stay_where_they_are(small):
+    broken = dataclasses.replace(small, dead_pixels=0.01)
+    dead = panel.dead_pixels(broken)
+    assert abs(dead.sum() - 0.01 * dead.size) < 5 * np.sqrt(0.01 * dead.size)
+    for seed in (1, 2):
+        pixels, _, _ = detector.expose({}, broken, gap_mm=50.0, seed=np.random.SeedSequence(seed))
+        assert ((pixels == 0) == dead).all()
 
 
 @given(a=st.floats(0, 80), b=st.floats(0, 80))

@@ -21,7 +21,7 @@ from numpy.testing import assert_allclose
 import pssf
 from pssf.accuracy.solids import polyhedron_chords
 from pssf.detector.materials import _recipe, attenuation_per_mm
-from pssf.detector.spectrum import beam_of
+from pssf.detector.spectrum import beam_for
 from pssf.geometry import view_of
 
 # Not only ModuleNotFoundError: gvxr may be there and one of the system's libraries not; the skip then names it.
@@ -227,7 +227,7 @@ def test_gvxr_attenuates_as_our_tissues_do(knee_scene):
 
 
 def test_gvxr_makes_the_same_polychromatic_image_of_the_knee(knee_scene):
-    beam = beam_of(PROTOCOL, nodes=18)
+    beam = beam_for(PROTOCOL, dict.fromkeys(knee_scene.materials[1:], 60.0))
     photons = beam.photons_per_mm2 / beam.photons_per_mm2.sum()
     gvxr.resetBeamSpectrum()
     for energy, count in zip(beam.energies_kev, photons, strict=True):

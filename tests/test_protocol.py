@@ -4,13 +4,16 @@ import math
 import pytest
 
 from pssf import InputError, load_protocol
+from pssf.files import tables
 from pssf.files.tables import protocol_names
-from pssf.protocol import protocol_from, protocol_table
+from pssf.protocol import field_rows, protocol_from, protocol_table
+
+STUDY = ("geometry_shift", "low_dose", "reference")
 
 
-def test_three_protocols_come_with_the_package():
-    assert protocol_names() == ["geometry_shift", "low_dose", "reference"]
-    for name in protocol_names():
+def test_the_three_protocols_of_the_study_come_with_the_package():
+    assert set(STUDY) < set(protocol_names())
+    for name in STUDY:
         protocol = load_protocol(name)
         assert protocol.name == name
         assert (protocol.rows, protocol.cols, protocol.pixel_mm) == (2048, 2048, 0.15)
@@ -23,6 +26,41 @@ def test_low_dose_differs_from_reference_in_mas_alone():
     reference, low = load_protocol("reference"), load_protocol("low_dose")
     assert low.mas < reference.mas
     assert dataclasses.replace(low, name="reference", mas=reference.mas) == reference
+
+
+@pytest.mark.parametrize("name", [name for name in protocol_names() if name not in STUDY])
+def test_the_other_protocols_move_a_single_factor(name):
+    reference, other = (protocol_table(load_protocol(one)) for one in ("reference", name))
+    moved = {field for field in reference if other[field] != reference[field]} - {"name"}
+    assert len(moved) == 1 or moved == {"sdd_mm", "sod_mm"}
+    assert other["sdd_mm"] - other["sod_mm"] == reference["sdd_mm"] - reference["sod_mm"]
+
+
+def test_every_field_is_documented_once():
+    rows = field_rows()
+    assert [row["field"] for row in rows] == [field.name for field in dataclasses.fields(load_protocol("reference"))]
+    assert all(row["what"] and row["allowed"] for row in rows)
+    assert {row["field"] for row in rows} == set(tables.data("protocol_fields"))
+
+
+def test_a_protocol_inherits_what_it_does_not_give(tmp_path):
+    (tmp_path / "soft.toml").write_text('base = "low_dose"\nname = "soft"\ntube_kv = 55\n')
+    (tmp_path / "softer.toml").write_text('base = "soft.toml"\nname = "softer"\nnoise = "none"\n')
+    expected = dataclasses.replace(load_protocol("low_dose"), name="softer", tube_kv=55, noise="none")
+    assert load_protocol(tmp_path / "softer.toml") == expected
+
+
+def test_a_base_that_leads_back_or_nowhere_is_refused(tmp_path):
+    (tmp_path / "a.toml").write_text('base = "b.toml"\n')
+    (tmp_path / "b.toml").write_text('base = "a.toml"\n')
+    with pytest.raises(InputError, match=r"protocol a.toml: base leads back to a.toml"):
+        load_protocol(tmp_path / "a.toml")
+    (tmp_path / "c.toml").write_text('base = "refrence"\n')
+    with pytest.raises(InputError, match="protocol = 'refrence'; allowed: "):
+        load_protocol(tmp_path / "c.toml")
+    (tmp_path / "d.toml").write_text("base = 3\n")
+    with pytest.raises(InputError, match=r"protocol d.toml: base = 3"):
+        load_protocol(tmp_path / "d.toml")
 
 
 @pytest.mark.parametrize(

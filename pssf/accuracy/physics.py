@@ -9,7 +9,7 @@ from ..checks import Array
 from ..detector.materials import attenuation_per_mm
 from ..detector.primary import transmit
 from ..detector.scatter import scatter_kev
-from ..detector.spectrum import beam_of, tube_spectrum
+from ..detector.spectrum import beam_for, tube_spectrum
 from ..files import tables
 from ..geometry import view_of
 from ..protocol import load_protocol
@@ -42,12 +42,13 @@ def limb_signals(kv: float, thick_mm: float, gap_mm: float) -> tuple[float, floa
     protocol = dataclasses.replace(
         load_protocol("reference"), tube_kv=kv, rows=300, cols=180, pixel_mm=1.0, sod_mm=1150.0 - gap_mm - thick_mm / 2
     )
-    view, beam = view_of(protocol), beam_of(protocol)
+    view = view_of(protocol)
     limb = _ellipse_chords(0.6 * thick_mm, 0.5 * thick_mm, protocol.sod_mm)
     core = _ellipse_chords(0.36 * thick_mm, 0.225 * thick_mm, protocol.sod_mm)
     soft = limb - core
     parts = {"muscle": 0.7 * soft, "adipose": 0.3 * soft, "cortical_bone": 0.17 * core, "marrow": 0.83 * core}
     paths = {name: np.tile(line.astype(np.float32), (300, 1)) for name, line in parts.items()}
+    beam = beam_for(protocol, {name: float(lengths.max()) for name, lengths in paths.items()})
     primary = transmit(paths, beam, view).kev
     opened = transmit({}, beam, view).kev[150, 90]
     scattered = scatter_kev(primary, paths, gap_mm, protocol)

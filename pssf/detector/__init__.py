@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry import view_of
+from ..geometry import View, view_of
 from ..protocol import Protocol
 from .materials import check_material
 from .panel import detector_blur, focal_spot_blur, present, quantum_noise, readout
-from .primary import transmit
+from .primary import Signal, transmit
 from .scatter import scatter_kev
-from .spectrum import beam_of
+from .spectrum import beam_for, beam_of, heel_factor
 
-__all__ = ["check_material", "expose", "present"]
+__all__ = ["Signal", "check_material", "expose", "present", "primary_of"]
 
 
 def expose(
@@ -29,6 +29,7 @@ def expose(
     *,
     gap_mm: float,
     seed: np.random.SeedSequence,
+    primary: Signal | None = None,
     keep: Collection[str] = (),
     workers: int = 2,
 ) -> tuple[NDArray[np.uint16], dict[str, Any], dict[str, float]]:
@@ -37,11 +38,11 @@ def expose(
     path_mm  material -> (rows, cols) float32, mm
     gap_mm   from the object's exit to the detector plane
     seed     of this exposure's noise; quantum and readout noise own separate streams
+    primary  what `primary_of` gives for these path lengths, or a mean of it over the focal spot
     keep     any of "primary", "scatter" (keV a pixel, before blur) and "noise_free" (pixels without noise)
     returns  pixels (rows, cols) uint16; kept maps; seconds a stage
     """
-    view, seconds = view_of(protocol), dict[str, float]()
-    kept: dict[str, Any] = {}
+    seconds, kept = dict[str, float](), dict[str, Any]()
     clock = perf_counter()
 
     def lap(stage: str) -> None:
@@ -49,30 +50,45 @@ def expose(
         now = perf_counter()
         seconds[stage], clock = now - clock, now
 
-    beam = beam_of(protocol)
-    lap("spectrum")
-    signal = transmit(path_mm, beam, view, workers)
-    kev = signal.kev
-    kept["primary"] = kev
-    lap("attenuation")
+    if primary is None:
+        beam_of(protocol)
+        lap("spectrum")
+        primary = primary_of(path_mm, protocol, workers)
+        lap("attenuation")
+    kept["primary"] = kev = primary.kev
     if protocol.scatter == "kernel":
         kept["scatter"] = scatter_kev(kev, path_mm, gap_mm, protocol)
         kev = kev + kept["scatter"]
         lap("scatter")
-    if protocol.focal_spot_mm > 0:
-        kev = np.maximum(focal_spot_blur(kev, protocol.focal_spot_mm, view, workers), 0)
+    if protocol.focal_spot_mm > 0 and protocol.focal_spot == "blur":
+        kev = np.maximum(focal_spot_blur(kev, protocol.focal_spot_mm, view_of(protocol), workers), 0)
         lap("focal spot")
-    blur = (lambda image: detector_blur(image, protocol.pixel_mm, workers)) if protocol.detector_blur == "csi" else None
+    blurs = protocol.detector_blur != "none"
+    panel = (protocol.pixel_mm, workers, protocol.detector)
     if "noise_free" in keep:
-        kept["noise_free"] = readout(blur(kev) if blur else kev, protocol.pixel_mm, None)
+        kept["noise_free"] = readout(detector_blur(kev, *panel) if blurs else kev, protocol, None)
     streams = [np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, k)) for k in (0, 1)]
     noisy = protocol.noise == "quantum"
     if noisy:
-        kev = quantum_noise(kev, signal.photon_kev, streams[0], workers)
+        kev = quantum_noise(kev, primary.photon_kev, streams[0], workers, protocol.detector)
         lap("quantum noise")
-    if blur:
-        kev = blur(kev)
+    if blurs:
+        kev = detector_blur(kev, *panel)
         lap("detector blur")
-    pixels = readout(kev, protocol.pixel_mm, streams[1] if noisy else None, workers)
+    pixels = readout(kev, protocol, streams[1] if noisy else None, workers)
     lap("readout")
     return pixels, {name: kept[name] for name in keep if name in kept}, seconds
+
+
+def primary_of(
+    path_mm: Mapping[str, NDArray[np.float32]], protocol: Protocol, workers: int = 2, view: View | None = None
+) -> Signal:
+    """Primary signal behind path lengths, heel effect included.
+
+    view  of a source that is not in the middle of the focal spot; that of the protocol if None
+    """
+    beam = beam_for(protocol, {name: float(lengths.max()) for name, lengths in path_mm.items()})
+    signal = transmit(path_mm, beam, view or view_of(protocol), workers)
+    if protocol.heel != "none":
+        signal.kev[:] *= heel_factor(protocol)[:, None].astype(np.float32)
+    return signal

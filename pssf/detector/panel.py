@@ -9,6 +9,7 @@ from scipy import fft, ndimage
 
 from ..files import tables
 from ..geometry import View, magnification
+from ..protocol import Protocol
 from .coarse import block_mean, enlarge
 
 Map = NDArray[np.float32]
@@ -22,9 +23,9 @@ def focal_spot_blur(image: Map, focal_spot_mm: float, view: View, workers: int =
     return _filter(image, lambda fy, fx: np.sinc(width_px * fy)[:, None] * np.sinc(width_px * fx), workers)
 
 
-def detector_blur(image: Map, pixel_mm: float, workers: int = 2) -> Map:
-    """(rows, cols)  blurred by the panel's presampled MTF 1 / (1 + (f/f0)^p) (fit to Marshall 2011, Samei 2003)"""
-    table = tables.data("detector")["csi"]
+def detector_blur(image: Map, pixel_mm: float, workers: int = 2, detector: str = "csi") -> Map:
+    """(rows, cols)  blurred by the panel's presampled MTF 1 / (1 + (f/f0)^p) (csi: fit to Marshall 2011, Samei 2003)"""
+    table = tables.data("detector")[detector]
 
     def mtf(fy: Map, fx: Map) -> Map:
         # In place: a fresh large array costs more time than the arithmetic.
@@ -37,7 +38,9 @@ def detector_blur(image: Map, pixel_mm: float, workers: int = 2) -> Map:
     return _filter(image, mtf, workers)
 
 
-def quantum_noise(kev: Map, photon_kev: Map, seed: np.random.SeedSequence, workers: int = 2) -> Map:
+def quantum_noise(
+    kev: Map, photon_kev: Map, seed: np.random.SeedSequence, workers: int = 2, detector: str = "csi"
+) -> Map:
     """(rows, cols)  energy absorbed in one exposure, keV: mean `kev`, variance kev * photon_kev / Swank
 
     A compound Poisson sum of photons is drawn as a Poisson count of effective quanta of equal energy, so that mean and
@@ -45,7 +48,7 @@ def quantum_noise(kev: Map, photon_kev: Map, seed: np.random.SeedSequence, worke
     photon_kev  (rows, cols)  mean square over mean energy of an absorbed photon
     workers     threads; bands of rows own their streams, so the result does not depend on them
     """
-    swank = tables.data("detector")["csi"]["swank"]
+    swank = tables.data("detector")[detector]["swank"]
 
     def draw(rng: np.random.Generator, rows: slice) -> Map:
         quantum = photon_kev[rows] / np.float32(swank)
@@ -55,12 +58,13 @@ def quantum_noise(kev: Map, photon_kev: Map, seed: np.random.SeedSequence, worke
     return _in_bands(kev.shape, seed, draw, workers)
 
 
-def readout(kev: Map, pixel_mm: float, seed: np.random.SeedSequence | None, workers: int = 2) -> NDArray[np.uint16]:
-    """(rows, cols) uint16  gain, readout noise (Gaussian, electrons), offset, saturation; no noise without a seed
+def readout(kev: Map, protocol: Protocol, seed: np.random.SeedSequence | None, workers: int = 2) -> NDArray[np.uint16]:
+    """(rows, cols) uint16  gain, readout noise (Gaussian, electrons), offset, saturation, dead pixels
 
-    pixel_mm  a larger pixel holds charge in proportion to its area
+    A larger pixel holds charge in proportion to its area.
+    seed  of the noise; None for none
     """
-    table = tables.data("detector")["csi"]
+    table = tables.data("detector")[protocol.detector]
     electrons = kev * np.float32(table["electrons_per_kev"])
     if seed is not None:
         sigma = np.float32(table["readout_electrons"])
@@ -70,8 +74,17 @@ def readout(kev: Map, pixel_mm: float, seed: np.random.SeedSequence | None, work
             lambda rng, rows: rng.standard_normal((rows.stop - rows.start, kev.shape[1]), np.float32),
             workers,
         )
-    numbers = electrons / np.float32(table["electrons_per_dn_mm2"] * pixel_mm**2) + np.float32(table["offset_dn"])
-    return np.clip(np.rint(numbers), 0, 65535).astype(np.uint16)
+    per_dn = np.float32(table["electrons_per_dn_mm2"] * protocol.pixel_mm**2)
+    pixels = np.clip(np.rint(electrons / per_dn + np.float32(table["offset_dn"])), 0, 65535).astype(np.uint16)
+    if protocol.dead_pixels:
+        pixels[dead_pixels(protocol)] = 0
+    return pixels
+
+
+def dead_pixels(protocol: Protocol) -> NDArray[np.bool_]:
+    """(rows, cols)  which pixels of a protocol's detector read nothing; the same in every exposure"""
+    rng = np.random.default_rng(tables.data("detector")[protocol.detector]["dead_seed"])
+    return rng.random((protocol.rows, protocol.cols)) < protocol.dead_pixels
 
 
 def present(pixels: NDArray[np.uint16]) -> NDArray[np.uint8]:

@@ -23,17 +23,34 @@ def protocol_names() -> list[str]:
 
 
 def read_protocol(name_or_path: str | PathLike[str]) -> tuple[dict[str, Any], str]:
-    """Fields of a protocol file, and what to call it.
+    """Fields of a protocol file, with those of its base that it does not give, and what to call it.
 
-    raises  InputError for an unknown name or a file that is not readable TOML
+    raises  InputError for an unknown name, a file that is not readable TOML, or a base that leads back to itself
     """
+    found: dict[str, Any] = {}
+    path = first = _protocol_path(name_or_path)
+    seen: list[Path] = []
+    while True:
+        if path.resolve() in seen:
+            raise InputError(f"protocol {first.name}: base leads back to {path.name}; allowed: a base without a circle")
+        seen.append(path.resolve())
+        found = read_toml(path) | found
+        base = found.pop("base", None)
+        if base is None:
+            return found, f"protocol {first.name}"
+        if not isinstance(base, str):
+            raise InputError(f"protocol {path.name}: base = {base!r}; allowed: the name or path of a protocol")
+        path = path.parent / base if base.endswith(".toml") else _protocol_path(base)
+
+
+def _protocol_path(name_or_path: str | PathLike[str]) -> Path:
     path = Path(name_or_path)
-    if path.suffix != ".toml":
-        if str(name_or_path) not in protocol_names():
-            allowed = ", ".join(protocol_names())
-            raise InputError(f"protocol = {str(name_or_path)!r}; allowed: {allowed}, or the path of a .toml file")
-        path = _protocol_folder() / f"{name_or_path}.toml"
-    return read_toml(path), f"protocol {path.name}"
+    if path.suffix == ".toml":
+        return path
+    if str(name_or_path) not in protocol_names():
+        allowed = ", ".join(protocol_names())
+        raise InputError(f"protocol = {str(name_or_path)!r}; allowed: {allowed}, or the path of a .toml file")
+    return _protocol_folder() / f"{name_or_path}.toml"
 
 
 def read_toml(path: Path) -> dict[str, Any]:

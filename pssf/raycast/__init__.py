@@ -50,6 +50,7 @@ def trace(
     engine: str = "embree",
     materials: Iterable[str] | None = None,
     precision: str = "float32",
+    texture: bool = True,
     workers: int = 2,
 ) -> Paths:
     """Path length in each material along every ray from the source to a pixel centre.
@@ -61,6 +62,7 @@ def trace(
 
     materials  those wanted; by default all but the ambient one, whose path is counted inside the box around the scene
     precision  of what comes back: "float32" (4e-6 mm in 100 mm) or "float64"
+    texture    False takes every material at its own density, as a protocol without texture does
     workers    threads; they do not change the result
     returns    path_mm (rows, cols) per material, and the audit
     raises     InputError for an unknown engine, material or precision, or a scene that has no right answer: see `check`
@@ -78,7 +80,7 @@ def trace(
         list(pool.map(lambda surface: surface.solid, scene.surfaces))
         require_traceable(scene)
         asked = [surface for surface in scene.surfaces if {surface.inside, surface.outside} & path_mm.keys()]
-        smooth = isinstance(protocol, Protocol) and protocol.texture == "none"
+        smooth = not texture or (isinstance(protocol, Protocol) and protocol.texture == "none")
         layers = _layers(asked, view, engine, smooth, pool)
         audits = pool.map(partial(_band, scene, view, layers, path_mm), range(0, view.rows, BAND_ROWS))
         return Paths(path_mm=path_mm, audit=total(audits))
