@@ -65,7 +65,7 @@ def simulate(
     gap_mm = max(0.0, view_of(protocol).centre_mm[1] - float(scene.bounds_mm[1, 1]))
     noise = np.random.SeedSequence(seed, spawn_key=(_NOISE,))
     start = perf_counter()
-    primary = _sampled(scene, protocol, engine, workers) if protocol.focal_spot == "sampled" else None
+    primary = sampled_primary(scene, protocol, engine, workers) if protocol.focal_spot == "sampled" else None
     seconds |= {"focal spot": perf_counter() - start} if primary else {}
     pixels, kept, stages = detector.expose(
         paths.path_mm, protocol, gap_mm=gap_mm, seed=noise, primary=primary, keep=keep, workers=workers
@@ -86,10 +86,10 @@ def simulate(
     )
 
 
-def _sampled(scene: Scene, protocol: Protocol, engine: str, workers: int) -> detector.Signal:
-    """Primary signal as the mean over rays from points of the focal spot."""
+def sampled_primary(scene: Scene, protocol: Protocol, engine: str, workers: int, points: int = 3) -> detector.Signal:
+    """Primary signal as the mean over rays from points of the focal spot, so many a side (`geometry.spot_views`)."""
     kev, square = (np.zeros((protocol.rows, protocol.cols), np.float32) for _ in range(2))
-    for view, share in spot_views(protocol):
+    for view, share in spot_views(protocol, points):
         paths = raycast.trace(scene, view, engine=engine, texture=protocol.texture != "none", workers=workers)
         one = detector.primary_of(paths.path_mm, protocol, workers, view)
         kev += np.float32(share) * one.kev

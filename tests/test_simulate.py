@@ -168,3 +168,23 @@ def test_another_texture_seed_changes_spongy_bone_alone(knee, small):
     spongy = images[0].kept["path_mm"]["trabecular_bone"] > 0
     assert (images[0].pixels[spongy] != images[1].pixels[spongy]).mean() > 0.5
     assert_array_equal(images[0].pixels[~spongy], images[1].pixels[~spongy])
+
+
+def test_a_sampled_focal_spot_blurs_by_depth(small):
+    # Two plates behind half of the image, one near the detector and one far from it.
+    widths = []
+    for y_mm in (-100.0, 60.0):
+        plate = trimesh.creation.box((40.0, 1.0, 80.0)).apply_translation((20.0, y_mm, 0.0))
+        scene = pssf.Scene([pssf.Surface(plate, inside="cortical_bone", outside="air", name="plate")])
+        fine = dataclasses.replace(
+            small, rows=3, cols=121, pixel_mm=0.02, focal_spot="sampled", focal_spot_mm=1.2, scatter="none",
+            detector_blur="none", noise="none",
+        )  # fmt: skip
+        kev = pssf.simulate(scene, fine, engine="scanline", keep=("primary",)).kept["primary"][1]
+        share = (kev - kev.min()) / np.ptp(kev)
+        inside = (share > 0.01) & (share < 0.99)
+        widths.append(inside.sum() * fine.pixel_mm)
+    # Three points make steps at 0.11 and 0.89 of the penumbra a (m - 1): what is between them is seen.
+    for width, y_mm in zip(widths, (-100.0, 60.0), strict=True):
+        penumbra = 1.2 * (1150.0 / (950.0 + y_mm) - 1)
+        assert width == pytest.approx(np.sqrt(0.6) * penumbra, abs=0.07)

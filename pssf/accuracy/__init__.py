@@ -9,6 +9,7 @@ solids     spheres as polyhedra, and their exact chords
 builds     random knees, built or refused
 tessellation  outlines of the bones by triangles
 texture    trabeculae: integrals by step, and their look on radiographs beside real ones
+focal      blur of the focal spot against rays from points of it
 figure     error against run time, drawn                      (extra "study")
 """
 
@@ -25,6 +26,7 @@ from ..simulate import versions
 from .agreement import agreement_rows
 from .builds import build_rows
 from .engines import Row, engine_rows, growth_rows, nested_rows
+from .focal import focal_rows
 from .morphometry import knee_rows
 from .physics import physics_rows
 from .stages import spectrum_rows, stage_rows
@@ -33,8 +35,8 @@ from .texture import spread_rows, step_rows
 
 # Those that measure memory come first: a process that is started begins with the peak of the one that started it.
 TABLES = (
-    "engines", "growth", "nested", "stages", "agreement", "spectrum", "physics", "tessellation", "texture_steps",
-    "texture", "builds", "knees",
+    "engines", "growth", "nested", "stages", "agreement", "spectrum", "focal_spot", "physics",
+    "tessellation", "texture_steps", "texture", "builds", "knees",
 )  # fmt: skip
 
 
@@ -66,6 +68,7 @@ def measure(
         "stages": lambda: stage_rows(workers),
         "agreement": lambda: agreement_rows(knees, workers),
         "spectrum": spectrum_rows,
+        "focal_spot": lambda: focal_rows(workers),
         "physics": physics_rows,
         "tessellation": tessellation_rows,
         "texture_steps": step_rows,

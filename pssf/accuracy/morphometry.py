@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import trimesh
 
-from ..anatomy import build, measured_jsw_mm
+from ..anatomy import bones_of, build, measured_jsw_mm
 from ..anatomy.joint import Stance, stance_of
+from ..anatomy.solids import mesh_of
 from ..checks import Array
 from ..files import tables
 from ..knee import Knee, draw_knee
@@ -46,7 +47,9 @@ def measured(knee: Knee) -> Sizes:
     spaces = measured_jsw_mm(knee, build(knee), load_protocol("reference"))
     # Bones alone, as they are measured dry: without osteophytes, and each turned back into its own frame.
     bare = replace(knee, osteophytes=(), rotation_deg=0.0, flexion_deg=0.0, side="right")
-    stance, meshes = stance_of(bare), {surface.name: surface.mesh for surface in build(bare).surfaces}
+    stance, meshes = stance_of(bare), dict[str, trimesh.Trimesh]()
+    for name, bone in bones_of(bare).items():
+        meshes |= {name: mesh_of(bone.outer), f"{name}_trabecular": mesh_of(bone.inner)}
     angle = _femorotibial_deg(meshes)
     return {
         **_femur(meshes, stance),

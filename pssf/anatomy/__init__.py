@@ -26,7 +26,7 @@ from .tissues import between
 from .trabeculae import BONES, Trabeculae, trabeculae
 from .truth import measured_jsw_mm, osteophytes_of, truth_of
 
-__all__ = ["BONES", "build", "measured_jsw_mm", "osteophytes_of", "truth_of"]
+__all__ = ["BONES", "bones_of", "build", "measured_jsw_mm", "osteophytes_of", "truth_of"]
 
 
 def build(knee: Knee) -> Scene:
@@ -35,16 +35,8 @@ def build(knee: Knee) -> Scene:
     Surfaces are named ("femur", "femur_trabecular", "femur_marrow", "skin", ...), in the knee frame, mm.
     raises  InputError if a solid fails its checks, which the ranges of `Knee` exclude
     """
-    stance = stance_of(knee)
+    stance, placed = stance_of(knee), bones_of(knee)
     shape, pose = stance.build, stance.pose
-    parts = {
-        "femur": bones.femur(shape, stance.femur),
-        "tibia": bones.tibia(shape, stance.tibia),
-        "fibula": bones.fibula(shape),
-        "patella": bones.patella(shape),
-    }
-    frames = {"femur": pose.femur(), "patella": pose.femur(), "tibia": pose.tibia(), "fibula": pose.tibia()}
-    placed = {name: _placed(part, frames[name]) for name, part in parts.items()}
     points_mm = np.vstack([part.outer.to_mesh64().vert_properties[:, :3] for part in placed.values()])
     limb = soft.layers(knee, shape, points_mm @ pose.soft()[:, :3])
     wraps = {name: solid.transform(pose.soft()) for name, solid in limb.items()}
@@ -57,7 +49,8 @@ def build(knee: Knee) -> Scene:
     for tissue in between(knee, stance, placed, wraps["muscle"]):
         surfaces.append(_sided(tissue.mesh, tissue.material, "muscle", tissue.name, knee))
     for name, part in placed.items():
-        density = _texture(knee, name, shape.scale, frames[name])
+        frame = pose.femur() if name in ("femur", "patella") else pose.tibia()
+        density = _texture(knee, name, shape.scale, frame)
         surfaces.append(_surface(part.outer, "cortical_bone", "muscle", name, knee))
         spongy = _surface(part.inner, "trabecular_bone", "cortical_bone", f"{name}_trabecular", knee)
         surfaces.append(replace(spongy, inside_density=density))
@@ -65,6 +58,19 @@ def build(knee: Knee) -> Scene:
             canal = _surface(part.canal, "marrow", "trabecular_bone", f"{name}_marrow", knee)
             surfaces.append(replace(canal, outside_density=density))
     return Scene(surfaces)
+
+
+def bones_of(knee: Knee) -> dict[str, bones.Bone]:
+    """Femur, tibia, fibula and patella of a right knee as it stands, by name; a left one is their mirror image in x."""
+    stance = stance_of(knee)
+    shape, pose = stance.build, stance.pose
+    parts = {
+        "femur": (bones.femur(shape, stance.femur), pose.femur()),
+        "tibia": (bones.tibia(shape, stance.tibia), pose.tibia()),
+        "fibula": (bones.fibula(shape), pose.tibia()),
+        "patella": (bones.patella(shape), pose.femur()),
+    }
+    return {name: _placed(part, frame) for name, (part, frame) in parts.items()}
 
 
 def _texture(knee: Knee, bone: str, scale: float, frame: Array) -> Trabeculae:
