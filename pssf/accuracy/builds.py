@@ -8,8 +8,8 @@ import numpy as np
 from ..anatomy import build, measured_jsw_mm
 from ..checks import InputError
 from ..knee import SITES, Knee, Osteophyte, draw_knee
+from ..parallel import ordered_map
 from ..protocol import load_protocol
-from ..radiomics.parallel import ordered_map
 from .engines import Row
 
 # Of the second half: uniform in these, the widest of what a grade may have and of what is found in adults.

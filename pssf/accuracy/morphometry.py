@@ -12,8 +12,8 @@ from ..anatomy.solids import mesh_of
 from ..checks import Array
 from ..files import tables
 from ..knee import Knee, draw_knee
+from ..parallel import ordered_map
 from ..protocol import load_protocol
-from ..radiomics.parallel import ordered_map
 from .engines import Row
 
 Sizes = dict[str, float]

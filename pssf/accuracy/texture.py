@@ -12,8 +12,8 @@ from ..checks import Array
 from ..files import tables
 from ..geometry import magnification, view_of
 from ..knee import Knee, draw_knee
+from ..parallel import ordered_map
 from ..protocol import load_protocol
-from ..radiomics.parallel import ordered_map
 from ..simulate import simulate
 from .engines import Row
 

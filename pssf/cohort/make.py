@@ -2,8 +2,6 @@
 
 import json
 from collections.abc import Callable
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +10,7 @@ from ..checks import require_whole
 from ..files import records
 from ..files.images import save
 from ..knee import knee_table
+from ..parallel import ordered_map
 from ..protocol import protocol_table
 from ..radiograph import Radiograph
 from ..simulate import simulate, versions
@@ -48,28 +47,18 @@ def make_cohort(
         else:
             rows[case.index] = known
             progress(len(case.shots))
-    for case, made in _make_all(missing, folder, engine, workers):
-        rows[case.index] = made
-        progress(len(case.shots))
+
+    def stands(index: int, made: list[Row]) -> None:
+        rows[missing[index].index] = made
+        progress(len(missing[index].shots))
+
+    # Cores that have no knee of their own work on the rays of one.
+    threads = max(1, workers // max(1, len(missing)))
+    shared = {"folder": folder, "engine": engine, "threads": threads}
+    ordered_map(make_case, missing, shared=shared, workers=workers, arrived=stands)
     manifest = folder / "manifest.csv"
     records.write_csv(manifest, [row for case in plan.cases for row in rows[case.index]])
     return manifest
-
-
-def _make_all(cases: list[Case], folder: Path, engine: str, workers: int) -> Any:
-    if workers == 1 or len(cases) <= 1:
-        for case in cases:
-            yield case, make_case(case, folder, engine, 2 if workers > 1 else 1)
-        return
-    # Processes are spawned: threads of Embree and numba do not survive a fork.
-    with ProcessPoolExecutor(min(workers, len(cases)), mp_context=get_context("spawn")) as pool:
-        jobs: dict[Future[list[Row]], Case] = {pool.submit(make_case, case, folder, engine, 1): case for case in cases}
-        try:
-            for job in as_completed(jobs):
-                yield jobs[job], job.result()
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
 
 
 def make_case(case: Case, folder: Path, engine: str, threads: int) -> list[Row]:

@@ -5,5 +5,4 @@ region.cut_region     pixels, row, col      -> region (size, size)
 bone.bone_mask        region                -> mask (size, size)
 features.extract      region, pixel_mm      -> feature name -> value
 table.extract_all     jobs, how to load     -> one record a radiograph, in the order of the jobs
-parallel.ordered_map  function, items       -> results in the order of the items, on any number of workers
 """

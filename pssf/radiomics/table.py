@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..parallel import ordered_map
 from . import bone, features, region
 from .features import extract
-from .parallel import ordered_map
 from .region import Template, cut_region, find_joint
 
 Record = dict[str, Any]

@@ -13,7 +13,7 @@ import pandas as pd
 
 from ..checks import InputError, require_choice
 from ..files import results
-from ..radiomics.parallel import ordered_map
+from ..parallel import ordered_map
 from ..radiomics.region import Template
 from ..radiomics.table import NOT_FEATURES, How, Job, Load, Record, extract_all
 from . import Progress, StudyResult, StudySettings, localisation

@@ -1,8 +1,11 @@
 """Work on several processes whose results do not depend on how many there are."""
 
+import os
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
+from importlib.util import find_spec
+from multiprocessing import get_context, parent_process
 from typing import Any, TypeVar
 
 from threadpoolctl import threadpool_limits
@@ -52,11 +55,21 @@ def ordered_map(
 
 
 def _begin(shared: dict[str, Any]) -> None:
-    # As many threads as cores in every process would wait for each other.
-    import SimpleITK as sitk  # noqa: N813
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    if find_spec("SimpleITK"):
+        # As many threads as cores in every process would wait for each other.
+        import SimpleITK as sitk  # noqa: N813
 
-    sitk.ProcessObject.SetGlobalDefaultNumberOfThreads(1)
+        sitk.ProcessObject.SetGlobalDefaultNumberOfThreads(1)
     _shared.update(shared)
+
+
+def _end_with_parent() -> None:
+    """A worker whose parent was killed would wait for work for ever, with all its memory."""
+    parent = parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
 
 
 def _call(function: Callable[..., Result], item: Any) -> Result:
