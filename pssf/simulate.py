@@ -41,15 +41,7 @@ def simulate(
     scene    what `build(knee)` gave, where several protocols see the same knee
     raises   InputError for an unknown name in keep, an unknown engine or material, a scene that cannot be traced
     """
-    require_whole("seed", seed, 0, 2**63 - 1, "")
-    for name in keep:
-        require_choice("keep", name, KEEP)
-    if "masks" in keep and isinstance(knee, Scene):
-        raise InputError("keep = masks of a scene; allowed: of a Knee, whose bones are known by name")
-    if not isinstance(protocol, Protocol):
-        raise InputError(f"protocol = {protocol!r}; allowed: a Protocol, as load_protocol gives it")
-    if not isinstance(knee, Knee | Scene):
-        raise InputError(f"knee = {knee!r}; allowed: a Knee or a Scene")
+    _check(knee, protocol, seed, keep)
     start = perf_counter()
     if isinstance(knee, Scene):
         scene, who = knee, None
@@ -84,6 +76,18 @@ def simulate(
         kept=kept,
         seconds={**seconds, **stages},
     )
+
+
+def _check(knee: Knee | Scene, protocol: Protocol, seed: int, keep: Collection[str]) -> None:
+    require_whole("seed", seed, 0, 2**63 - 1, "")
+    for name in keep:
+        require_choice("keep", name, KEEP)
+    if "masks" in keep and isinstance(knee, Scene):
+        raise InputError("keep = masks of a scene; allowed: of a Knee, whose bones are known by name")
+    if not isinstance(protocol, Protocol):
+        raise InputError(f"protocol = {protocol!r}; allowed: a Protocol, as load_protocol gives it")
+    if not isinstance(knee, Knee | Scene):
+        raise InputError(f"knee = {knee!r}; allowed: a Knee or a Scene")
 
 
 def sampled_primary(scene: Scene, protocol: Protocol, engine: str, workers: int, points: int = 3) -> detector.Signal:
