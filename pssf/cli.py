@@ -1,4 +1,4 @@
-"""The command line: pssf simulate | meshes | cohort | study | accuracy | protocols."""
+"""The command line: pssf simulate | meshes | cohort | study | accuracy | quality | protocols."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -144,6 +144,27 @@ def accuracy(
             out, workers=workers, tables=wanted, knees=knees, progress=lambda what: status.update(f"measuring: {what}")
         )
     for path in paths:
+        print(path)
+
+
+@app.command()
+def quality(
+    out: Out,
+    protocol: Annotated[str, typer.Option(help="Protocol by name, or the path of a TOML file.")] = "reference",
+) -> None:
+    """A protocol measured beside references: beam, MTF, NPS, DQE, exposure; tables (CSV) and a figure."""
+    from .protocol import load_protocol
+    from .quality import measure_quality, write_quality
+
+    technique = load_protocol(protocol)
+    with _waiting("measuring") as status:
+        found = measure_quality(technique, progress=lambda what: status.update(f"measuring: {what}"))
+    table = Table("quantity", "value", "reference", "source")
+    for row in found.rows:
+        known = f"{row['low']} to {row['high']}" if row["low"] != "" else str(row["reference"])
+        table.add_row(row["quantity"], row["value"], known, row["source"])
+    Console(width=None if sys.stdout.isatty() else 160).print(table)
+    for path in write_quality(found, technique, out):
         print(path)
 
 

@@ -1,0 +1,103 @@
+"""quality.measure_quality  protocol -> a table of its figures beside references, and the curves behind them
+
+beam      half-value layers, kerma, photons     detector  MTF, NPS, DQE, photon transfer
+exposure  exposure index, scatter, noise        figure    the curves, drawn     (extra "study")
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..files import tables
+from ..files.atomic import write_bytes
+from ..files.records import write_csv
+from ..protocol import Protocol
+from .beam import beam_quantities
+from .detector import Curve, dqe, mtf, nnps, photon_transfer
+from .exposure import exposure_quantities
+
+Row = dict[str, Any]
+# Order of the references in `data/reference.toml`.
+_BEAM = ("hvl1_mm_al", "hvl2_mm_al", "mean_kev", "photons_per_mm2_mas_1m", "air_kerma_ugy_mas_1m")
+_MTF_AT, _DQE_AT = (0.5, 1.0, 2.0, 3.0), (0.5, 1.0, 2.0)
+
+
+@dataclass(frozen=True)
+class Quality:
+    """What was measured of a protocol.
+
+    rows      quantity, value, reference, low, high, source; a row a figure
+    mtf, nnps, dqe  curves; the DQE in an RQA5 beam
+    transfer  mean, variance and the variance meant of flat fields by rising mAs
+    """
+
+    rows: list[Row]
+    mtf: Curve
+    nnps: Curve
+    dqe: Curve
+    transfer: list[tuple[float, float, float]]
+
+
+def measure_quality(protocol: Protocol, progress: Callable[[str], None] = lambda what: None) -> Quality:
+    """Measure a protocol as a physicist would: beam, detector, and a radiograph of the average knee."""
+    values = beam_quantities(protocol)
+    progress("detector")
+    sharp, noise = mtf(protocol), nnps(protocol)
+    # The standard beam for DQE, at an exposure in the middle of the range.
+    efficiency = dqe(replace(protocol, tube_kv=70.0, filtration_mm_al=23.5, mas=3.0, mono_kev=None))
+    transfer = photon_transfer(protocol)
+    progress("radiograph")
+    values |= exposure_quantities(protocol)
+    values |= {f"mtf_{f:g}_per_mm": float(np.interp(f, sharp.per_mm, sharp.measured)) for f in _MTF_AT}
+    values |= {f"dqe_{f:g}_per_mm": float(np.interp(f, efficiency.per_mm, efficiency.measured)) for f in _DQE_AT}
+    values |= {
+        "mtf_over_model_worst": _worst(sharp, 3.0),
+        "nps_over_model_mean": float(np.mean(noise.measured / noise.model)),
+        "variance_over_model_mean": float(np.mean([found / meant for _, found, meant in transfer])),
+    }
+    rows = [_row(name, value, protocol) for name, value in values.items()]
+    return Quality(rows, sharp, noise, efficiency, transfer)
+
+
+def write_quality(quality: Quality, protocol: Protocol, out: Path) -> list[Path]:
+    """Write the table and the curves as CSV, and a figure where matplotlib is there; returns their paths."""
+    paths = [out / f"quality_{protocol.name}.csv", out / f"curves_{protocol.name}.csv"]
+    write_csv(paths[0], quality.rows)
+    curves = {"mtf": quality.mtf, "nnps_mm2": quality.nnps, "dqe_rqa5": quality.dqe}
+    write_csv(
+        paths[1],
+        [
+            {"curve": name, "per_mm": round(float(f), 4), "measured": f"{measured:.5g}", "model": f"{model:.5g}"}
+            for name, curve in curves.items()
+            for f, measured, model in zip(curve.per_mm, curve.measured, curve.model, strict=True)
+        ],
+    )
+    if find_spec("matplotlib"):
+        from .figure import draw
+
+        paths.append(out / f"quality_{protocol.name}.png")
+        write_bytes(paths[-1], draw(quality, protocol.name))
+    return paths
+
+
+def _worst(curve: Curve, up_to_per_mm: float) -> float:
+    """The ratio of measured to model that is farthest from 1."""
+    ratio = (curve.measured / curve.model)[(curve.per_mm > 0) & (curve.per_mm <= up_to_per_mm)]
+    return float(ratio[np.abs(ratio - 1).argmax()])
+
+
+def _row(name: str, value: float, protocol: Protocol) -> Row:
+    known = tables.data("reference")["quality"]
+    row: Row = {"quantity": name, "value": f"{value:.5g}", "reference": "", "low": "", "high": "", "source": ""}
+    beam = known["beam"].get(f"{protocol.tube_kv:g}_{protocol.filtration_mm_al:g}")
+    if name in _BEAM and beam and protocol.anode_angle_deg == 12.0 and protocol.mono_kev is None:
+        return row | {"reference": beam[_BEAM.index(name)], "source": "SpekPy 2.5.4"}
+    entry = known.get(name)
+    if not entry or ("csi" in entry["source"] and protocol.detector != "csi"):
+        return row
+    low, high = entry.get("range", ("", ""))
+    return row | {"reference": entry.get("value", ""), "low": low, "high": high, "source": entry["source"]}

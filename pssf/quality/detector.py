@@ -1,0 +1,159 @@
+"""The detector measured as in a laboratory: MTF of a slanted edge, NPS of flat fields, DQE, photon transfer."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..checks import Array
+from ..detector import expose
+from ..detector.materials import attenuation_per_mm
+from ..detector.spectrum import beam_of
+from ..files import tables
+from ..protocol import Protocol
+
+# Slanted edge of a lead plate on the detector (IEC 62220-1: 1.5 to 3 degrees), bins a pixel, rows and columns.
+_EDGE_DEG, _FINER, _EDGE_PX = 2.4, 8, 512
+# Side of the regions of the noise power spectrum, regions a side of a flat field, and flat fields.
+_ROI_PX, _ROIS, _FIELDS = 128, 4, 6
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A function of spatial frequency.
+
+    per_mm    (n,)
+    measured  (n,)
+    model     (n,)  what the package means it to be
+    """
+
+    per_mm: Array
+    measured: Array
+    model: Array
+
+
+def bare(protocol: Protocol, side_px: int) -> Protocol:
+    """The protocol with a detector of a square of pixels, and nothing between it and a point source."""
+    return replace(
+        protocol, rows=side_px, cols=side_px, focal_spot_mm=0.0, scatter="none", heel="none", dead_pixels=0.0
+    )
+
+
+def model_mtf(protocol: Protocol, per_mm: Array) -> Array:
+    """(n,)  presampled MTF that the detector is made with"""
+    if protocol.detector_blur == "none":
+        return np.ones_like(per_mm)
+    table = tables.data("detector")[protocol.detector]
+    return np.asarray(1 / (1 + (per_mm / table["mtf_f0_per_mm"]) ** table["mtf_power"]))
+
+
+def mtf(protocol: Protocol) -> Curve:
+    """Presampled MTF from a slanted edge, without noise (Samei 1998): edge spread, line spread, its transform.
+
+    A plate of lead with a straight edge lies on the detector; a pixel that the edge crosses is open in part, which is
+    an aperture of a pixel more than point rays have, and is divided out again.
+    """
+    quiet = replace(bare(protocol, _EDGE_PX), noise="none", mono_kev=60.0, mas=_mono_mas(protocol))
+    rows, cols = np.mgrid[:_EDGE_PX, :_EDGE_PX] - (_EDGE_PX - 1) / 2
+    across = cols * np.cos(np.deg2rad(_EDGE_DEG)) + rows * np.sin(np.deg2rad(_EDGE_DEG))
+    # The path in lead that lets as much pass as the open part of a pixel.
+    per_mm = float(attenuation_per_mm("Pb@11.35", np.array([60.0]))[0])
+    path = -np.log(np.clip(0.5 - across, 1e-6, 1.0)) / per_mm
+    pixels, _, _ = expose({"Pb@11.35": path.astype(np.float32)}, quiet, gap_mm=0.0, seed=np.random.SeedSequence(0))
+    middle = slice(_EDGE_PX // 8, -_EDGE_PX // 8)
+    frequency, found = _edge_mtf(pixels[middle, middle].astype(np.float64), across[middle, middle], protocol.pixel_mm)
+    found /= np.sinc(frequency * protocol.pixel_mm)
+    return Curve(frequency, found, model_mtf(protocol, frequency))
+
+
+def _mono_mas(protocol: Protocol) -> float:
+    """mAs at one energy that give about the mid of the 16-bit range."""
+    trial = replace(bare(protocol, 8), noise="none", mono_kev=60.0, mas=1.0)
+    pixels, _, _ = expose({}, trial, gap_mm=0.0, seed=np.random.SeedSequence(0))
+    offset = tables.data("detector")[protocol.detector]["offset_dn"]
+    return 30000.0 / max(float(pixels.mean()) - offset, 1.0)
+
+
+def _edge_mtf(pixels: Array, across: Array, pixel_mm: float) -> tuple[Array, Array]:
+    """Frequencies and MTF from the signal at distances (pixels) across an edge."""
+    reach = 96
+    place = np.floor((across + reach) * _FINER).astype(int)
+    inside = (place >= 0) & (place < 2 * reach * _FINER)
+    count = np.bincount(place[inside], minlength=2 * reach * _FINER)
+    spread = np.bincount(place[inside], pixels[inside], 2 * reach * _FINER) / np.maximum(count, 1)
+    line = np.diff(spread)
+    transform = np.abs(np.fft.rfft(line))
+    frequency = np.fft.rfftfreq(len(line), pixel_mm / _FINER)
+    # Differences and bins are two apertures of their own.
+    transform /= np.sinc(frequency * pixel_mm / _FINER) ** 2
+    wanted = frequency < 0.5 / pixel_mm
+    return np.asarray(frequency[wanted], np.float64), np.asarray(transform[wanted] / transform[0], np.float64)
+
+
+def flat_fields(protocol: Protocol, count: int = _FIELDS) -> Array:
+    """(count, rows, cols)  exposures of the open beam, linear pixels less their offset"""
+    side = _ROI_PX * _ROIS
+    flat = bare(protocol, side)
+    offset = tables.data("detector")[protocol.detector]["offset_dn"]
+    images = [expose({}, flat, gap_mm=0.0, seed=np.random.SeedSequence(k))[0] for k in range(count)]
+    return np.array(images, np.float64) - offset
+
+
+def nnps(protocol: Protocol) -> Curve:
+    """Normalised noise power spectrum of flat fields, mm2, averaged over directions (IEC 62220-1)."""
+    fields = flat_fields(protocol)
+    # Their mean is taken off: the inverse square fall of the beam is no noise, but one part in `count` of the noise is.
+    residual = (fields - fields.mean(axis=0)) * np.sqrt(len(fields) / (len(fields) - 1))
+    regions = residual.reshape(len(fields), _ROIS, _ROI_PX, _ROIS, _ROI_PX).swapaxes(2, 3)
+    power = (np.abs(np.fft.fft2(regions)) ** 2).mean(axis=(0, 1, 2)) * protocol.pixel_mm**2 / _ROI_PX**2
+    f = np.fft.fftfreq(_ROI_PX, protocol.pixel_mm)
+    radius = np.hypot(*np.meshgrid(f, f))
+    frequency, found = _radial(radius, power / fields.mean() ** 2, protocol.pixel_mm)
+    return Curve(
+        frequency, found, _radial(radius, model_nnps(protocol, radius, float(fields.mean())), protocol.pixel_mm)[1]
+    )
+
+
+def model_nnps(protocol: Protocol, per_mm: Array, mean_dn: float) -> Array:
+    """(...)  quanta seen through the MTF, readout noise and rounding, mm2"""
+    table, beam = tables.data("detector")[protocol.detector], beam_of(protocol)
+    per_dn = table["electrons_per_dn_mm2"] * protocol.pixel_mm**2
+    weights = beam.photons_per_mm2 * beam.signal_kev
+    quantum_kev = (beam.photons_per_mm2 * beam.square_kev2).sum() / weights.sum() / table["swank"]
+    quanta = mean_dn * per_dn / table["electrons_per_kev"] / quantum_kev
+    readout = (table["readout_electrons"] / per_dn) ** 2 + 1 / 12
+    noise = model_mtf(protocol, per_mm) ** 2 / quanta + readout / mean_dn**2
+    return np.asarray(noise * protocol.pixel_mm**2)
+
+
+def dqe(protocol: Protocol) -> Curve:
+    """Detective quantum efficiency, MTF^2 / (NNPS q), of the open beam of a protocol"""
+    noise, sharp = nnps(protocol), mtf(protocol)
+    beam = beam_of(protocol)
+    q = beam.photons_per_mm2.sum() * (1000.0 / protocol.sdd_mm) ** 2
+    at = np.interp(noise.per_mm, sharp.per_mm, sharp.measured)
+    meant = model_mtf(protocol, noise.per_mm) ** 2
+    return Curve(noise.per_mm, at**2 / (noise.measured * q), meant / (noise.model * q))
+
+
+def photon_transfer(protocol: Protocol, steps: int = 6) -> list[tuple[float, float, float]]:
+    """Mean, variance and the variance meant (DN, DN^2) of flat fields without detector blur, by rising mAs."""
+    rows = []
+    for mas in protocol.mas * np.geomspace(1 / 64, 1.0, steps):
+        sharp = replace(protocol, mas=float(mas), detector_blur="none")
+        one, other = flat_fields(sharp, 2)
+        mean = float((one.mean() + other.mean()) / 2)
+        meant = float(model_nnps(sharp, np.zeros(1), mean)[0]) / protocol.pixel_mm**2 * mean**2
+        rows.append((mean, float((one - other).var() / 2), meant))
+    return rows
+
+
+def _radial(radius: Array, power: Array, pixel_mm: float) -> tuple[Array, Array]:
+    """Means over rings of frequency, the axes and the zero left out, up to the Nyquist frequency."""
+    step = radius[0, 1] * 2
+    used = (np.arange(len(radius))[:, None] > 0) & (np.arange(len(radius)) > 0) & (radius < 0.5 / pixel_mm)
+    ring = np.rint(radius[used] / step).astype(int)
+    count = np.bincount(ring)
+    kept = count > 0
+    return (np.bincount(ring, radius[used]) / np.maximum(count, 1))[kept], (
+        np.bincount(ring, power[used]) / np.maximum(count, 1)
+    )[kept]

@@ -1,0 +1,55 @@
+"""What a radiograph of the average knee says about its exposure: exposure index, scatter, dynamic range, noise."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..anatomy import build
+from ..detector.spectrum import beam_of, tube_spectrum
+from ..files import tables
+from ..knee import Knee
+from ..protocol import Protocol
+from ..simulate import simulate
+from .beam import air_kerma_ugy
+
+# Half the side of the squares in which signals are read, mm at the detector.
+_HALF_MM = 3.0
+
+
+def exposure_quantities(protocol: Protocol) -> dict[str, float]:
+    """Figures of one radiograph of the average knee.
+
+    exposure_index  100 per uGy of air kerma that an RQA5 beam needs for the median signal behind the limb (IEC 62494-1)
+    """
+    knee = Knee()
+    taken = replace(protocol, noise="none", dead_pixels=0.0)
+    radiograph = simulate(knee, taken, scene=build(knee), engine="scanline", keep=("primary", "scatter", "path_mm"))
+    primary, kept = radiograph.kept["primary"], radiograph.kept
+    scatter = kept.get("scatter", np.zeros_like(primary))
+    total = primary + scatter
+    limb = kept["path_mm"]["muscle"] > 0
+    assert radiograph.truth is not None
+    row, col = (round(place) for place in radiograph.truth.landmarks_px["medial_joint_line"])
+    half, below = max(1, round(_HALF_MM / protocol.pixel_mm)), round(12.0 / protocol.pixel_mm)
+    joint = (slice(row - half, row + half + 1), slice(col - half, col + half + 1))
+    bone = (slice(row + below - half, row + below + half + 1), joint[1])
+    offset = tables.data("detector")[protocol.detector]["offset_dn"]
+    noisy = simulate(knee, replace(protocol, dead_pixels=0.0), scene=None, engine="scanline", seed=1).pixels[bone]
+    quiet = radiograph.pixels[bone].astype(np.float64)
+    return {
+        "exposure_index": 100 * float(np.median(total[limb])) / _kev_per_ugy(protocol),
+        "spr_joint": float(scatter[joint].sum() / primary[joint].sum()),
+        "spr_bone": float(scatter[bone].sum() / primary[bone].sum()),
+        "spr_limb": float(scatter[limb].sum() / primary[limb].sum()),
+        "dynamic_range": float(total.max() / total[bone].mean()),
+        "noise_bone": float((noisy - quiet).std() / (quiet.mean() - offset)),
+    }
+
+
+def _kev_per_ugy(protocol: Protocol) -> float:
+    """Energy absorbed in a pixel per uGy of an RQA5 beam, 70 kV behind 23.5 mm of aluminium (IEC 61267)."""
+    rqa5 = replace(protocol, tube_kv=70.0, filtration_mm_al=23.5, anode_angle_deg=12.0, mono_kev=None, mas=1.0)
+    beam = beam_of(rqa5)
+    energies, photons = tube_spectrum(70.0, 12.0, 23.5)
+    signal = float((beam.photons_per_mm2 * beam.signal_kev).sum())
+    return signal * protocol.pixel_mm**2 / air_kerma_ugy(energies, photons)

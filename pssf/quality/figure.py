@@ -1,0 +1,33 @@
+"""The curves of a protocol's quality, measured beside model, in one figure."""
+
+import io
+from typing import TYPE_CHECKING
+
+from matplotlib.figure import Figure
+
+if TYPE_CHECKING:
+    from . import Quality
+
+
+def draw(quality: "Quality", name: str) -> bytes:
+    """PNG of MTF, NNPS, DQE and photon transfer."""
+    figure = Figure(figsize=(10, 7), layout="constrained")
+    axes = figure.subplots(2, 2)
+    curves = (("MTF", quality.mtf), ("NNPS (mm²)", quality.nnps), ("DQE, RQA5 beam", quality.dqe))
+    for axis, (label, curve) in zip(axes.flat[:3], curves, strict=True):
+        axis.plot(curve.per_mm, curve.measured, ".", markersize=3, label="measured")
+        axis.plot(curve.per_mm, curve.model, "-", linewidth=1, label="model")
+        axis.set(xlabel="cycles/mm", ylabel=label)
+        axis.legend(frameon=False)
+    axes[0, 1].set_yscale("log")
+    for axis in (axes[0, 0], axes[1, 0]):
+        axis.set_ylim(bottom=0)
+    mean, found, meant = zip(*quality.transfer, strict=True)
+    axes[1, 1].loglog(mean, found, "o", label="measured")
+    axes[1, 1].loglog(mean, meant, "-", linewidth=1, label="model")
+    axes[1, 1].set(xlabel="mean signal (DN)", ylabel="variance (DN²)", title="photon transfer, no blur")
+    axes[1, 1].legend(frameon=False)
+    figure.suptitle(f"Protocol {name}")
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=120)
+    return stream.getvalue()
