@@ -104,7 +104,9 @@ def nnps(protocol: Protocol) -> Curve:
     # Their mean is taken off: the inverse square fall of the beam is no noise, but one part in `count` of the noise is.
     residual = (fields - fields.mean(axis=0)) * np.sqrt(len(fields) / (len(fields) - 1))
     regions = residual.reshape(len(fields), _ROIS, _ROI_PX, _ROIS, _ROI_PX).swapaxes(2, 3)
-    power = (np.abs(np.fft.fft2(regions)) ** 2).mean(axis=(0, 1, 2)) * protocol.pixel_mm**2 / _ROI_PX**2
+    # A Hann window: without one, power of low frequencies leaks to high ones, where there is thirty times less.
+    window = np.outer(np.hanning(_ROI_PX), np.hanning(_ROI_PX))
+    power = (np.abs(np.fft.fft2(regions * window)) ** 2).mean(axis=(0, 1, 2)) * protocol.pixel_mm**2 / (window**2).sum()
     f = np.fft.fftfreq(_ROI_PX, protocol.pixel_mm)
     radius = np.hypot(*np.meshgrid(f, f))
     frequency, found = _radial(radius, power / fields.mean() ** 2, protocol.pixel_mm)
