@@ -8,7 +8,8 @@ density    PlaneWaves                                 what varies within a mater
 raycast    check(scene)                -> Report      what is wrong with meshes, before any image is made
            trace(scene, protocol)      -> Paths       path length per material and pixel, audited
 simulate   simulate(knee, protocol)    -> Radiograph  pixels and labels
-files      save, load, export_meshes                  the only part that touches the disk
+files      save, load, load_parameters, save_masks,   the only part that touches the disk
+           load_masks, export_meshes
 cohort     plan and make a cohort of radiographs
 radiomics  region and features                        (extra "study")
 study      models, statistics, report                 (extra "study")
@@ -18,7 +19,8 @@ from .anatomy import build
 from .checks import InputError
 from .density import PlaneWaves
 from .detector import present
-from .files.images import load, save
+from .files.images import load, load_parameters, save
+from .files.masks import load_masks, save_masks
 from .files.meshes import export_meshes
 from .knee import Knee, Osteophyte, draw_knee
 from .protocol import Protocol, load_protocol
@@ -43,9 +45,12 @@ __all__ = [
     "draw_knee",
     "export_meshes",
     "load",
+    "load_masks",
+    "load_parameters",
     "load_protocol",
     "present",
     "save",
+    "save_masks",
     "simulate",
     "trace",
 ]

@@ -1,38 +1,56 @@
-"""Radiographs on disk: 16-bit TIFF that carries all it was made from, PNG for eyes."""
+"""Radiographs on disk: 16-bit TIFF and DICOM that carry all they were made from, PNG and a second DICOM for eyes."""
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tifffile
+from numpy.typing import NDArray
 from PIL import Image, PngImagePlugin
 
-from ..checks import InputError
+from ..checks import InputError, require_choice
 from ..detector import present
 from ..knee import knee_from, knee_table
 from ..protocol import protocol_from, protocol_table
 from ..radiograph import Radiograph, Truth
 from .atomic import write_bytes, writing
 
-SUFFIXES = (".tif", ".tiff", ".png")
+# What a file may be for, its first use being the default; see `save`.
+INTENTS = {
+    ".tif": ("processing",),
+    ".tiff": ("processing",),
+    ".dcm": ("processing", "presentation"),
+    ".png": ("presentation",),
+}
+SUFFIXES = tuple(INTENTS)
 
 
-def save(radiograph: Radiograph, path: str | Path) -> Path:
-    """Write a radiograph, by suffix: .tif (16 bit, linear, with all parameters) or .png (8 bit, for eyes).
+def save(radiograph: Radiograph, path: str | Path, *, intent: str | None = None) -> Path:
+    """Write a radiograph, by suffix: .tif (16 bit), .dcm (Digital X-Ray, 16 or 8 bit) or .png (8 bit).
 
-    raises  InputError for another suffix, or a disk that is full or cannot be written
+    intent  "processing": the linear pixels as they are, which `load` reads back; "presentation": a rendering for eyes,
+            bone bright. None is the first that the suffix can hold: presentation for .png, else processing. These are
+            DICOM's own words, For Processing and For Presentation, and two objects there; only a .dcm has the choice.
+    Either carries all parameters; the same radiograph gives the same bytes, and UIDs made from its content.
+    raises  InputError for another suffix, an intent that it cannot hold, a disk that is full or cannot be written
     """
     path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InputError(f"file {path}: suffix {suffix!r}; allowed: {', '.join(SUFFIXES)}")
+    suffix = suffix_of(path, SUFFIXES)
+    intent = intent or INTENTS[suffix][0]
+    require_choice(f"file {path}: intent", intent, INTENTS[suffix])
     with writing(path) as temporary:
         if suffix == ".png":
             note = PngImagePlugin.PngInfo()
-            note.add_text("Description", _as_json(radiograph))
+            note.add_text("Description", as_json(radiograph))
             Image.fromarray(present(radiograph.pixels)).save(temporary, format="PNG", pnginfo=note)
+        elif suffix == ".dcm":
+            from . import dicom  # pydicom is not imported before a DICOM is wanted
+
+            dicom.write(radiograph, as_json(radiograph), temporary, intent)
         else:
             per_cm = float(10.0 / radiograph.protocol.pixel_mm)
             tifffile.imwrite(
@@ -42,39 +60,95 @@ def save(radiograph: Radiograph, path: str | Path) -> Path:
                 resolution=(per_cm, per_cm),
                 resolutionunit="CENTIMETER",
                 software=f"pssf {version('pssf')}",
-                description=_as_json(radiograph),
+                description=as_json(radiograph),
                 metadata=None,
             )
     return path
 
 
 def load(path: str | Path) -> Radiograph:
-    """A radiograph from a TIFF that `save` wrote: the same pixels, protocol, knee, seed, truth, audit and versions.
+    """A radiograph from a TIFF or DICOM that `save` wrote: the same pixels, protocol, knee, seed, truth and audit.
 
+    raises  InputError for a file that is missing, damaged, not written by this package, or a DICOM For Presentation,
+            whose pixels are not linear (`load_parameters` reads what it was made from)
+    """
+    with reading(path, "a TIFF or DICOM by pssf"):
+        pixels, told = _opened(Path(path))
+        return Radiograph(pixels=pixels, **_parameters(told, path))
+
+
+def load_parameters(path: str | Path) -> dict[str, Any]:
+    """What a radiograph on disk was made from: protocol, knee, seed, truth, engine, audit, versions.
+
+    path    what `save` or `save_parameters` wrote, of any suffix and intent
     raises  InputError for a file that is missing, damaged, or not written by this package
     """
+    path = Path(path)
+    with reading(path, "a TIFF, DICOM, PNG or JSON by pssf"):
+        if path.suffix.lower() == ".json":
+            told = path.read_text(encoding="utf-8")
+        elif path.suffix.lower() == ".png":
+            with Image.open(path) as image:
+                told = image.info["Description"]
+        elif path.suffix.lower() == ".dcm":
+            from . import dicom
+
+            told = dicom.opened(path)[1]
+        else:
+            told = _opened(path)[1]
+        return _parameters(told, path)
+
+
+def _opened(path: Path) -> tuple[NDArray[np.uint16], str]:
+    """Linear pixels (rows, cols) uint16 of a TIFF or DICOM, and the JSON of what they were made from."""
+    if path.suffix.lower() == ".dcm":
+        from . import dicom
+
+        return dicom.read(path)
+    with tifffile.TiffFile(path) as tiff:
+        page = tiff.pages[0]
+        return np.asarray(page.asarray(), np.uint16), page.description  # type: ignore[union-attr]
+
+
+def _parameters(text: str, path: str | Path) -> dict[str, Any]:
+    told = json.loads(text)
+    return {
+        "protocol": protocol_from(told["protocol"], f"file {path}"),
+        "seed": told["seed"],
+        "knee": None if told["knee"] is None else knee_from(told["knee"], f"file {path}"),
+        "truth": None if told["truth"] is None else _truth(told["truth"]),
+        "engine": told["engine"],
+        "audit": told["audit"],
+        "versions": told["versions"],
+    }
+
+
+def suffix_of(path: Path, allowed: tuple[str, ...]) -> str:
+    """The suffix of a file, in small letters.
+
+    raises  InputError for one that is not allowed
+    """
+    suffix = path.suffix.lower()
+    if suffix not in allowed:
+        raise InputError(f"file {path}: suffix {suffix!r}; allowed: {', '.join(allowed)}")
+    return suffix
+
+
+@contextmanager
+def reading(path: str | Path, allowed: str) -> Iterator[None]:
+    """Whatever goes wrong in a reader becomes a refusal of one line that names the file.
+
+    raises  InputError
+    """
     try:
-        with tifffile.TiffFile(path) as tiff:
-            page = tiff.pages[0]
-            pixels, text = page.asarray(), page.description  # type: ignore[union-attr]
-        told = json.loads(text)
-        return Radiograph(
-            pixels=np.asarray(pixels, np.uint16),
-            protocol=protocol_from(told["protocol"], f"file {path}"),
-            seed=told["seed"],
-            knee=None if told["knee"] is None else knee_from(told["knee"], f"file {path}"),
-            truth=None if told["truth"] is None else _truth(told["truth"]),
-            engine=told["engine"],
-            audit=told["audit"],
-            versions=told["versions"],
-        )
+        yield
     except InputError:
         raise
     except OSError as error:
-        raise InputError(f"file {path}: {error.strerror or error}; allowed: a readable TIFF by pssf") from None
-    except Exception as error:  # a damaged TIFF can fail anywhere in its reader
+        raise InputError(f"file {path}: {error.strerror or error}; allowed: {allowed}, readable") from None
+    except Exception as error:  # a damaged file can fail anywhere in its reader
         reason = f"{type(error).__name__}: {error}".splitlines()[0]
-        raise InputError(f"file {path}: damaged or not by pssf ({reason}); allowed: a TIFF by pssf") from None
+        raise InputError(f"file {path}: damaged or not by pssf ({reason}); allowed: {allowed}") from None
 
 
 def description(radiograph: Radiograph) -> dict[str, Any]:
@@ -106,11 +180,12 @@ def save_parameters(radiograph: Radiograph, path: str | Path) -> Path:
     raises  InputError for a disk that is full or cannot be written
     """
     path = Path(path)
-    write_bytes(path, (_as_json(radiograph, indent=2) + "\n").encode())
+    write_bytes(path, (as_json(radiograph, indent=2) + "\n").encode())
     return path
 
 
-def _as_json(radiograph: Radiograph, indent: int | None = None) -> str:
+def as_json(radiograph: Radiograph, indent: int | None = None) -> str:
+    """`description` as text."""
     # Parameters may be numpy's numbers; they are written, and read back, as Python's.
     return json.dumps(description(radiograph), indent=indent, default=lambda number: number.item())
 

@@ -1,0 +1,212 @@
+"""Radiographs as DICOM Digital X-Ray objects: For Processing (linear pixels) and For Presentation (for eyes)."""
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+from uuid import UUID, uuid5
+
+import numpy as np
+import pydicom
+from numpy.typing import NDArray
+from pydicom.dataset import Dataset, FileMetaDataset
+from pydicom.uid import UID, ExplicitVRLittleEndian
+from pydicom.valuerep import DSfloat
+
+from ..checks import InputError, require_choice
+from ..detector import present
+from ..geometry import magnification, view_of
+from ..knee import Knee, knee_table
+from ..protocol import Protocol
+from ..radiograph import Radiograph
+from . import tables
+
+_UIDS = UUID("6f0c1d7e-3b52-5b7e-9a55-50535346646d")
+
+
+def write(radiograph: Radiograph, told: str, path: Path, intent: str) -> None:
+    """Write a radiograph as a Digital X-Ray object.
+
+    told    JSON of all it was made from; kept as the text of the acquisition context, where private tags get lost
+    intent  "processing": 16 bit, the pixels as they are; "presentation": 8 bit, as `present` renders them
+    """
+    pixels = present(radiograph.pixels) if intent == "presentation" else radiograph.pixels.astype("<u2", copy=False)
+    found = start(radiograph, told, ("radiograph", intent))
+    uids = uids_of(radiograph, told)
+    found.update(dataset({"SeriesInstanceUID": uids[f"{intent} series"], "SOPInstanceUID": uids[intent]}))
+    found.SeriesDescription = f"{radiograph.protocol.name[:30]}, for {intent}"
+    text = {"ValueType": "TEXT", "ConceptNameCodeSequence": [code("parameters")], "TextValue": told}
+    found.AcquisitionContextSequence = [dataset(text)]
+    found.update(_anatomy(radiograph.knee))
+    found.update(_technique(radiograph.protocol))
+    found.update(_geometry(radiograph.protocol))
+    remark = f"linear in absorbed energy, offset {tables.data('detector')[radiograph.protocol.detector]['offset_dn']:g}"
+    if intent == "presentation":
+        remark = "for eyes: log signal, large structures evened out, edges sharpened; not for measurement of intensity"
+        found.SourceImageSequence = [reference(radiograph, told, purpose="source_of_processing")]
+    found.ImageComments = f"SYNTHETIC, no patient. Pixels {remark}."
+    finish(found, pixels, path)
+
+
+def read(path: Path) -> tuple[NDArray[np.uint16], str]:
+    """Pixels (rows, cols) uint16 of a For Processing object by this package, and the JSON of what it was made from.
+
+    raises  InputError for another's DICOM, or one For Presentation; whatever its reader has for damage
+    """
+    found, told = opened(path)
+    wanted = tables.data("dicom")["processing"]["PresentationIntentType"]
+    if found.PresentationIntentType != wanted:
+        raise InputError(
+            f"file {path}: PresentationIntentType = {found.PresentationIntentType!r}; allowed: {wanted}, "
+            "whose pixels are linear (load_parameters tells what either was made from)"
+        )
+    return np.frombuffer(found.PixelData, "<u2").reshape(found.Rows, found.Columns).astype(np.uint16), told
+
+
+def opened(path: Path) -> tuple[Dataset, str]:
+    """A radiograph of either kind by this package, and the JSON of what it was made from.
+
+    raises  InputError for another's DICOM, or one that is no radiograph; whatever its reader has for damage
+    """
+    found = ours(path, "radiograph")
+    return found, found.AcquisitionContextSequence[0].TextValue
+
+
+def ours(path: Path, kind: str) -> Dataset:
+    """A DICOM object by this package, of a kind that `data/dicom.toml` describes.
+
+    raises  InputError for another's DICOM, or one of another modality; whatever its reader has for damage
+    """
+    found = pydicom.dcmread(path)
+    for keyword, among in (("Manufacturer", "every"), ("Modality", kind)):
+        require_choice(f"file {path}: {keyword}", str(found.get(keyword, "")), [tables.data("dicom")[among][keyword]])
+    return found
+
+
+def start(radiograph: Radiograph, told: str, kinds: Iterable[str]) -> Dataset:
+    """What every object of a radiograph has: the constants of its kinds (`data/dicom.toml`), subject and maker."""
+    found = Dataset()
+    for kind in ("every", *kinds):
+        found.update(dataset(tables.data("dicom")[kind]))
+    uids, knee, version = uids_of(radiograph, told), radiograph.knee, radiograph.versions.get("pssf", "")
+    found.StudyInstanceUID = uids["study"]
+    found.PatientID = f"PSSF-{uids['study'][5:21]}"
+    found.PatientSex = "" if knee is None else {"male": "M", "female": "F"}[knee.sex]
+    if knee is not None:
+        found.PatientAge = f"{round(knee.age_years):03d}Y"
+        found.PatientSize = _ds(knee.stature_mm / 1000)
+    found.SoftwareVersions = f"pssf {version}".strip()
+    found.Rows, found.Columns = radiograph.pixels.shape
+    found.DerivationDescription = (
+        f"Synthetic: rays cast through closed meshes by pssf {version}, engine {radiograph.engine}, "
+        f"protocol {radiograph.protocol.name}, seed {radiograph.seed}. Not an exposure of a person."
+    )
+    return found
+
+
+def finish(found: Dataset, pixels: NDArray[Any], path: Path) -> None:
+    """Write an object with its pixels, uncompressed and little-endian."""
+    content = pixels.tobytes()
+    found.PixelData = content + b"\0" * (len(content) % 2)
+    found["PixelData"].VR = "OW" if found.BitsAllocated == 16 else "OB"
+    found.file_meta = FileMetaDataset()
+    found.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
+    found.file_meta.ImplementationClassUID = _uid("implementation")
+    found.file_meta.ImplementationVersionName = "PSSF"
+    found.save_as(path, enforce_file_format=True)
+
+
+def uids_of(radiograph: Radiograph, told: str) -> dict[str, UID]:
+    """UIDs made from the content: of the study (one a knee), and of series and object of each kind."""
+    content = hashlib.sha256(told.encode())
+    content.update(np.ascontiguousarray(radiograph.pixels, "<u2").tobytes())
+    exposure = content.hexdigest()
+    subject = exposure if radiograph.knee is None else _text(knee_table(radiograph.knee))
+    found = {"study": _uid("study", subject), "masks dimensions": _uid("masks dimensions", exposure)}
+    for kind in ("processing", "presentation", "masks"):
+        found[kind], found[f"{kind} series"] = _uid(kind, exposure), _uid(f"{kind} series", exposure)
+    return found
+
+
+def reference(radiograph: Radiograph, told: str, purpose: str | None = None) -> Dataset:
+    """A reference to the For Processing object of a radiograph, if need be with its purpose."""
+    found = dataset({
+        "ReferencedSOPClassUID": tables.data("dicom")["processing"]["SOPClassUID"],
+        "ReferencedSOPInstanceUID": uids_of(radiograph, told)["processing"],
+    })  # fmt: skip
+    if purpose:
+        found.PurposeOfReferenceCodeSequence = [code(purpose)]
+    return found
+
+
+def code(name: str) -> Dataset:
+    """A code of `data/dicom.toml` as the item of a code sequence."""
+    scheme, value, meaning = tables.data("dicom")["codes"][name]
+    return dataset({"CodeValue": value, "CodingSchemeDesignator": scheme, "CodeMeaning": meaning})
+
+
+def _anatomy(knee: Knee | None) -> Dataset:
+    """Which knee, seen from where; of a scene of one's own neither is known."""
+    if knee is None:
+        return dataset({"ImageLaterality": "U", "AnatomicRegionSequence": []})
+    found = dataset(tables.data("dicom")["knee"])
+    found.ImageLaterality = {"right": "R", "left": "L"}[knee.side]
+    found.AnatomicRegionSequence = [code("knee")]
+    found.ViewCodeSequence = [code("antero_posterior")]
+    return found
+
+
+def _technique(protocol: Protocol) -> Dataset:
+    layer = tables.data("detector")[protocol.detector]
+    found = dataset({
+        "ProtocolName": protocol.name,
+        "ExposureInuAs": round(1000 * protocol.mas),
+        "FilterThicknessMinimum": _ds(protocol.filtration_mm_al),
+        "FilterThicknessMaximum": _ds(protocol.filtration_mm_al),
+        "FocalSpots": _ds(protocol.focal_spot_mm),
+        "DetectorID": f"PSSF-{protocol.detector}".upper(),
+        "DetectorDescription": f"{layer['formula']}, {layer['thickness_mm']:g} mm, packing {layer['packing']:g}",
+    })  # fmt: skip
+    if float(protocol.mas).is_integer():  # an integer in DICOM; a rounded one would contradict ExposureInuAs
+        found.Exposure = int(protocol.mas)
+    if protocol.mono_kev is None:
+        found.KVP = _ds(protocol.tube_kv)
+    return found
+
+
+def _geometry(protocol: Protocol) -> Dataset:
+    """Distances along the central ray, so that their ratio is the magnification; spacings in both planes."""
+    view = view_of(protocol)
+    enlarged = magnification(view)
+    return dataset({
+        "DistanceSourceToPatient": _ds(protocol.sod_mm),
+        "DistanceSourceToDetector": _ds(enlarged * protocol.sod_mm),
+        "EstimatedRadiographicMagnificationFactor": _ds(enlarged),
+        "ImagerPixelSpacing": [_ds(protocol.pixel_mm)] * 2,
+        "DetectorElementSpacing": [_ds(protocol.pixel_mm)] * 2,
+        "DetectorElementPhysicalSize": [_ds(protocol.pixel_mm)] * 2,
+        "PixelSpacing": [_ds(protocol.pixel_mm / enlarged)] * 2,
+        "FieldOfViewDimensions": [round(n * protocol.pixel_mm) for n in (protocol.rows, protocol.cols)],
+    })  # fmt: skip
+
+
+def dataset(values: Mapping[str, Any]) -> Dataset:
+    """A data set from keyword -> value."""
+    found = Dataset()
+    for keyword, value in values.items():
+        setattr(found, keyword, value)
+    return found
+
+
+def _ds(number: float) -> DSfloat:
+    # A decimal string has 16 characters at most.
+    return DSfloat(float(number), auto_format=True)
+
+
+def _text(table: Mapping[str, Any]) -> str:
+    return json.dumps(table, default=lambda number: number.item())
+
+
+def _uid(*parts: str) -> UID:
+    return UID(f"2.25.{uuid5(_UIDS, ' '.join(parts)).int}")

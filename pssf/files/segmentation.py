@@ -1,0 +1,98 @@
+"""Masks as a DICOM Segmentation: one binary segment a mask, which may overlap, on the radiograph's own pixels."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pydicom.dataset import Dataset
+from pydicom.tag import Tag
+
+from ..radiograph import Radiograph
+from . import dicom, tables
+
+Masks = Mapping[str, NDArray[np.bool_]]
+_OSTEOPHYTE = "_osteophyte"
+
+
+def write(radiograph: Radiograph, told: str, masks: Masks, path: Path) -> None:
+    """Write masks as a Segmentation that refers to the For Processing object of their radiograph.
+
+    told   JSON of all the radiograph was made from, which its UIDs are made of
+    masks  name -> (rows, cols) bool
+    """
+    found = dicom.start(radiograph, told, ("segmentation",))
+    uids = dicom.uids_of(radiograph, told)
+    found.SeriesInstanceUID, found.SOPInstanceUID = uids["masks series"], uids["masks"]
+    found.SeriesDescription = f"{radiograph.protocol.name[:30]}, masks"
+    found.NumberOfFrames = len(masks)
+    side = None if radiograph.knee is None else radiograph.knee.side
+    found.SegmentSequence = [_segment(k, name, side, found.SoftwareVersions) for k, name in enumerate(masks, start=1)]
+    source = dicom.reference(radiograph, told)
+    series = {"SeriesInstanceUID": uids["processing series"], "ReferencedInstanceSequence": [source]}
+    found.ReferencedSeriesSequence = [dicom.dataset(series)]
+    found.update(_dimensions(str(uids["masks dimensions"])))
+    derived = {
+        "DerivationCodeSequence": [dicom.code("segmentation")],
+        "SourceImageSequence": [dicom.reference(radiograph, told, purpose="source_of_segmentation")],
+    }
+    found.SharedFunctionalGroupsSequence = [dicom.dataset({"DerivationImageSequence": [dicom.dataset(derived)]})]
+    found.PerFrameFunctionalGroupsSequence = [_frame(k) for k in range(1, len(masks) + 1)]
+    # Bits run on from frame to frame, the first in the lowest bit of its byte (PS3.5, 8.1.1).
+    bits = np.concatenate([np.asarray(mask, np.bool_).ravel() for mask in masks.values()])
+    dicom.finish(found, np.packbits(bits, bitorder="little"), path)
+
+
+def read(path: Path) -> dict[str, NDArray[np.bool_]]:
+    """Name -> mask (rows, cols) of a Segmentation by this package.
+
+    raises  InputError for another's DICOM, or one that is no Segmentation; whatever its reader has for damage
+    """
+    found = dicom.ours(path, "segmentation")
+    shape = (int(found.NumberOfFrames), found.Rows, found.Columns)
+    bits = np.unpackbits(np.frombuffer(found.PixelData, np.uint8), bitorder="little", count=int(np.prod(shape)))
+    names = [segment.SegmentLabel for segment in found.SegmentSequence]
+    return dict(zip(names, bits.reshape(shape).astype(np.bool_), strict=True))
+
+
+def _segment(number: int, name: str, side: str | None, version: str) -> Dataset:
+    """What a mask is, by its name: a bone, or an osteophyte of a bone."""
+    codes = tables.data("dicom")["codes"]
+    beak = name.endswith(_OSTEOPHYTE)
+    what = "osteophyte" if beak else name if name in codes else "body_structure"
+    found = dicom.dataset({
+        "SegmentNumber": number,
+        "SegmentLabel": name,
+        "SegmentAlgorithmType": "AUTOMATIC",
+        "SegmentAlgorithmName": version,
+        "SegmentedPropertyCategoryCodeSequence": [dicom.code("abnormal_structure" if beak else "anatomical_structure")],
+        "SegmentedPropertyTypeCodeSequence": [dicom.code(what)],
+    })  # fmt: skip
+    # An osteophyte of a tibial spine is the tibia's; the other sites name their bone.
+    bone = ("femur" if name.removesuffix(_OSTEOPHYTE).endswith("femur") else "tibia") if beak else "knee"
+    if side is None:
+        return found
+    found.AnatomicRegionSequence = [dicom.code(bone)]
+    found.AnatomicRegionSequence[0].AnatomicRegionModifierSequence = [dicom.code(side)]
+    return found
+
+
+def _frame(number: int) -> Dataset:
+    return dicom.dataset({
+        "FrameContentSequence": [dicom.dataset({"DimensionIndexValues": [number]})],
+        "SegmentIdentificationSequence": [dicom.dataset({"ReferencedSegmentNumber": number})],
+    })  # fmt: skip
+
+
+def _dimensions(uid: str) -> Dataset:
+    """Frames are told apart by their segment alone."""
+    index = {
+        "DimensionOrganizationUID": uid,
+        "DimensionIndexPointer": Tag("ReferencedSegmentNumber"),
+        "FunctionalGroupPointer": Tag("SegmentIdentificationSequence"),
+        "DimensionDescriptionLabel": "Segment",
+    }
+    return dicom.dataset({
+        "DimensionOrganizationSequence": [dicom.dataset({"DimensionOrganizationUID": uid})],
+        "DimensionIndexSequence": [dicom.dataset(index)],
+    })  # fmt: skip
