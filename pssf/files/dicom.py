@@ -28,14 +28,14 @@ _UIDS = UUID("6f0c1d7e-3b52-5b7e-9a55-50535346646d")
 def write(radiograph: Radiograph, told: str, path: Path, intent: str) -> None:
     """Write a radiograph as a Digital X-Ray object.
 
-    told    JSON of all it was made from; kept as the text of the acquisition context, where private tags get lost
+    told    JSON of all it was made from; kept in the acquisition context, since archives drop private attributes
     intent  "processing": 16 bit, the pixels as they are; "presentation": 8 bit, as `present` renders them
     """
     pixels = present(radiograph.pixels) if intent == "presentation" else radiograph.pixels.astype("<u2", copy=False)
     found = start(radiograph, told, ("radiograph", intent))
     uids = uids_of(radiograph, told)
     found.update(dataset({"SeriesInstanceUID": uids[f"{intent} series"], "SOPInstanceUID": uids[intent]}))
-    found.SeriesDescription = f"{radiograph.protocol.name[:30]}, for {intent}"
+    found.SeriesDescription = f"{name_of(radiograph.protocol)[:40]}, for {intent}"
     text = {"ValueType": "TEXT", "ConceptNameCodeSequence": [code("parameters")], "TextValue": told}
     found.AcquisitionContextSequence = [dataset(text)]
     found.update(_anatomy(radiograph.knee))
@@ -45,7 +45,9 @@ def write(radiograph: Radiograph, told: str, path: Path, intent: str) -> None:
     if intent == "presentation":
         remark = "for eyes: log signal, large structures evened out, edges sharpened; not for measurement of intensity"
         found.SourceImageSequence = [reference(radiograph, told, purpose="source_of_processing")]
-    found.ImageComments = f"SYNTHETIC, no patient. Pixels {remark}."
+    angle = radiograph.protocol.beam_angle_deg
+    beam = f" Beam {abs(angle):g} deg {'caudad' if angle > 0 else 'cephalad'}." if angle else ""
+    found.ImageComments = f"SYNTHETIC, no patient. Pixels {remark}.{beam}"
     finish(found, pixels, path)
 
 
@@ -100,7 +102,7 @@ def start(radiograph: Radiograph, told: str, kinds: Iterable[str]) -> Dataset:
     found.Rows, found.Columns = radiograph.pixels.shape
     found.DerivationDescription = (
         f"Synthetic: rays cast through closed meshes by pssf {version}, engine {radiograph.engine}, "
-        f"protocol {radiograph.protocol.name}, seed {radiograph.seed}. Not an exposure of a person."
+        f"protocol {name_of(radiograph.protocol)}, seed {radiograph.seed}. Not an exposure of a person."
     )
     return found
 
@@ -160,16 +162,17 @@ def _anatomy(knee: Knee | None) -> Dataset:
 def _technique(protocol: Protocol) -> Dataset:
     layer = tables.data("detector")[protocol.detector]
     found = dataset({
-        "ProtocolName": protocol.name,
-        "ExposureInuAs": round(1000 * protocol.mas),
+        "ProtocolName": name_of(protocol),
         "FilterThicknessMinimum": _ds(protocol.filtration_mm_al),
         "FilterThicknessMaximum": _ds(protocol.filtration_mm_al),
         "FocalSpots": _ds(protocol.focal_spot_mm),
         "DetectorID": f"PSSF-{protocol.detector}".upper(),
         "DetectorDescription": f"{layer['formula']}, {layer['thickness_mm']:g} mm, packing {layer['packing']:g}",
     })  # fmt: skip
-    if float(protocol.mas).is_integer():  # an integer in DICOM; a rounded one would contradict ExposureInuAs
-        found.Exposure = int(protocol.mas)
+    if protocol.mas > 0:
+        found.ExposureInuAs = round(1000 * protocol.mas)
+        if float(protocol.mas).is_integer():  # an integer in DICOM; a rounded one would contradict the line above
+            found.Exposure = int(protocol.mas)
     if protocol.mono_kev is None:
         found.KVP = _ds(protocol.tube_kv)
     return found
@@ -179,7 +182,8 @@ def _geometry(protocol: Protocol) -> Dataset:
     """Distances along the central ray, so that their ratio is the magnification; spacings in both planes."""
     view = view_of(protocol)
     enlarged = magnification(view)
-    return dataset({
+    field_mm = [round(n * protocol.pixel_mm) for n in (protocol.rows, protocol.cols)]  # whole numbers in DICOM
+    found = dataset({
         "DistanceSourceToPatient": _ds(protocol.sod_mm),
         "DistanceSourceToDetector": _ds(enlarged * protocol.sod_mm),
         "EstimatedRadiographicMagnificationFactor": _ds(enlarged),
@@ -187,8 +191,10 @@ def _geometry(protocol: Protocol) -> Dataset:
         "DetectorElementSpacing": [_ds(protocol.pixel_mm)] * 2,
         "DetectorElementPhysicalSize": [_ds(protocol.pixel_mm)] * 2,
         "PixelSpacing": [_ds(protocol.pixel_mm / enlarged)] * 2,
-        "FieldOfViewDimensions": [round(n * protocol.pixel_mm) for n in (protocol.rows, protocol.cols)],
     })  # fmt: skip
+    if min(field_mm) > 0:
+        found.FieldOfViewDimensions = field_mm
+    return found
 
 
 def dataset(values: Mapping[str, Any]) -> Dataset:
@@ -197,6 +203,11 @@ def dataset(values: Mapping[str, Any]) -> Dataset:
     for keyword, value in values.items():
         setattr(found, keyword, value)
     return found
+
+
+def name_of(protocol: Protocol) -> str:
+    """A protocol's name in ASCII: a long string of DICOM is checked for 64 bytes. The JSON has it as it is."""
+    return protocol.name.encode("ascii", "replace").decode()
 
 
 def _ds(number: float) -> DSfloat:

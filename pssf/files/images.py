@@ -40,7 +40,7 @@ def save(radiograph: Radiograph, path: str | Path, *, intent: str | None = None)
     """
     path = Path(path)
     suffix = suffix_of(path, SUFFIXES)
-    intent = intent or INTENTS[suffix][0]
+    intent = INTENTS[suffix][0] if intent is None else intent
     require_choice(f"file {path}: intent", intent, INTENTS[suffix])
     with writing(path) as temporary:
         if suffix == ".png":

