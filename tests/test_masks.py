@@ -121,6 +121,22 @@ def test_a_mask_of_another_size_is_refused(radiograph, tmp_path):
         pssf.save_masks(dataclasses.replace(radiograph, truth=truth), tmp_path / "masks.tif")
 
 
+@pytest.mark.parametrize("name", ["", "a\\b", "f" * 65, "tibia "])
+def test_a_mask_whose_name_no_file_can_hold_is_refused(radiograph, tmp_path, name):
+    truth = dataclasses.replace(radiograph.truth, masks={name: radiograph.truth.masks["tibia"]})
+    with pytest.raises(pssf.InputError, match=r"mask name = .*; allowed: 1 to 64 letters"):
+        pssf.save_masks(dataclasses.replace(radiograph, truth=truth), tmp_path / "masks.dcm")
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_one_mask_is_enough(radiograph, tmp_path, suffix):
+    tibia = radiograph.truth.masks["tibia"]
+    alone = dataclasses.replace(radiograph, truth=dataclasses.replace(radiograph.truth, masks={"tibia": tibia}))
+    path = pssf.save_masks(alone, tmp_path / f"masks{suffix}")
+    assert suffix == ".tif" or complaints(path) == []
+    assert (pssf.load_masks(path)["tibia"] == tibia).all()
+
+
 def test_another_suffix_of_masks_is_refused(radiograph, tmp_path):
     with pytest.raises(pssf.InputError, match=r"suffix '.png'; allowed: .tif, .tiff, .dcm"):
         pssf.save_masks(radiograph, tmp_path / "masks.png")

@@ -2,7 +2,9 @@
 
 tables   the package's own data files, and protocols by name or path
 atomic   a file appears whole or not at all
-images   radiographs as TIFF and PNG, and back
+images   radiographs as TIFF, DICOM and PNG, and back
+dicom    radiographs as Digital X-Ray objects
+masks    masks as TIFF and DICOM, and back; `segmentation` is the DICOM
 meshes   scenes as STL, PLY, GLB and 3MF
 viewer   a page to inspect a scene beside its radiograph
 records  a cohort's records and manifest

@@ -32,8 +32,8 @@ def write(radiograph: Radiograph, told: str, path: Path, intent: str) -> None:
     intent  "processing": 16 bit, the pixels as they are; "presentation": 8 bit, as `present` renders them
     """
     pixels = present(radiograph.pixels) if intent == "presentation" else radiograph.pixels.astype("<u2", copy=False)
-    found = start(radiograph, told, ("radiograph", intent))
     uids = uids_of(radiograph, told)
+    found = start(radiograph, uids, ("radiograph", intent))
     found.update(dataset({"SeriesInstanceUID": uids[f"{intent} series"], "SOPInstanceUID": uids[intent]}))
     found.SeriesDescription = f"{name_of(radiograph.protocol)[:40]}, for {intent}"
     text = {"ValueType": "TEXT", "ConceptNameCodeSequence": [code("parameters")], "TextValue": told}
@@ -44,7 +44,7 @@ def write(radiograph: Radiograph, told: str, path: Path, intent: str) -> None:
     remark = f"linear in absorbed energy, offset {tables.data('detector')[radiograph.protocol.detector]['offset_dn']:g}"
     if intent == "presentation":
         remark = "for eyes: log signal, large structures evened out, edges sharpened; not for measurement of intensity"
-        found.SourceImageSequence = [reference(radiograph, told, purpose="source_of_processing")]
+        found.SourceImageSequence = [reference(uids, "source_of_processing")]
     angle = radiograph.protocol.beam_angle_deg
     beam = f" Beam {abs(angle):g} deg {'caudad' if angle > 0 else 'cephalad'}." if angle else ""
     found.ImageComments = f"SYNTHETIC, no patient. Pixels {remark}.{beam}"
@@ -63,7 +63,7 @@ def read(path: Path) -> tuple[NDArray[np.uint16], str]:
             f"file {path}: PresentationIntentType = {found.PresentationIntentType!r}; allowed: {wanted}, "
             "whose pixels are linear (load_parameters tells what either was made from)"
         )
-    return np.frombuffer(found.PixelData, "<u2").reshape(found.Rows, found.Columns).astype(np.uint16), told
+    return found.pixel_array.astype(np.uint16), told
 
 
 def opened(path: Path) -> tuple[Dataset, str]:
@@ -86,12 +86,12 @@ def ours(path: Path, kind: str) -> Dataset:
     return found
 
 
-def start(radiograph: Radiograph, told: str, kinds: Iterable[str]) -> Dataset:
+def start(radiograph: Radiograph, uids: Mapping[str, UID], kinds: Iterable[str]) -> Dataset:
     """What every object of a radiograph has: the constants of its kinds (`data/dicom.toml`), subject and maker."""
     found = Dataset()
     for kind in ("every", *kinds):
         found.update(dataset(tables.data("dicom")[kind]))
-    uids, knee, version = uids_of(radiograph, told), radiograph.knee, radiograph.versions.get("pssf", "")
+    knee, version = radiograph.knee, radiograph.versions.get("pssf", "")
     found.StudyInstanceUID = uids["study"]
     found.PatientID = f"PSSF-{uids['study'][5:21]}"
     found.PatientSex = "" if knee is None else {"male": "M", "female": "F"}[knee.sex]
@@ -131,11 +131,11 @@ def uids_of(radiograph: Radiograph, told: str) -> dict[str, UID]:
     return found
 
 
-def reference(radiograph: Radiograph, told: str, purpose: str | None = None) -> Dataset:
+def reference(uids: Mapping[str, UID], purpose: str | None = None) -> Dataset:
     """A reference to the For Processing object of a radiograph, if need be with its purpose."""
     found = dataset({
         "ReferencedSOPClassUID": tables.data("dicom")["processing"]["SOPClassUID"],
-        "ReferencedSOPInstanceUID": uids_of(radiograph, told)["processing"],
+        "ReferencedSOPInstanceUID": uids["processing"],
     })  # fmt: skip
     if purpose:
         found.PurposeOfReferenceCodeSequence = [code(purpose)]

@@ -74,7 +74,11 @@ def load(path: str | Path) -> Radiograph:
     """
     with reading(path, "a TIFF or DICOM by pssf"):
         pixels, told = _opened(Path(path))
-        return Radiograph(pixels=pixels, **_parameters(told, path))
+        made = _parameters(told, path)
+        size = (made["protocol"].rows, made["protocol"].cols)
+        if pixels.shape != size:
+            raise InputError(f"file {path}: pixels = {pixels.shape}; allowed: {size}, those of its protocol")
+        return Radiograph(pixels=pixels, **made)
 
 
 def load_parameters(path: str | Path) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Masks on disk: a TIFF of one page a mask, or a DICOM Segmentation of one segment a mask."""
 
 import json
+import re
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
@@ -23,7 +24,8 @@ def save_masks(radiograph: Radiograph, path: str | Path) -> Path:
 
     Masks may overlap. Both files are lossless; the TIFF is compressed, the Segmentation has one bit a pixel. A
     Segmentation refers to the For Processing DICOM that `save` writes of the same radiograph, by its UIDs.
-    raises  InputError for another suffix, a radiograph without masks, a disk that is full or cannot be written
+    raises  InputError for another suffix, a radiograph without masks, a name or size that does not fit,
+            a disk that is full or cannot be written
     """
     path = Path(path)
     suffix = suffix_of(path, SUFFIXES)
@@ -31,6 +33,8 @@ def save_masks(radiograph: Radiograph, path: str | Path) -> Path:
     if not masks:
         raise InputError("masks = none; allowed: those of a Knee simulated with keep=('masks',)")
     for name, mask in masks.items():
+        if not re.fullmatch(r"[\w-]{1,64}", name, re.ASCII):
+            raise InputError(f"mask name = {name!r}; allowed: 1 to 64 letters, digits, _ and -")
         if np.shape(mask) != radiograph.pixels.shape:
             raise InputError(f"mask {name}: shape = {np.shape(mask)}; allowed: {radiograph.pixels.shape}")
     with writing(path) as temporary:
@@ -74,6 +78,6 @@ def _write_tiff(radiograph: Radiograph, masks: Mapping[str, NDArray[np.bool_]], 
                 resolutionunit="CENTIMETER",
                 software=f"pssf {version('pssf')}",
                 description=json.dumps(told) if k == 0 else None,
-                extratags=[(_PAGE_NAME, "s", 0, name.encode("ascii", "replace"), True)],
+                extratags=[(_PAGE_NAME, "s", 0, name, True)],
                 metadata=None,
             )

@@ -21,8 +21,8 @@ def write(radiograph: Radiograph, told: str, masks: Masks, path: Path) -> None:
     told   JSON of all the radiograph was made from, which its UIDs are made of
     masks  name -> (rows, cols) bool
     """
-    found = dicom.start(radiograph, told, ("segmentation",))
     uids = dicom.uids_of(radiograph, told)
+    found = dicom.start(radiograph, uids, ("segmentation",))
     found.SeriesInstanceUID, found.SOPInstanceUID = uids["masks series"], uids["masks"]
     found.SeriesDescription = f"{dicom.name_of(radiograph.protocol)[:40]}, masks"
     found.NumberOfFrames = len(masks)
@@ -30,11 +30,11 @@ def write(radiograph: Radiograph, told: str, masks: Masks, path: Path) -> None:
     found.SegmentSequence = [_segment(k, name, side, found.SoftwareVersions) for k, name in enumerate(masks, start=1)]
     series = {
         "SeriesInstanceUID": uids["processing series"],
-        "ReferencedInstanceSequence": [dicom.reference(radiograph, told)],
+        "ReferencedInstanceSequence": [dicom.reference(uids)],
     }
     found.ReferencedSeriesSequence = [dicom.dataset(series)]
     found.update(_dimensions(str(uids["masks dimensions"])))
-    source = dicom.reference(radiograph, told, purpose="source_of_segmentation")
+    source = dicom.reference(uids, "source_of_segmentation")
     source.SpatialLocationsPreserved = "YES"
     found.SharedFunctionalGroupsSequence = [dicom.dataset({})]
     found.PerFrameFunctionalGroupsSequence = [_frame(k, source) for k in range(1, len(masks) + 1)]
@@ -50,10 +50,8 @@ def read(path: Path) -> dict[str, NDArray[np.bool_]]:
     """
     found = dicom.ours(path, "segmentation")
     shape = (int(found.NumberOfFrames), found.Rows, found.Columns)
-    # Cut to size here and not by `count`, which would fill up what a damaged file lacks.
-    bits = np.unpackbits(np.frombuffer(found.PixelData, np.uint8), bitorder="little")[: int(np.prod(shape))]
     names = [segment.SegmentLabel for segment in found.SegmentSequence]
-    return dict(zip(names, bits.reshape(shape).astype(np.bool_), strict=True))
+    return dict(zip(names, found.pixel_array.reshape(shape).astype(np.bool_), strict=True))
 
 
 def _segment(number: int, name: str, side: str | None, version: str) -> Dataset:
