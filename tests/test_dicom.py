@@ -176,6 +176,12 @@ def test_technique_and_subject_are_those_of_protocol_and_knee(radiograph, tmp_pa
     assert found.ViewCodeSequence[0].CodeValue == "399348003"
 
 
+def test_a_beam_of_one_energy_claims_no_tube(other, small, tmp_path):
+    found = written(other(protocol=dataclasses.replace(small, mono_kev=40.0)), tmp_path)
+    assert not {"KVP", "AnodeTargetMaterial", "FilterMaterial", "FilterThicknessMinimum"} & set(found.dir())
+    assert "one energy, 40 keV" in found.ImageComments
+
+
 def test_half_a_milliampere_second_is_not_rounded_to_none(other, small, tmp_path):
     found = written(other(protocol=dataclasses.replace(small, mas=0.5)), tmp_path)
     assert found.ExposureInuAs == 500

@@ -82,6 +82,14 @@ def test_a_segmentation_refers_to_the_dicom_of_its_radiograph(radiograph, tmp_pa
     assert found.SyntheticData == "YES"
 
 
+def test_other_masks_of_one_radiograph_are_another_object_of_its_series(radiograph, tmp_path):
+    fewer = {name: mask for name, mask in radiograph.truth.masks.items() if name != "fibula"}
+    other = dataclasses.replace(radiograph, truth=dataclasses.replace(radiograph.truth, masks=fewer))
+    one, two = (pydicom.dcmread(pssf.save_masks(image, tmp_path / "m.dcm")) for image in (radiograph, other))
+    assert one.SOPInstanceUID != two.SOPInstanceUID
+    assert one.SeriesInstanceUID == two.SeriesInstanceUID
+
+
 def test_segments_are_coded_by_what_they_are(radiograph, tmp_path):
     found = pydicom.dcmread(pssf.save_masks(radiograph, tmp_path / "masks.dcm"))
     codes = {s.SegmentLabel: s.SegmentedPropertyTypeCodeSequence[0].CodeValue for s in found.SegmentSequence}

@@ -45,9 +45,7 @@ def write(radiograph: Radiograph, told: str, path: Path, intent: str) -> None:
     if intent == "presentation":
         remark = "for eyes: log signal, large structures evened out, edges sharpened; not for measurement of intensity"
         found.SourceImageSequence = [reference(uids, "source_of_processing")]
-    angle = radiograph.protocol.beam_angle_deg
-    beam = f" Beam {abs(angle):g} deg {'caudad' if angle > 0 else 'cephalad'}." if angle else ""
-    found.ImageComments = f"SYNTHETIC, no patient. Pixels {remark}.{beam}"
+    found.ImageComments = f"SYNTHETIC, no patient. Pixels {remark}.{_beam(radiograph.protocol)}"
     finish(found, pixels, path)
 
 
@@ -114,20 +112,20 @@ def finish(found: Dataset, pixels: NDArray[Any], path: Path) -> None:
     found["PixelData"].VR = "OW" if found.BitsAllocated == 16 else "OB"
     found.file_meta = FileMetaDataset()
     found.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
-    found.file_meta.ImplementationClassUID = _uid("implementation")
+    found.file_meta.ImplementationClassUID = uid("implementation")
     found.file_meta.ImplementationVersionName = "PSSF"
     found.save_as(path, enforce_file_format=True)
 
 
 def uids_of(radiograph: Radiograph, told: str) -> dict[str, UID]:
-    """UIDs made from the content: of the study (one a knee), and of series and object of each kind."""
+    """UIDs made from the content: of the study (one a knee), series and object of each kind, and the masks' series."""
     content = hashlib.sha256(told.encode())
     content.update(np.ascontiguousarray(radiograph.pixels, "<u2").tobytes())
     exposure = content.hexdigest()
     subject = exposure if radiograph.knee is None else _text(knee_table(radiograph.knee))
-    found = {"study": _uid("study", subject), "masks dimensions": _uid("masks dimensions", exposure)}
-    for kind in ("processing", "presentation", "masks"):
-        found[kind], found[f"{kind} series"] = _uid(kind, exposure), _uid(f"{kind} series", exposure)
+    found = {"study": uid("study", subject), "masks series": uid("masks series", exposure)}
+    for kind in ("processing", "presentation"):
+        found[kind], found[f"{kind} series"] = uid(kind, exposure), uid(f"{kind} series", exposure)
     return found
 
 
@@ -163,8 +161,6 @@ def _technique(protocol: Protocol) -> Dataset:
     layer = tables.data("detector")[protocol.detector]
     found = dataset({
         "ProtocolName": name_of(protocol),
-        "FilterThicknessMinimum": _ds(protocol.filtration_mm_al),
-        "FilterThicknessMaximum": _ds(protocol.filtration_mm_al),
         "FocalSpots": _ds(protocol.focal_spot_mm),
         "DetectorID": f"PSSF-{protocol.detector}".upper(),
         "DetectorDescription": f"{layer['formula']}, {layer['thickness_mm']:g} mm, packing {layer['packing']:g}",
@@ -174,8 +170,17 @@ def _technique(protocol: Protocol) -> Dataset:
         if float(protocol.mas).is_integer():  # an integer in DICOM; a rounded one would contradict the line above
             found.Exposure = int(protocol.mas)
     if protocol.mono_kev is None:
+        found.update(dataset(tables.data("dicom")["tube"]))
         found.KVP = _ds(protocol.tube_kv)
+        found.FilterThicknessMinimum = found.FilterThicknessMaximum = _ds(protocol.filtration_mm_al)
     return found
+
+
+def _beam(protocol: Protocol) -> str:
+    """What has no attribute of its own in the standard: the tilt of the beam, and its one energy."""
+    angle, kev = protocol.beam_angle_deg, protocol.mono_kev
+    tilt = f" Beam {abs(angle):g} deg {'caudad' if angle > 0 else 'cephalad'}." if angle else ""
+    return tilt if kev is None else f"{tilt} Beam of one energy, {kev:g} keV."
 
 
 def _geometry(protocol: Protocol) -> Dataset:
@@ -219,5 +224,6 @@ def _text(table: Mapping[str, Any]) -> str:
     return json.dumps(table, default=lambda number: number.item())
 
 
-def _uid(*parts: str) -> UID:
+def uid(*parts: str) -> UID:
+    """A UID under 2.25, the root of those that are UUIDs; the same parts give the same."""
     return UID(f"2.25.{uuid5(_UIDS, ' '.join(parts)).int}")

@@ -1,5 +1,6 @@
 """Masks as a DICOM Segmentation: one binary segment a mask, which may overlap, on the radiograph's own pixels."""
 
+import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -9,9 +10,10 @@ from pydicom.dataset import Dataset
 from pydicom.tag import Tag
 
 from ..radiograph import Radiograph
-from . import dicom, tables
+from . import dicom
 
 Masks = Mapping[str, NDArray[np.bool_]]
+_BONES = ("femur", "tibia", "fibula", "patella")
 _OSTEOPHYTE = "_osteophyte"
 
 
@@ -23,7 +25,10 @@ def write(radiograph: Radiograph, told: str, masks: Masks, path: Path) -> None:
     """
     uids = dicom.uids_of(radiograph, told)
     found = dicom.start(radiograph, uids, ("segmentation",))
-    found.SeriesInstanceUID, found.SOPInstanceUID = uids["masks series"], uids["masks"]
+    # Bits run on from frame to frame, the first in the lowest bit of its byte (PS3.5, 8.1.1).
+    bits = np.packbits(np.concatenate([np.ravel(mask) for mask in masks.values()]).astype(np.bool_), bitorder="little")
+    content = hashlib.sha256(" ".join(masks).encode() + bits.tobytes()).hexdigest()
+    found.SeriesInstanceUID, found.SOPInstanceUID = uids["masks series"], dicom.uid(uids["masks series"], content)
     found.SeriesDescription = f"{dicom.name_of(radiograph.protocol)[:40]}, masks"
     found.NumberOfFrames = len(masks)
     side = None if radiograph.knee is None else radiograph.knee.side
@@ -33,14 +38,12 @@ def write(radiograph: Radiograph, told: str, masks: Masks, path: Path) -> None:
         "ReferencedInstanceSequence": [dicom.reference(uids)],
     }
     found.ReferencedSeriesSequence = [dicom.dataset(series)]
-    found.update(_dimensions(str(uids["masks dimensions"])))
+    found.update(_dimensions(dicom.uid("dimensions", found.SOPInstanceUID)))
     source = dicom.reference(uids, "source_of_segmentation")
     source.SpatialLocationsPreserved = "YES"
     found.SharedFunctionalGroupsSequence = [dicom.dataset({})]
     found.PerFrameFunctionalGroupsSequence = [_frame(k, source) for k in range(1, len(masks) + 1)]
-    # Bits run on from frame to frame, the first in the lowest bit of its byte (PS3.5, 8.1.1).
-    bits = np.concatenate([np.asarray(mask, np.bool_).ravel() for mask in masks.values()])
-    dicom.finish(found, np.packbits(bits, bitorder="little"), path)
+    dicom.finish(found, bits, path)
 
 
 def read(path: Path) -> dict[str, NDArray[np.bool_]]:
@@ -56,9 +59,8 @@ def read(path: Path) -> dict[str, NDArray[np.bool_]]:
 
 def _segment(number: int, name: str, side: str | None, version: str) -> Dataset:
     """What a mask is, by its name: a bone, or an osteophyte of a bone."""
-    codes = tables.data("dicom")["codes"]
     beak = name.endswith(_OSTEOPHYTE)
-    what = "osteophyte" if beak else name if name in codes else "body_structure"
+    what = "osteophyte" if beak else name if name in _BONES else "body_structure"
     found = dicom.dataset({
         "SegmentNumber": number,
         "SegmentLabel": name,
