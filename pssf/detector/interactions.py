@@ -47,19 +47,23 @@ def interactions_of(materials: tuple[str, ...], most_kev: float) -> Interactions
     photoelectric absorption stays where it is: no fluorescence.
     raises  InputError for an unknown material
     """
-    energies = CUT_OFF_KEV + STEP_KEV * np.arange(int(np.ceil((most_kev - CUT_OFF_KEV) / STEP_KEV)) + 2)
+    steps = int(np.ceil((most_kev - CUT_OFF_KEV) / STEP_KEV)) + 1
+    energies = np.linspace(CUT_OFF_KEV, CUT_OFF_KEV + steps * STEP_KEV, steps + 1)
     most_x = energies[-1] / HC_KEV_A
-    x = STEP_X * np.arange(int(np.ceil(most_x / STEP_X)) + 2)
+    steps = int(np.ceil(most_x / STEP_X)) + 1
+    x = np.linspace(0.0, steps * STEP_X, steps + 1)
     nodes = np.concatenate(([0.0], np.geomspace(1e-3, most_x, 400)))
     recipes = [elements(name) for name in materials]
-    sections = [
-        np.array([0.1 * rho * sum(w * _by_energy(kind, z, energies) for z, w in parts) for rho, parts in recipes])
+    photo, compton, rayleigh = (
+        np.array([0.1 * rho * _by_energy(kind, parts, energies) for rho, parts in recipes])
         for kind in ("Photo", "Compt", "Rayl")
-    ]
+    )
     panel = tables.data("detector")["csi"]
     mg_per_cm2 = panel["density"] * panel["packing"] * panel["thickness_mm"] * 100.0
     return Interactions(
-        *sections,
+        photo=photo,
+        compton=compton,
+        rayleigh=rayleigh,
         bound=np.array([_bound(parts, x) for _, parts in recipes]),
         x2=nodes**2,
         coherent=np.array([_coherent(parts, nodes) for _, parts in recipes]),
@@ -68,10 +72,10 @@ def interactions_of(materials: tuple[str, ...], most_kev: float) -> Interactions
     )
 
 
-def _by_energy(kind: str, z: int, energies: Array) -> Array:
-    """(energies,)  cross section of an element, cm2/g"""
+def _by_energy(kind: str, parts: tuple[tuple[int, float], ...], energies: Array) -> Array:
+    """(energies,)  cross section of a mixture, cm2/g"""
     section = getattr(xraylib, f"CS_{kind}")
-    return np.array([section(z, float(e)) for e in energies])
+    return np.sum([w * np.array([section(z, float(e)) for e in energies]) for z, w in parts], axis=0)
 
 
 def _bound(parts: tuple[tuple[int, float], ...], x: Array) -> Array:

@@ -56,8 +56,8 @@ def scatter_monte_carlo(
 
     photons  aimed at what the field sees of the scene; the error falls as the root of their number
     seed     the same seed gives the same bytes on any number of workers
-    returns  (rows, cols)  mean energy absorbed from scattered photons, keV a pixel, smoothed over 8 mm; and its statistical
-             error, root mean square over the field, relative to its mean
+    returns  (rows, cols)  mean energy absorbed from scattered photons, keV a pixel, smoothed over 8 mm; and its
+             statistical error, root mean square over the field, relative to its mean
     raises   InputError for a scene that cannot be traced, an unknown material or a number out of range
     """
     found = count(scene, protocol, photons=photons, seed=seed, workers=workers)
@@ -97,7 +97,7 @@ def count(
 
     def batch(number: int) -> None:
         stream = np.random.SeedSequence(seed, spawn_key=(_STREAM, number)).generate_state(4, np.uint64)
-        follow(each, stream, where, what, counts[number], energy[number])
+        follow(each, stream.astype(np.uint64), where, what, counts[number], energy[number])
 
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(batch, range(_BATCHES)))
@@ -117,6 +117,8 @@ def _before_the_detector(scene: Scene, view: View, voxel_mm: float | None) -> Vo
     """The scene between source and detector as voxels."""
     bounds = scene.bounds_mm.copy()
     bounds[:, 1] = np.clip(bounds[:, 1], view.source_mm[1], view.centre_mm[1])
+    # A scene that is not between them leaves a thin sheet of what is there.
+    bounds[0, 1] = min(bounds[0, 1], bounds[1, 1] - 0.001)
     size = voxel_mm or max(_VOXEL_MM, float(np.prod(np.ptp(bounds, axis=0)) / _MOST_VOXELS) ** (1 / 3))
     return voxels_of(scene, bounds, voxel_mm=size)
 
@@ -140,7 +142,7 @@ def _setting(voxels: Voxels, view: View, protocol: Protocol, cell_mm: float) -> 
         energies=energies,
         chosen=chosen,
         weights=photons / chance,
-        index=voxels.index,
+        material=voxels.index,
         origin=voxels.origin_mm,
         size=voxels.size_mm,
     )

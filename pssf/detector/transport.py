@@ -28,7 +28,7 @@ class Setting(NamedTuple):
     energies  (bins,)  keV
     chosen    (bins,)  cumulative probability that a photon is given an energy; the last is 1
     weights   (bins,)  photons a square millimetre at 1 m that one photon of an energy stands for
-    index     (x, y, z) uint8  material of a voxel
+    material  (x, y, z) uint8  of a voxel
     origin    (3,)  of the voxels, mm
     size      (3,)  of a voxel, mm
     """
@@ -40,7 +40,7 @@ class Setting(NamedTuple):
     energies: Array
     chosen: Array
     weights: Array
-    index: NDArray[np.uint8]
+    material: NDArray[np.uint8]
     origin: Array
     size: Array
 
@@ -52,7 +52,7 @@ def follow(
     """Follow photons until each is absorbed or gone, and add up what they leave.
 
     stream  (4,)  state of the random numbers, not all zero
-    counts  (2, rows, cols)  energy absorbed by the scintillator, keV times the weight of a photon: unscattered, scattered
+    counts  (2, rows, cols)  energy absorbed by the scintillator, keV times weight: of unscattered photons, of scattered
     energy  (4,)  keV times weight: emitted, absorbed, fallen on the field, gone past it
     """
     photon, mu = np.empty(7), np.empty(len(what.photo))
@@ -91,6 +91,19 @@ def _random(s: NDArray[np.uint64]) -> float:
     return (found >> np.uint64(11)) * (1.0 / 9007199254740992.0)
 
 
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _above(values: Array, at: float) -> int:
+    """The first of growing values that is above a number, or the last."""
+    low, high = 0, len(values) - 1
+    while low < high:
+        middle = (low + high) // 2
+        if values[middle] > at:
+            high = middle
+        else:
+            low = middle + 1
+    return low
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def _emit(photon: Array, stream: NDArray[np.uint64], where: Setting) -> float:
     """Start a photon at the source, aimed at a place drawn evenly in the window; returns its weight."""
@@ -100,7 +113,7 @@ def _emit(photon: Array, stream: NDArray[np.uint64], where: Setting) -> float:
     far = math.sqrt(x * x + y * y + z * z)
     photon[:3] = where.source
     photon[3], photon[4], photon[5] = x / far, y / far, z / far
-    chosen = np.searchsorted(where.chosen, _random(stream), side="right")
+    chosen = _above(where.chosen, _random(stream))
     photon[6] = where.energies[chosen]
     # Inverse square from 1 m, and the detector seen at a slant.
     return where.weights[chosen] * 1e6 / (far * far) * y / far
@@ -112,7 +125,7 @@ def _enter(photon: Array, where: Setting) -> None:
     near, far = 0.0, np.inf
     for axis in range(3):
         low = where.origin[axis] - photon[axis]
-        high = low + where.index.shape[axis] * where.size[axis]
+        high = low + where.material.shape[axis] * where.size[axis]
         if photon[3 + axis] == 0.0:
             if low > 0.0 or high <= 0.0:
                 return
@@ -144,7 +157,7 @@ def _attenuation(kev: float, what: Interactions, mu: Array) -> float:
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fly(photon: Array, stream: NDArray[np.uint64], where: Setting, mu: Array, most: float) -> int:
     """Move a photon to its next interaction (delta tracking, Woodcock 1965); returns the material, -1 outside."""
-    shape, origin, size = where.index.shape, where.origin, where.size
+    shape, origin, size = where.material.shape, where.origin, where.size
     while True:
         x = math.floor((photon[0] - origin[0]) / size[0])
         y = math.floor((photon[1] - origin[1]) / size[1])
@@ -160,7 +173,7 @@ def _fly(photon: Array, stream: NDArray[np.uint64], where: Setting, mu: Array, m
         z = math.floor((photon[2] - origin[2]) / size[2])
         if x < 0 or y < 0 or z < 0 or x >= shape[0] or y >= shape[1] or z >= shape[2]:
             return -1
-        material = where.index[x, y, z]
+        material = where.material[x, y, z]
         if _random(stream) * most < mu[material]:
             return int(material)
 
@@ -207,12 +220,12 @@ def _compton(kev: float, stream: NDArray[np.uint64], bound: Array) -> tuple[floa
 def _rayleigh(kev: float, stream: NDArray[np.uint64], x2: Array, coherent: Array) -> float:
     """Cosine after coherent scattering: x squared from the form factors, then Thomson's angles by rejection."""
     most = (kev / HC_KEV_A) ** 2
-    node = max(min(np.searchsorted(x2, most), len(x2) - 1), 1)
+    node = max(_above(x2, most), 1)
     rise = (coherent[node] - coherent[node - 1]) / (x2[node] - x2[node - 1])
     reach = coherent[node - 1] + (most - x2[node - 1]) * rise
     while True:
         value = _random(stream) * reach
-        node = max(min(np.searchsorted(coherent, value, side="right"), len(x2) - 1), 1)
+        node = max(_above(coherent, value), 1)
         step = coherent[node] - coherent[node - 1]
         share = (value - coherent[node - 1]) / step if step > 0.0 else 0.0
         cosine = max(1.0 - 2.0 * (x2[node - 1] + share * (x2[node] - x2[node - 1])) / most, -1.0)

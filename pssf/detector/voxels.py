@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..checks import Array, InputError, require
 from ..geometry import View
 from ..raycast.scanline import crossings
-from ..raycast.sheets import BAND_ROWS, Sheet, sheet_of
+from ..raycast.sheets import BAND_ROWS, sheet_of
 from ..scene import Scene, require_traceable
 
 # So far away that columns of voxels are parallel to 1e-5 of a voxel.
