@@ -119,3 +119,16 @@ def test_scatter_of_a_full_detector_takes_little_time():
         seconds.append(min(process_time() - start, perf_counter() - clock))
     # 0.05 s alone; four times that on a machine that does other things too.
     assert min(seconds) < 0.2
+
+
+def test_a_fit_that_starts_from_the_constants_in_use_does_not_make_them_worse():
+    from pssf.accuracy import scatter_fit
+
+    table = scatter_fit.tables.data("scatter")
+    samples = [scatter_fit.sample_of(("limb", 70, 120, 60), 200_000)]
+    start = np.array([table["inner_power"], *(term[name] for term in table["term"] for name in scatter_fit._BOUNDS)])
+    found = scatter_fit.fitted_table(photons=200_000, cases=(("limb", 70, 120, 60),), rounds=3)
+    end = np.array([found["inner_power"], *(term[name] for term in found["term"] for name in scatter_fit._BOUNDS)])
+    costs = [(scatter_fit._residuals(values, samples, table) ** 2).sum() for values in (start, end)]
+    assert costs[1] <= costs[0]
+    assert set(found) == set(table)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,18 +38,30 @@ def scatter_kev(
     path_mm      material -> (rows, cols)
     gap_mm       from where the object ends, in the middle of the field, to the detector plane: see `exit_gap_mm`
     """
+    opened, mass, passed, step = coarse(primary_kev, path_mm, protocol)
+    most = float(opened.max())
+    if most == 0 or not mass.any():
+        return np.zeros(primary_kev.shape, np.float32)
+    cell_mm, table = step * protocol.pixel_mm, tables.data("scatter")
+    found = shares(opened / most, mass, passed, gap_mm, protocol.tube_kv, cell_mm, table)
+    return enlarge(np.maximum(found, 0) * most, step, primary_kev.shape)
+
+
+def coarse(
+    primary_kev: NDArray[np.float32], path_mm: Mapping[str, NDArray[np.float32]], protocol: Protocol
+) -> tuple[Array, Array, Array, int]:
+    """What the kernel works on, in blocks: open beam (keV a pixel), mass crossed (g/cm2), primary over the open beam
+
+    returns  three maps (rows, cols) and the pixels along the side of a block
+    """
     step = max(1, round(_COARSE_MM / protocol.pixel_mm))
     primary = block_mean(primary_kev, step)
     mass = np.zeros_like(primary)
     for name, lengths in path_mm.items():
         mass += block_mean(lengths, step) * (density_g_per_cm3(name) / 10.0)
     opened = _open_kev(primary.shape, step, protocol)
-    most = float(opened.max())
-    if most == 0 or not mass.any():
-        return np.zeros(primary_kev.shape, np.float32)
-    passed = np.clip(primary / opened, _LEAST, 1.0)
-    shares = _shares(opened / most, np.maximum(mass, 0), passed, gap_mm, protocol.tube_kv, step * protocol.pixel_mm)
-    return enlarge(np.maximum(shares, 0) * most, step, primary_kev.shape)
+    passed = np.divide(primary, opened, out=np.ones_like(primary), where=opened > 0)
+    return opened, np.maximum(mass, 0), np.clip(passed, _LEAST, 1.0), step
 
 
 def exit_gap_mm(scene: Scene, view: View) -> float:
@@ -92,9 +105,18 @@ def _open_kev(shape: tuple[int, ...], step: int, protocol: Protocol) -> Array:
     return np.asarray(signal * view.pixel_mm**2 * 1e6 * depth / distance2**1.5)
 
 
-def _shares(opened: Array, mass: Array, passed: Array, gap_mm: float, tube_kv: float, cell_mm: float) -> Array:
-    """(rows, cols)  scatter over the open beam; `opened` is 1 at most, `mass` in g/cm2, `passed` the primary over it"""
-    table, plane = tables.data("scatter"), _Plane(opened.shape, cell_mm)
+def shares(
+    opened: Array, mass: Array, passed: Array, gap_mm: float, tube_kv: float, cell_mm: float, table: Mapping[str, Any]
+) -> Array:
+    """(rows, cols)  scatter over the largest of the open beam
+
+    opened   (rows, cols)  open beam over its largest; 1 where that is
+    mass     (rows, cols)  crossed, g/cm2
+    passed   (rows, cols)  primary over the open beam
+    cell_mm  side of a cell of the maps
+    table    constants, as in `data/scatter.toml`
+    """
+    plane = _Plane(opened.shape, cell_mm)
     # Held at the ends of what was fitted: metal is not a limb, and powers of it would grow without bound.
     mass = np.minimum(mass / table["reference_g_per_cm2"], table["most_mass"])
     weight = opened * mass**2
