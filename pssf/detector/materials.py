@@ -29,6 +29,14 @@ def density_g_per_cm3(material: str) -> float:
     return _recipe(material)[0]
 
 
+def elements(material: str) -> tuple[float, tuple[tuple[int, float], ...]]:
+    """Density (g/cm3) of a tissue or compound, and atomic number and mass fraction of each of its elements.
+
+    raises  InputError for an unknown material
+    """
+    return _recipe(material)
+
+
 def check_material(material: str) -> None:
     """Refuse what is neither a tissue nor a compound with a density.
 

@@ -1,0 +1,144 @@
+"""Scatter: the fast kernel beside the Monte Carlo that it was calibrated against, and phantoms for both."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import trimesh
+import xraylib
+from scipy import ndimage
+
+from ..anatomy import build
+from ..checks import Array
+from ..detector.coarse import block_mean
+from ..detector.materials import elements
+from ..detector.monte_carlo import count
+from ..detector.primary import transmit
+from ..detector.scatter import exit_gap_mm, scatter_kev
+from ..detector.spectrum import beam_of
+from ..geometry import view_of
+from ..knee import Knee
+from ..protocol import Protocol, load_protocol
+from ..raycast import trace
+from ..scene import Scene, Surface
+
+Row = dict[str, Any]
+Case = tuple[str, float, float, float]
+# Object, tube kV, thickness (mm; of a knee at the joint), gap behind the box around it (mm): those that
+# `data/scatter.toml` was fitted to, and others.
+FITTED: tuple[Case, ...] = (
+    ("knee", 60, 100, 20), ("knee", 60, 100, 150), ("knee", 60, 120, 30), ("knee", 60, 140, 20),
+    ("knee", 60, 140, 150), ("knee", 65, 110, 40), ("knee", 70, 120, 20), ("knee", 70, 120, 70),
+    ("knee", 70, 120, 150), ("knee", 75, 130, 120), ("knee", 80, 100, 150), ("knee", 80, 140, 20),
+    ("bent knee", 60, 130, 40), ("bent knee", 70, 120, 82), ("bent knee", 70, 140, 20), ("bent knee", 80, 110, 130),
+    ("limb", 60, 100, 150), ("limb", 60, 140, 60), ("limb", 70, 100, 80), ("limb", 70, 120, 60),
+    ("limb", 70, 140, 20), ("limb", 75, 130, 40), ("limb", 80, 100, 20), ("limb", 80, 140, 150),
+    ("slab", 60, 100, 80), ("slab", 70, 120, 20), ("slab", 70, 120, 150), ("slab", 80, 140, 80),
+)  # fmt: skip
+CHECKED: tuple[Case, ...] = (
+    ("knee", 60, 110, 120), ("knee", 60, 120, 80), ("knee", 65, 130, 150), ("knee", 70, 130, 80),
+    ("knee", 70, 140, 110), ("knee", 75, 110, 20), ("knee", 75, 120, 60), ("knee", 80, 100, 60),
+    ("knee", 80, 120, 20), ("knee", 80, 120, 80), ("knee", 80, 130, 50), ("bent knee", 60, 110, 140),
+    ("bent knee", 65, 130, 90), ("bent knee", 70, 110, 60), ("bent knee", 75, 100, 30), ("bent knee", 80, 140, 60),
+    ("limb", 60, 120, 20), ("limb", 60, 120, 110), ("limb", 65, 130, 90), ("limb", 70, 120, 150),
+    ("limb", 75, 110, 100), ("limb", 80, 120, 140),
+)  # fmt: skip
+# The joint region, mm on the detector: rows, columns.
+_REGION_MM = (80.0, 60.0)
+_CELL_MM = 9.6
+
+
+def scatter_rows(
+    photons: int = 16_000_000, workers: int = 2, cases: tuple[Case, ...] = (*FITTED, *CHECKED)
+) -> list[Row]:
+    """One row a case: scatter over the open beam in the joint region, by Monte Carlo and by kernel.
+
+    exit_gap_mm         what the kernel is told: see `detector.scatter.exit_gap_mm`
+    error_percent       of the Monte Carlo's mean over the region, one standard deviation
+    difference_percent  of the kernel's mean over the region
+    worst_percent       the kernel's largest difference within it, both smoothed by 10 mm
+    """
+    rows = []
+    for case in cases:
+        scene, protocol = case_of(case)
+        found = count(scene, protocol, photons=photons, seed=7, workers=workers, cell_mm=_CELL_MM)
+        paths = trace(scene, protocol, workers=workers).path_mm
+        view, beam = view_of(protocol), beam_of(protocol)
+        primary = transmit(paths, beam, view, workers).kev
+        opened = float(transmit({}, beam, view, workers).kev.max())
+        gap_mm = exit_gap_mm(scene, view)
+        fast = block_mean(scatter_kev(primary, paths, gap_mm, protocol), found.step) / opened
+        slow = found.scatter_kev / found.pixels / opened
+        rows.append({"used_to_fit": case in FITTED, "exit_gap_mm": round(gap_mm, 1), **_compared(case, slow, fast)})
+    return rows
+
+
+def _compared(case: Case, slow: Array, fast: Array) -> Row:
+    """Monte Carlo (batches, rows, cols) and kernel (rows, cols) in the joint region."""
+    half = [round(mm / _CELL_MM / 2) for mm in _REGION_MM]
+    region = tuple(slice(n // 2 - h, n // 2 + h) for n, h in zip(fast.shape, half, strict=True))
+    means = slow[:, *region].mean(axis=(1, 2))
+    even = [ndimage.gaussian_filter(part, 10.0 / _CELL_MM)[region] for part in (slow.mean(axis=0), fast)]
+    spread = 100 * (even[1] / even[0] - 1)
+    return {
+        "object": case[0],
+        "tube_kv": case[1],
+        "thickness_mm": case[2],
+        "gap_mm": case[3],
+        "monte_carlo": float(f"{means.mean():.4g}"),
+        "error_percent": round(float(100 * means.std(ddof=1) / np.sqrt(len(means)) / means.mean()), 2),
+        "kernel": float(f"{fast[region].mean():.4g}"),
+        "difference_percent": round(float(100 * (fast[region].mean() / means.mean() - 1)), 2),
+        "worst_percent": round(float(spread.flat[np.abs(spread).argmax()]), 2),
+    }
+
+
+def case_of(case: Case) -> tuple[Scene, Protocol]:
+    """The scene and protocol of a case: SDD 1150 mm, the field of `reference` in pixels of 1.2 mm."""
+    kind, kv, thick_mm, gap_mm = case
+    if kind in ("limb", "slab"):
+        scene = {"limb": limb, "slab": slab}[kind](thick_mm)
+    elif kind == "knee":
+        scene = build(Knee(limb_ap_mm=thick_mm))
+    else:
+        woman = Knee(sex="female", stature_mm=1620.0, side="left", fat_mm=16.0, limb_ap_mm=thick_mm)
+        scene = build(replace(woman, flexion_deg=6.0, rotation_deg=5.0, varus_deg=-3.0))
+    sod_mm = 1150.0 - gap_mm - float(scene.bounds_mm[1, 1])
+    coarse = replace(load_protocol("reference"), rows=256, cols=256, pixel_mm=1.2)
+    return scene, replace(coarse, tube_kv=float(kv), sod_mm=sod_mm)
+
+
+def limb(thick_mm: float) -> Scene:
+    """A long elliptic limb, 1.2 times as wide as thick, 70 % muscle and 30 % fat, with a core of bone.
+
+    The core is 17 % cortical bone in marrow, 0.6 of the limb's width and 0.45 of its thickness.
+    """
+    soft = mixture({"muscle": 0.7, "adipose": 0.3})
+    core = mixture({"cortical_bone": 0.17, "marrow": 0.83})
+    outer, inner = _cylinder(0.6 * thick_mm, 0.5 * thick_mm), _cylinder(0.36 * thick_mm, 0.225 * thick_mm)
+    return Scene([Surface(outer, soft, "air", "limb"), Surface(inner, core, soft, "core")])
+
+
+def slab(thick_mm: float, side_mm: float = 440.0) -> Scene:
+    """A square slab of water across the beam."""
+    return Scene([Surface(trimesh.creation.box((side_mm, thick_mm, side_mm)), "water", "air", "slab")])
+
+
+def mixture(volumes: dict[str, float]) -> str:
+    """Materials mixed by volume, as one: "FORMULA@DENSITY"."""
+    density = sum(share * elements(name)[0] for name, share in volumes.items())
+    moles = dict[int, float]()
+    for name, share in volumes.items():
+        part, weights = elements(name)
+        for z, weight in weights:
+            moles[z] = moles.get(z, 0.0) + 100 * share * part / density * weight / xraylib.AtomicWeight(z)
+    formula = "".join(f"{xraylib.AtomicNumberToSymbol(z)}{count:.5f}" for z, count in moles.items())
+    return f"{formula}@{density:.6f}"
+
+
+def _cylinder(half_x_mm: float, half_y_mm: float) -> trimesh.Trimesh:
+    """An upright elliptic cylinder, 420 mm long; a polygon of 192 sides with the ellipse's area."""
+    sides = 192
+    same_area = np.sqrt(2 * np.pi / sides / np.sin(2 * np.pi / sides))
+    mesh = trimesh.creation.cylinder(radius=1.0, height=420.0, sections=sides)
+    return mesh.apply_scale([half_x_mm * same_area, half_y_mm * same_area, 1.0])

@@ -1,0 +1,94 @@
+"""The constants of the scatter kernel, fitted to the Monte Carlo once more."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from ..checks import Array
+from ..detector.monte_carlo import count
+from ..detector.primary import transmit
+from ..detector.scatter import coarse, exit_gap_mm, shares
+from ..detector.spectrum import beam_of
+from ..files import tables
+from ..geometry import view_of
+from ..raycast import trace
+from .scatter import FITTED, Case, case_of
+
+# Lower and upper bounds of a term's constants: without them powers drift that only cancel each other.
+_BOUNDS = {
+    "log_strength": (-12.0, 6.0), "per_10_kv": (-1.0, 1.0), "per_log": (-2.0, 2.0), "mass_power": (0.0, 4.0),
+    "primary_power": (0.0, 2.5), "exit_power": (0.0, 1.5), "exit_mm": (5.0, 100.0), "inner_mm": (0.0, 300.0),
+    "slope": (0.05, 4.0), "depth_mm": (0.0, 300.0),
+}  # fmt: skip
+_CELL_MM = 9.6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sample:
+    """What the kernel starts from in one case, and what it should give: maps (rows, cols) over the open beam."""
+
+    inputs: tuple[Array, Array, Array, float, float, float]
+    expected: Array
+    error: Array
+    slab: bool
+
+
+def sample_of(case: Case, photons: int, workers: int = 2) -> Sample:
+    """One case by Monte Carlo."""
+    scene, protocol = case_of(case)
+    view, beam = view_of(protocol), beam_of(protocol)
+    found = count(scene, protocol, photons=photons, seed=7, workers=workers, cell_mm=_CELL_MM)
+    paths = trace(scene, protocol, workers=workers).path_mm
+    opened, mass, passed, step = coarse(transmit(paths, beam, view, workers).kev, paths, protocol)
+    slow = found.scatter_kev / found.pixels / opened.max()
+    return Sample(
+        inputs=(opened / opened.max(), mass, passed, exit_gap_mm(scene, view), protocol.tube_kv, step * view.pixel_mm),
+        expected=slow.mean(axis=0),
+        error=slow.std(axis=0, ddof=1) / np.sqrt(len(slow)),
+        slab=case[0] == "slab",
+    )
+
+
+def fitted_table(
+    photons: int = 16_000_000, workers: int = 2, cases: tuple[Case, ...] = FITTED, rounds: int = 60
+) -> dict[str, Any]:
+    """Constants as in `data/scatter.toml`, by least squares from those that are there.
+
+    A residual is a relative difference in a cell over its error (2 % at least); cells outside the joint region weigh a
+    quarter, the mean over the region as much as 12 cells, slabs 0.4 of limbs.
+    """
+    samples, table = [sample_of(case, photons, workers) for case in cases], tables.data("scatter")
+    start = np.array([table["inner_power"], *(term[name] for term in table["term"] for name in _BOUNDS)])
+    low, high = np.array([(-6.0, 3.0), *(list(_BOUNDS.values()) * len(table["term"]))]).T
+    inside = np.clip(start, low + 1e-3, high - 1e-3)
+    found = least_squares(_residuals, inside, bounds=(low, high), x_scale="jac", max_nfev=rounds, args=(samples, table))
+    return _table(found.x, table)
+
+
+def _table(values: Array, table: Mapping[str, Any]) -> dict[str, Any]:
+    terms = [dict(zip(_BOUNDS, map(float, row), strict=True)) for row in values[1:].reshape(-1, len(_BOUNDS))]
+    return {**table, "inner_power": float(values[0]), "term": terms}
+
+
+def _residuals(values: Array, samples: list[Sample], table: Mapping[str, Any]) -> Array:
+    parts, tried = list[Array](), _table(values, table)
+    for sample in samples:
+        rows, cols = sample.expected.shape
+        region = np.s_[rows // 2 - 4 : rows // 2 + 4, cols // 2 - 3 : cols // 2 + 3]
+        weight = np.full((rows, cols), 0.25)
+        weight[region] = 1.0
+        off = shares(*sample.inputs, tried) / sample.expected - 1
+        sigma = np.maximum(sample.error / sample.expected / 0.02, 1.0)
+        part = np.append(np.clip(off, -3, 3) * weight / sigma, 12 * _mean_off(off, sample.expected, region))
+        parts.append(part * (0.4 if sample.slab else 1.0))
+    terms = values[1:].reshape(-1, len(_BOUNDS))
+    # A weak pull to constants of ordinary size.
+    parts.append(0.03 * (terms[:, 1:6] - [0.0, 0.0, 1.3, 0.8, 0.4]).ravel())
+    return np.concatenate(parts)
+
+
+def _mean_off(off: Array, expected: Array, region: Any) -> float:
+    return float((off[region] * expected[region]).sum() / expected[region].sum())
