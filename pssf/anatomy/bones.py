@@ -232,12 +232,15 @@ def fibula(build: Build) -> Bone:
     cortex = thickness(table["cortex"], s, build.cortex)
     low, high = -SHAFT_END_MM, sections[:, 0].max()
     gap = table["gap_to_tibia_mm"]
-    outer = column(sections, _none, _levels(low, high, 1.5), "fibula", count=64) - tibia_column(build, gap)
-    inner = column(sections, cortex, _levels(low + 2.0, high - 0.8, 1.5), "fibula marrow", count=64)
-    inner = inner - tibia_column(build, gap + 0.7)
+    levels = _levels(low, high, 1.5)
+    # Rings at the same heights, so that between them too the inner loft lies within the outer one.
+    within = levels[(levels > low + 1.4) & (levels < high - 0.7)]
+    outer = column(sections, _none, levels, "fibula", count=64).simplify(_COARSER_MM / 2)
+    inner = column(sections, cortex, within, "fibula marrow", count=64)
+    # Simplified before they are cut: in the sharp edge that the cut leaves there is no room for it.
     return Bone(
-        outer=checked(outer.simplify(_COARSER_MM / 2), "fibula"),
-        inner=checked(inner.simplify(_COARSER_MM), "fibula marrow"),
+        outer=checked(outer - tibia_column(build, gap), "fibula"),
+        inner=checked(inner.simplify(_COARSER_MM) - tibia_column(build, gap + 0.7), "fibula marrow"),
     )
 
 
