@@ -53,7 +53,7 @@ def sample_of(case: Case, photons: int, workers: int = 2) -> Sample:
 
 
 def fitted_table(
-    photons: int = 16_000_000, workers: int = 2, cases: tuple[Case, ...] = FITTED, rounds: int = 60
+    photons: int = 16_000_000, workers: int = 2, cases: tuple[Case, ...] = FITTED, rounds: int = 35
 ) -> dict[str, Any]:
     """Constants as in `data/scatter.toml`, by least squares from those that are there.
 

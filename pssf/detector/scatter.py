@@ -33,7 +33,8 @@ def scatter_kev(
 
     A sum of terms, each in three steps: photons scatter in proportion to powers of the mass crossed and of the primary
     that is left; they spread within the object and are weakened by what lies where they leave; and they spread
-    on across the air gap. Form and constants: `data/scatter.toml`.
+    on across the air gap. Form, constants, and how far they hold: `data/scatter.toml` (limbs of 100 to 140 mm, gaps of
+    20 to 210 mm); for other objects there is `monte_carlo.scatter_monte_carlo`.
     primary_kev  (rows, cols)
     path_mm      material -> (rows, cols)
     gap_mm       from where the object ends, in the middle of the field, to the detector plane: see `exit_gap_mm`
