@@ -124,7 +124,7 @@ def _before_the_detector(scene: Scene, view: View, voxel_mm: float | None) -> Vo
 
 
 def _setting(voxels: Voxels, view: View, protocol: Protocol, cell_mm: float) -> Setting:
-    beam = beam_of(protocol, nodes=10_000)
+    beam = beam_of(protocol)
     kept = beam.energies_kev >= CUT_OFF_KEV
     energies, photons, signal = (v[kept] for v in (beam.energies_kev, beam.photons_per_mm2, beam.signal_kev))
     left = (photons if photons.any() else np.ones_like(photons)) * signal
