@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from . import anatomy, detector, raycast
 from .checks import InputError, require_choice, require_whole
+from .detector.scatter import exit_gap_mm
 from .geometry import spot_views, view_of
 from .knee import Knee
 from .protocol import Protocol
@@ -54,7 +55,7 @@ def simulate(
     paths = raycast.trace(scene, protocol, engine=engine, workers=workers)
     _refuse_negative(paths.path_mm)
     seconds["rays"] = perf_counter() - start
-    gap_mm = max(0.0, view_of(protocol).centre_mm[1] - float(scene.bounds_mm[1, 1]))
+    gap_mm = exit_gap_mm(scene, view_of(protocol))
     noise = np.random.SeedSequence(seed, spawn_key=(_NOISE,))
     start = perf_counter()
     primary = sampled_primary(scene, protocol, engine, workers) if protocol.focal_spot == "sampled" else None
