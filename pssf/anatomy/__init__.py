@@ -49,8 +49,7 @@ def build(knee: Knee) -> Scene:
     for tissue in between(knee, stance, placed, wraps["muscle"]):
         surfaces.append(_sided(tissue.mesh, tissue.material, "muscle", tissue.name, knee))
     for name, part in placed.items():
-        frame = pose.femur() if name in ("femur", "patella") else pose.tibia()
-        density = _texture(knee, name, shape.scale, frame)
+        density = _texture(knee, name, shape.scale, pose.bone(name))
         surfaces.append(_surface(part.outer, "cortical_bone", "muscle", name, knee))
         spongy = _surface(part.inner, "trabecular_bone", "cortical_bone", f"{name}_trabecular", knee)
         surfaces.append(replace(spongy, inside_density=density))
@@ -63,14 +62,14 @@ def build(knee: Knee) -> Scene:
 def bones_of(knee: Knee) -> dict[str, bones.Bone]:
     """Femur, tibia, fibula and patella of a right knee as it stands, by name; a left one is their mirror image in x."""
     stance = stance_of(knee)
-    shape, pose = stance.build, stance.pose
+    shape = stance.build
     parts = {
-        "femur": (bones.femur(shape, stance.femur), pose.femur()),
-        "tibia": (bones.tibia(shape, stance.tibia), pose.tibia()),
-        "fibula": (bones.fibula(shape), pose.tibia()),
-        "patella": (bones.patella(shape), pose.femur()),
+        "femur": bones.femur(shape, stance.femur),
+        "tibia": bones.tibia(shape, stance.tibia),
+        "fibula": bones.fibula(shape),
+        "patella": bones.patella(shape),
     }
-    return {name: _placed(part, frame) for name, (part, frame) in parts.items()}
+    return {name: _placed(part, stance.pose.bone(name)) for name, part in parts.items()}
 
 
 def _texture(knee: Knee, bone: str, scale: float, frame: Array) -> Trabeculae:

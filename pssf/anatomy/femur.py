@@ -10,12 +10,10 @@ from manifold3d import Manifold
 
 from ..checks import Array
 from ..files import tables
-from .implicit import Column, blend, carve, ellipsoid, evened, meet, refined, resolved
+from .implicit import Column, blend, carve, ellipsoid, meet, shaped
 from .solids import checked, column, hull, loft
 
 _POWER = 2.3
-# Rounds of evening out the mesh, and halvings of edges where the surface bends.
-_ROUNDS, _HALVINGS = 6, 3
 # Cut flat here, outside the beam of any protocol in the package.
 _END_MM = 285.0
 
@@ -43,8 +41,7 @@ def outer(tolerance_mm: float | None = None) -> Manifold:
     tolerance_mm  how far middles of edges may be off the surface; that of `data/anatomy.toml` if None
     """
     table = tables.data("anatomy")["femur"]
-    even = evened(refined(_rough(), table["edge_mm"], 70.0), field, _ROUNDS)
-    return checked(resolved(even, field, tolerance_mm or table["tolerance_mm"], _HALVINGS), "femur")
+    return checked(shaped(_rough(), field, table["edge_mm"], tolerance_mm or table["tolerance_mm"]), "femur")
 
 
 def condyle_field(points: Array, side: str) -> Array:

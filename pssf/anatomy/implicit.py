@@ -21,6 +21,8 @@ Choice = Callable[[Array], NDArray[np.bool_]]
 # Step of the differences that give a field's gradient, mm: fields are smooth over this, and float64 resolves it.
 _STEP_MM = 0.01
 _MOST_MM = 1.5
+# Of a whole bone: rounds of evening out its mesh, halvings of edges where it bends, and where its shaft begins.
+_ROUNDS, _HALVINGS, _SHAFT_FROM_MM = 6, 3, 70.0
 
 
 def blend(one: Array, other: Array, radius_mm: float) -> Array:
@@ -87,6 +89,16 @@ def refined(solid: Manifold, edge_mm: float, shaft_from_mm: float) -> Manifold:
 
     short = solid.simplify(0.02).warp_batch(pressed(0.25))
     return short.refine_to_length(edge_mm).warp_batch(pressed(4.0))
+
+
+def shaped(rough: Manifold, field: Field, edge_mm: float, tolerance_mm: float) -> Manifold:
+    """A bone by CSG as its field has it: evenly meshed, and finer where it bends.
+
+    edge_mm       longest edge, away from the shaft
+    tolerance_mm  how far middles of edges may be off the field
+    """
+    even = evened(refined(rough, edge_mm, _SHAFT_FROM_MM), field, _ROUNDS)
+    return resolved(even, field, tolerance_mm, _HALVINGS)
 
 
 def settle(solid: Manifold, field: Field, *, depth_mm: Field | None = None, steps: int = 5) -> Manifold:

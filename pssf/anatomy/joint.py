@@ -43,6 +43,10 @@ class Pose:
         """(3, 4)  transform of tibia and fibula into the knee frame"""
         return self._leg(np.eye(3, 4))
 
+    def bone(self, name: str) -> Array:
+        """(3, 4)  transform of a bone into the knee frame; patella and fibula go with femur and tibia"""
+        return self.femur() if name in ("femur", "patella") else self.tibia()
+
     def soft(self) -> Array:
         """(3, 4)  transform of the soft tissue into the knee frame"""
         return np.column_stack((_turn(2, self.rotation_deg), np.zeros(3)))

@@ -22,8 +22,9 @@ def exposure_quantities(protocol: Protocol) -> dict[str, float]:
     exposure_index  100 per uGy of air kerma that an RQA5 beam needs for the median signal behind the limb (IEC 62494-1)
     """
     knee = Knee()
+    scene = build(knee)
     taken = replace(protocol, noise="none", dead_pixels=0.0)
-    radiograph = simulate(knee, taken, scene=build(knee), engine="scanline", keep=("primary", "scatter", "path_mm"))
+    radiograph = simulate(knee, taken, scene=scene, engine="scanline", keep=("primary", "scatter", "path_mm"))
     primary, kept = radiograph.kept["primary"], radiograph.kept
     scatter = kept.get("scatter", np.zeros_like(primary))
     total = primary + scatter
@@ -34,7 +35,7 @@ def exposure_quantities(protocol: Protocol) -> dict[str, float]:
     joint = (slice(row - half, row + half + 1), slice(col - half, col + half + 1))
     bone = (slice(row + below - half, row + below + half + 1), joint[1])
     offset = tables.data("detector")[protocol.detector]["offset_dn"]
-    noisy = simulate(knee, replace(protocol, dead_pixels=0.0), scene=None, engine="scanline", seed=1).pixels[bone]
+    noisy = simulate(knee, replace(protocol, dead_pixels=0.0), scene=scene, engine="scanline", seed=1).pixels[bone]
     quiet = radiograph.pixels[bone].astype(np.float64)
     return {
         "exposure_index": 100 * float(np.median(total[limb])) / _kev_per_ugy(protocol),

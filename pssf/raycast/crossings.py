@@ -28,6 +28,13 @@ class Crossings:
     sign: NDArray[np.int8]
 
 
+def offsets(number: NDArray[np.integer]) -> NDArray[np.int64]:
+    """(pixels + 1,)  where each pixel's crossings start if those of all are put in one row"""
+    starts = np.zeros(number.size + 1, np.int64)
+    np.cumsum(number, out=starts[1:])
+    return starts
+
+
 def joined(parts: Sequence[tuple[Crossings, int]]) -> Crossings:
     """Crossings of several surfaces as if of one, around what is in the first, without what is in those with factor -1.
 
@@ -40,8 +47,7 @@ def joined(parts: Sequence[tuple[Crossings, int]]) -> Crossings:
     number = np.zeros(high - low, np.int64)
     for (part, _), (row, col, rows, cols) in zip(parts, windows - [*low, 0, 0], strict=True):
         number[row : row + rows, col : col + cols] += np.diff(part.starts).reshape(rows, cols)
-    starts = np.zeros(number.size + 1, np.int64)
-    np.cumsum(number, out=starts[1:])
+    starts = offsets(number)
     depth, sign, free = np.empty(starts[-1]), np.empty(starts[-1], np.int8), starts[:-1].copy().reshape(number.shape)
     for (part, factor), window in zip(parts, windows - [*low, 0, 0], strict=True):
         _append(part.starts, part.depth, part.sign, factor, window, free, depth, sign)
@@ -56,14 +62,11 @@ def chords(crossings: Crossings) -> Array:
     return out
 
 
-def integrals(crossings: Crossings, frame: Array, density: Density | None) -> Array:
+def integrals(crossings: Crossings, frame: Array, density: Density) -> Array:
     """(rows, cols)  integrals of a density inside, as fractions of the way from the source to the pixel
 
-    frame    as in a Sheet
-    density  None: 1 everywhere
+    frame  as in a Sheet
     """
-    if density is None:
-        return chords(crossings)
     window = np.array(crossings.window)
     most = len(crossings.depth) + len(crossings.starts) - 1
     starts_mm, ends_mm, pixels = np.empty((most, 3)), np.empty((most, 3)), np.empty(most, np.int64)

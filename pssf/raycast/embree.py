@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from ..checks import Array
 from ..topology import used
 from . import scanline
-from .crossings import Crossings, chords
+from .crossings import Crossings, chords, offsets
 from .paths import Audit
 from .rays import start
 from .sheets import Sheet
@@ -83,7 +83,7 @@ class Caster:
         sheet = self.sheet
         number = scanline.counts(sheet, first, stop)
         window = (first, sheet.cols[0], *number.shape)
-        left, starts = number.reshape(-1).copy(), scanline.offsets(number)
+        left, starts = number.reshape(-1).copy(), offsets(number)
         depth, sign, doubt = np.zeros(starts[-1]), np.zeros(starts[-1], np.int8), np.zeros(number.size, np.bool_)
         rays = _Rays(int(np.count_nonzero(left)))
         pixels = np.array(window)

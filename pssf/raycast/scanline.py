@@ -12,7 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ..checks import Array
-from .crossings import Crossings, order
+from .crossings import Crossings, offsets, order
 from .paths import Audit
 from .sheets import Sheet
 
@@ -74,13 +74,6 @@ def crossings(sheet: Sheet, first: int, stop: int) -> Crossings:
     _list(sheet.in_band(first), *geometry, np.array(window), starts[:-1].copy(), depth, sign)
     order(starts, depth, sign)
     return Crossings(window=window, starts=starts, depth=depth, sign=sign)
-
-
-def offsets(number: NDArray[np.int32]) -> NDArray[np.int64]:
-    """(pixels + 1,)  where each pixel's crossings start if those of all are put in one row"""
-    starts = np.zeros(number.size + 1, np.int64)
-    np.cumsum(number, out=starts[1:])
-    return starts
 
 
 def _accumulate(sheet: Sheet, first: int, stop: int, depth: Array) -> Array:
