@@ -17,8 +17,10 @@ from .solids import checked, column
 
 # Shafts end here, outside the beam of any protocol in the package and within the soft tissue's own length.
 SHAFT_END_MM = 180.0
-# Inner surfaces and straight shafts are drawn with fewer triangles, within this.
+# Straight shafts, inner surfaces and canals, whose edge trabeculae blur, are drawn with fewer triangles, within these.
 _COARSER_MM = 0.02
+_INNER_MM = 0.03
+_CANAL_MM = 0.05
 # Steps of 1.5 mm at most, down to the inside of the thickest cortex.
 _INWARD_STEPS = 6
 
@@ -146,8 +148,8 @@ def femur(build: Build, grown: Grown) -> Bone:
 
     return Bone(
         outer=standing(grown.outer, SHAFT_END_MM),
-        inner=standing(grown.filled(marrow, s), SHAFT_END_MM - 2.0).simplify(_COARSER_MM),
-        canal=checked(canal, "femur canal").simplify(_COARSER_MM),
+        inner=standing(grown.filled(marrow, s), SHAFT_END_MM - 2.0).simplify(_INNER_MM),
+        canal=checked(canal, "femur canal").simplify(_CANAL_MM),
     )
 
 
@@ -190,8 +192,8 @@ def tibia(build: Build, grown: Grown) -> Bone:
     canal = _canal(sections, cortex, canal_levels, table["canal_full_z_mm"] * s, "tibia canal")
     return Bone(
         outer=standing(grown.outer, build),
-        inner=standing(grown.filled(marrow, s), build, 2.0).simplify(_COARSER_MM),
-        canal=leaned(canal, table["shaft_pivot_z_mm"] * s, build.tibia_varus_deg, -1).simplify(_COARSER_MM),
+        inner=standing(grown.filled(marrow, s), build, 2.0).simplify(_INNER_MM),
+        canal=leaned(canal, table["shaft_pivot_z_mm"] * s, build.tibia_varus_deg, -1).simplify(_CANAL_MM),
     )
 
 

@@ -8,6 +8,9 @@ from ..files import tables
 from .joint import moved
 from .solids import checked, column
 
+# Of the sheets between muscles, which are faint, thin and far from any edge that is measured.
+_COARSER_MM = 0.03
+
 
 def fat_pad(scale: float, tibia_frame: Array) -> Manifold:
     """The infrapatellar fat pad, before bones are taken out of it."""
@@ -32,7 +35,7 @@ def fat_planes(scale: float) -> list[Manifold]:
     for part in tables.data("anatomy")["fat_planes"]:
         rows = np.array(part["sections"]) * scale
         heights = np.linspace(rows[:, 0].min(), rows[:, 0].max(), 24)
-        sheet = column(rows, np.zeros_like, heights, "fat plane", power=2.0, count=48)
+        sheet = column(rows, np.zeros_like, heights, "fat plane", power=2.0, count=48).simplify(_COARSER_MM)
         middle = rows[:, [4, 3]].mean(axis=0)
         turned = sheet.translate((-middle[0], -middle[1], 0.0)).rotate((0.0, 0.0, part["turn_deg"]))
         sheets.append(turned.translate((middle[0], middle[1], 0.0)))
