@@ -37,6 +37,9 @@ class Protocol:
     texture: str = "trabecular"
     focal_spot: str = "blur"
     scatter: str = "kernel"
+    scatter_photons: int = 20_000_000
+    grid_ratio: float = 0.0
+    grid_lines_per_cm: float = 40.0
     detector: str = "csi"
     detector_blur: str = "mtf"
     dead_pixels: float = 0.0

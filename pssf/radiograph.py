@@ -51,7 +51,8 @@ class Radiograph:
     engine    that cast its rays
     audit     what it found and mended; see `raycast.Audit`
     versions  of the package and of what the pixels depend on
-    kept      what `simulate(keep=...)` asked for; maps (rows, cols) float32
+    kept      what `simulate(keep=...)` asked for; maps (rows, cols) float32; with "scatter" of monte_carlo also
+              "scatter_error", its statistical error relative to its mean
     seconds   wall time a stage
     """
 

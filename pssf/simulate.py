@@ -4,13 +4,14 @@ from collections.abc import Collection, Mapping
 from dataclasses import replace
 from functools import cache
 from importlib.metadata import version
-from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import anatomy, detector, raycast
 from .checks import InputError, require_choice, require_whole
+from .clock import Clock
+from .detector.monte_carlo import scatter_monte_carlo
 from .detector.scatter import exit_gap_mm
 from .geometry import spot_views, view_of
 from .knee import Knee
@@ -43,28 +44,35 @@ def simulate(
     raises   InputError for an unknown name in keep, an unknown engine or material, a scene that cannot be traced
     """
     _check(knee, protocol, seed, keep)
-    start = perf_counter()
+    clock = Clock()
     if isinstance(knee, Scene):
         scene, who = knee, None
     else:
         scene, who = scene or anatomy.build(knee), knee
-    seconds = {"anatomy": perf_counter() - start}
+    clock.lap("anatomy")
     for material in scene.materials:
         detector.check_material(material)
-    start = perf_counter()
     paths = raycast.trace(scene, protocol, engine=engine, workers=workers)
     _refuse_negative(paths.path_mm)
-    seconds["rays"] = perf_counter() - start
     gap_mm = exit_gap_mm(scene, view_of(protocol))
+    clock.lap("rays")
+    primary = scatter = error = None
+    if protocol.focal_spot == "sampled":
+        primary = sampled_primary(scene, protocol, engine, workers)
+        clock.lap("focal spot")
+    if protocol.scatter == "monte_carlo":
+        scatter, error = scatter_monte_carlo(
+            scene, protocol, photons=protocol.scatter_photons, seed=seed, workers=workers
+        )
+        clock.lap("scatter")
     noise = np.random.SeedSequence(seed, spawn_key=(_NOISE,))
-    start = perf_counter()
-    primary = sampled_primary(scene, protocol, engine, workers) if protocol.focal_spot == "sampled" else None
-    seconds |= {"focal spot": perf_counter() - start} if primary else {}
     pixels, kept, stages = detector.expose(
-        paths.path_mm, protocol, gap_mm=gap_mm, seed=noise, primary=primary, keep=keep, workers=workers
+        paths.path_mm, protocol, gap_mm=gap_mm, seed=noise, primary=primary, scatter=scatter, keep=keep, workers=workers
     )
     if "path_mm" in keep:
         kept["path_mm"] = paths.path_mm
+    if "scatter" in keep and error is not None:
+        kept["scatter_error"] = error
     return Radiograph(
         pixels=pixels,
         protocol=protocol,
@@ -75,7 +83,7 @@ def simulate(
         audit=paths.audit.counts(),
         versions=versions(),
         kept=kept,
-        seconds={**seconds, **stages},
+        seconds={**clock.seconds, **stages},
     )
 
 

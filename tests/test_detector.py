@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 import pssf
 from pssf import detector
-from pssf.detector import panel
+from pssf.detector import blur, panel
 from pssf.detector.coarse import block_mean, enlarge
 from pssf.detector.materials import attenuation_per_mm, density_g_per_cm3
 from pssf.detector.primary import transmit
@@ -138,6 +138,19 @@ def test_any_count_is_drawn_without_overflow_or_negative_signal(photons):
     assert abs(drawn.mean() / 50.0 - photons) <= 6 * np.sqrt(photons / 0.83 / drawn.size) + 1e-2 * (photons < 1e-3)
 
 
+@pytest.mark.parametrize("quanta", [0.9, 1.1])
+def test_counts_keep_their_moments_on_both_sides_of_the_switch_to_a_gaussian(quanta):
+    mean = quanta * panel.GAUSSIAN_FROM
+    # One quantum is 50 keV over the Swank factor.
+    kev = np.full((1024, 1024), mean * 50.0 / 0.83, np.float32)
+    counts = panel.quantum_noise(kev, np.full_like(kev, 50.0), SEED).astype(np.float64) * 0.83 / 50.0
+    off, n = (counts - mean) / np.sqrt(mean), counts.size
+    assert abs(off.mean()) < 5 / np.sqrt(n)
+    assert abs(off.var() - 1) < 5 * np.sqrt(2 / n)
+    assert abs((off**3).mean() - 1 / np.sqrt(mean)) < 0.016 + 5 * np.sqrt(6 / n)
+    assert abs((off**4).mean() - 3) < 5 * np.sqrt(24 / n)
+
+
 def test_noise_does_not_depend_on_the_number_of_workers():
     kev = np.full((600, 100), 1000.0, np.float32)
     one, four = (panel.quantum_noise(kev, kev / 20, SEED, workers) for workers in (1, 4))
@@ -148,7 +161,9 @@ def test_the_detector_blurs_a_slanted_edge_by_its_stated_mtf():
     n, pixel = 512, 0.15
     x = np.arange(n) - n / 2
     wave = 1 + 0.5 * np.cos(2 * np.pi * 1.0 * pixel * x)[None, :] * np.ones((64, 1))
-    blurred = panel.detector_blur(wave.astype(np.float32), pixel)
+    values = blur.forward(wave.astype(np.float32))
+    blur.by_panel(values, wave.shape, pixel, "csi")
+    blurred = blur.backward(values, wave.shape)
     passed = np.ptp(blurred[32, 100:400]) / np.ptp(wave[32, 100:400])
     assert passed == pytest.approx(1 / (1 + (1.0 / 1.29) ** 2.095), rel=0.02)
 
@@ -156,15 +171,18 @@ def test_the_detector_blurs_a_slanted_edge_by_its_stated_mtf():
 def test_the_focal_spot_blurs_by_its_magnified_width():
     protocol = dataclasses.replace(pssf.load_protocol("reference"), pixel_mm=0.01)
     edge = np.where(np.arange(400) < 200, 1.0, 0.0).astype(np.float32)[None, :] * np.ones((40, 1), np.float32)
-    blurred = panel.focal_spot_blur(edge, 1.2, view_of(protocol))[20]
+    blurred = blur.focal_spot_blur(edge, 1.2, view_of(protocol))[20]
     width = (blurred[100:300].sum() - 100, -np.diff(blurred[100:300]).min())
     assert width[1] == pytest.approx(0.01 / (1.2 * (1150 / 950 - 1)), rel=0.2)
 
 
 def test_blurs_conserve_the_signal_of_a_flat_field():
     flat = np.full((100, 130), 7.0, np.float32)
-    assert_allclose(panel.detector_blur(flat, 0.15), 7.0, rtol=1e-5)
-    assert_allclose(panel.focal_spot_blur(flat, 1.2, view_of(pssf.load_protocol("reference"))), 7.0, rtol=1e-5)
+    values = blur.forward(flat)
+    for part in ("mtf", "ntf"):
+        blur.by_panel(values, flat.shape, 0.15, "csi", part)
+    assert_allclose(blur.backward(values, flat.shape), 7.0, rtol=1e-5)
+    assert_allclose(blur.focal_spot_blur(flat, 1.2, view_of(pssf.load_protocol("reference"))), 7.0, rtol=1e-5)
 
 
 def test_a_coarse_map_keeps_its_mean_and_a_ramp_its_slope():

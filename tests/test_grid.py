@@ -35,7 +35,8 @@ def test_a_higher_ratio_and_a_smaller_gap_stop_more_of_the_scatter(beam):
 
 
 def test_maps_are_weakened_evenly(beam):
-    first, second = grid(np.full((2, 3), 5.0, np.float32), np.full((2, 3), 7.0, np.float32), Grid(), beam, 100.0)
+    protocol = dataclasses.replace(pssf.load_protocol("reference"), grid_ratio=10.0)
+    first, second = grid(np.full((2, 3), 5.0, np.float32), np.full((2, 3), 7.0, np.float32), protocol, 100.0)
     expected = transmissions(Grid(), beam, 100.0)
     assert first.dtype == second.dtype == np.float32
     np.testing.assert_allclose([first[0, 0], second[1, 2]], [5 * expected[0], 7 * expected[1]], rtol=1e-6)

@@ -6,7 +6,8 @@ from time import perf_counter
 import numpy as np
 
 from ..anatomy import build
-from ..detector import panel, primary_of
+from ..detector import primary_of
+from ..detector.blur import focal_spot_blur
 from ..geometry import view_of
 from ..knee import Knee
 from ..protocol import load_protocol
@@ -32,7 +33,7 @@ def focal_rows(workers: int) -> list[Row]:
             start = perf_counter()
             if points == "blur":
                 kev = primary_of(trace(scene, protocol, engine="scanline", workers=workers).path_mm, protocol).kev
-                kev = panel.focal_spot_blur(kev, spot_mm, view_of(protocol), workers)
+                kev = focal_spot_blur(kev, spot_mm, view_of(protocol), workers)
             else:
                 kev = sampled_primary(scene, protocol, "scanline", workers, int(points)).kev
             error = np.abs(kev / exact - 1)

@@ -2,20 +2,24 @@
 detector.present  pixels                          -> an 8-bit view for eyes
 
 materials  attenuation        spectrum  the beam and the detector's response        primary  Beer-Lambert
-scatter    kernel scatter     panel     blur, noise, 16 bit
+scatter    kernel scatter     grid      against scatter                             blur     focal spot, panel
+panel      noise, 16 bit      monte_carlo  photons followed one by one, through voxels
 """
 
 from collections.abc import Collection, Mapping
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..clock import Clock
 from ..geometry import View, view_of
 from ..protocol import Protocol
+from . import blur
+from .blur import Map
+from .grid import grid
 from .materials import check_material
-from .panel import detector_blur, focal_spot_blur, present, quantum_noise, readout
+from .panel import present, quantum_noise, readout
 from .primary import Signal, transmit
 from .scatter import scatter_kev
 from .spectrum import beam_for, beam_of, heel_factor
@@ -30,6 +34,7 @@ def expose(
     gap_mm: float,
     seed: np.random.SeedSequence,
     primary: Signal | None = None,
+    scatter: Map | None = None,
     keep: Collection[str] = (),
     workers: int = 2,
 ) -> tuple[NDArray[np.uint16], dict[str, Any], dict[str, float]]:
@@ -39,45 +44,67 @@ def expose(
     gap_mm   from the object's exit to the detector plane
     seed     of this exposure's noise; quantum and readout noise own separate streams
     primary  what `primary_of` gives for these path lengths, or a mean of it over the focal spot
-    keep     any of "primary", "scatter" (keV a pixel, before blur) and "noise_free" (pixels without noise)
+    scatter  (rows, cols)  keV a pixel, of `monte_carlo.scatter_monte_carlo`; the kernel makes its own
+    keep     any of "primary", "scatter" (keV a pixel, behind the grid, before blur), "noise_free" (no noise)
     returns  pixels (rows, cols) uint16; kept maps; seconds a stage
     """
-    seconds, kept = dict[str, float](), dict[str, Any]()
-    clock = perf_counter()
-
-    def lap(stage: str) -> None:
-        nonlocal clock
-        now = perf_counter()
-        seconds[stage], clock = now - clock, now
-
+    clock, kept = Clock(), dict[str, Any]()
     if primary is None:
         beam_of(protocol)
-        lap("spectrum")
+        clock.lap("spectrum")
         primary = primary_of(path_mm, protocol, workers)
-        lap("attenuation")
-    kept["primary"] = kev = primary.kev
+        clock.lap("attenuation")
+    kev = primary.kev
     if protocol.scatter == "kernel":
-        kept["scatter"] = scatter_kev(kev, path_mm, gap_mm, protocol)
-        kev = kev + kept["scatter"]
-        lap("scatter")
-    if protocol.focal_spot_mm > 0 and protocol.focal_spot == "blur":
-        kev = np.maximum(focal_spot_blur(kev, protocol.focal_spot_mm, view_of(protocol), workers), 0)
-        lap("focal spot")
-    blurs = protocol.detector_blur != "none"
-    panel = (protocol.pixel_mm, workers, protocol.detector)
-    if "noise_free" in keep:
-        kept["noise_free"] = readout(detector_blur(kev, *panel) if blurs else kev, protocol, None)
-    streams = [np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, k)) for k in (0, 1)]
+        scatter = scatter_kev(kev, path_mm, gap_mm, protocol)
+        clock.lap("scatter")
+    if protocol.grid_ratio > 0:
+        kev, scatter = grid(kev, scatter, protocol, gap_mm)
+        clock.lap("grid")
+    kept["primary"] = kev
+    if scatter is not None:
+        kept["scatter"] = scatter
+        kev = kev + scatter
     noisy = protocol.noise == "quantum"
-    if noisy:
-        kev = quantum_noise(kev, primary.photon_kev, streams[0], workers, protocol.detector)
-        lap("quantum noise")
-    if blurs:
-        kev = detector_blur(kev, *panel)
-        lap("detector blur")
+    streams = [np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, k)) for k in (0, 1)]
+    kev, quiet = _seen(kev, primary.photon_kev, protocol, streams[0], "noise_free" in keep, clock, workers)
+    if quiet is not None:
+        kept["noise_free"] = readout(quiet, protocol, None)
     pixels = readout(kev, protocol, streams[1] if noisy else None, workers)
-    lap("readout")
-    return pixels, {name: kept[name] for name in keep if name in kept}, seconds
+    clock.lap("readout")
+    return pixels, {name: kept[name] for name in keep if name in kept}, clock.seconds
+
+
+def _seen(
+    kev: Map, photon_kev: Map, protocol: Protocol, seed: np.random.SeedSequence, both: bool, clock: Clock, workers: int
+) -> tuple[Map, Map | None]:
+    """Energy that the panel reads, keV a pixel: blurred by focal spot and panel, with its quantum noise.
+
+    returns  that; and, where both are wanted, the same without noise
+    """
+    panel, shape = (protocol.pixel_mm, protocol.detector), kev.shape
+    by_spot = protocol.focal_spot_mm > 0 and protocol.focal_spot == "blur"
+    by_panel = protocol.detector_blur != "none"
+    values = blur.forward(kev, workers) if by_spot or by_panel else None
+    if by_spot and values is not None:
+        blur.by_focal_spot(values, shape, blur.shadow_px(protocol.focal_spot_mm, view_of(protocol)))
+        kev = np.maximum(blur.backward(values, shape, workers), 0)
+        clock.lap("focal spot")
+    quiet, noise = kev, None
+    if protocol.noise == "quantum":
+        noise = quantum_noise(kev, photon_kev, seed, workers, protocol.detector)
+        clock.lap("quantum noise")
+    if by_panel and values is not None:
+        blur.by_panel(values, shape, *panel)
+        quiet = blur.backward(values, shape, workers) if both or noise is None else kev
+        if noise is not None:
+            noise -= kev
+            coloured = blur.forward(noise, workers)
+            blur.by_panel(coloured, shape, *panel, part="ntf")
+            coloured += values
+            noise = blur.backward(coloured, shape, workers)
+        clock.lap("detector blur")
+    return (quiet if noise is None else noise), (quiet if both else None)
 
 
 def primary_of(

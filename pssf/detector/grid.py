@@ -3,11 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..checks import Array, InputError, require
+from ..protocol import Protocol
+from .blur import Map
 from .materials import attenuation_per_mm
-from .spectrum import Beam
+from .spectrum import Beam, beam_of
 
 # What a pixel sees of a limb's irradiated exit face, mm to either side across the strips and along them, and how deep
 # below it the scatter comes from (judgement; Sorenson and Floch 1985 find 150 to 200 mm for a trunk).
@@ -38,16 +39,15 @@ class Grid:
             raise InputError(f"lead_mm = {self.lead_mm!r} mm; allowed: {most}")
 
 
-def grid(
-    primary_kev: NDArray[np.float32], scatter_kev: NDArray[np.float32], kind: Grid, beam: Beam, gap_mm: float
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Primary and scatter (rows, cols), keV a pixel, behind a moving grid: its lines are blurred away.
+def grid(primary_kev: Map, scatter_kev: Map | None, protocol: Protocol, gap_mm: float) -> tuple[Map, Map | None]:
+    """Primary and scatter (rows, cols), keV a pixel, behind the moving grid of a protocol: its lines are blurred away.
 
-    beam    of the protocol; what passes is averaged over the signal that its energies leave
     gap_mm  from the object's exit to the detector: scatter comes in straighter from further away
+    raises  InputError for strips that leave no room between them
     """
-    first, second = transmissions(kind, beam, gap_mm)
-    return primary_kev * np.float32(first), scatter_kev * np.float32(second)
+    kind = Grid(ratio=protocol.grid_ratio, lines_per_cm=protocol.grid_lines_per_cm)
+    first, second = transmissions(kind, beam_of(protocol), gap_mm)
+    return primary_kev * np.float32(first), None if scatter_kev is None else scatter_kev * np.float32(second)
 
 
 def transmissions(kind: Grid, beam: Beam, gap_mm: float) -> tuple[float, float]:

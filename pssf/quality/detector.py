@@ -6,6 +6,7 @@ import numpy as np
 
 from ..checks import Array
 from ..detector import expose
+from ..detector.blur import transfer
 from ..detector.materials import attenuation_per_mm
 from ..detector.spectrum import beam_of
 from ..files import tables
@@ -42,8 +43,7 @@ def model_mtf(protocol: Protocol, per_mm: Array) -> Array:
     """(n,)  presampled MTF that the detector is made with"""
     if protocol.detector_blur == "none":
         return np.ones_like(per_mm)
-    table = tables.data("detector")[protocol.detector]
-    return np.asarray(1 / (1 + (per_mm / table["mtf_f0_per_mm"]) ** table["mtf_power"]))
+    return transfer(protocol.detector, per_mm)
 
 
 def mtf(protocol: Protocol) -> Curve:
@@ -116,14 +116,16 @@ def nnps(protocol: Protocol) -> Curve:
 
 
 def model_nnps(protocol: Protocol, per_mm: Array, mean_dn: float) -> Array:
-    """(...)  quanta seen through the MTF, readout noise and rounding, mm2"""
+    """(...)  quanta seen through their own transfer, readout noise and rounding, mm2"""
     table, beam = tables.data("detector")[protocol.detector], beam_of(protocol)
     per_dn = table["electrons_per_dn_mm2"] * protocol.pixel_mm**2
     weights = beam.photons_per_mm2 * beam.signal_kev
     quantum_kev = (beam.photons_per_mm2 * beam.square_kev2).sum() / weights.sum() / table["swank"]
     quanta = mean_dn * per_dn / table["electrons_per_kev"] / quantum_kev
     readout = (table["readout_electrons"] / per_dn) ** 2 + 1 / 12
-    noise = model_mtf(protocol, per_mm) ** 2 / quanta + readout / mean_dn**2
+    blurred = protocol.detector_blur != "none"
+    passed = transfer(protocol.detector, per_mm, "ntf") ** 2 if blurred else np.ones_like(per_mm)
+    noise = passed / quanta + readout / mean_dn**2
     return np.asarray(noise * protocol.pixel_mm**2)
 
 
