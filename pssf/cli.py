@@ -14,7 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.status import Status
 from rich.table import Table
 
-from .checks import InputError, require_whole
+from .checks import InputError, require_choice, require_whole
 from .files import tables
 from .knee import Knee, draw_knee, knee_from
 
@@ -63,19 +63,25 @@ def simulate(
     knee: KneeFile = None,
     engine: Engine = "embree",
     workers: Workers = 2,
+    kinds: Annotated[
+        str, typer.Option("--formats", help="Any of tif, png, json, dcm (two: linear, and for eyes), with commas.")
+    ] = "tif,png,json",
+    marked: Annotated[bool, typer.Option(help="Collimator's edge and side marker in what is for eyes.")] = False,
 ) -> None:
-    """One radiograph: 16-bit TIFF, PNG for eyes, and the parameters as JSON."""
-    from .files.images import save, save_parameters
+    """One radiograph: 16-bit TIFF, PNG for eyes, the parameters as JSON; DICOM if asked for."""
+    from .files.images import KINDS, save_kinds
     from .protocol import load_protocol
     from .simulate import simulate as run
 
-    technique = load_protocol(protocol)
+    technique, wanted = load_protocol(protocol), kinds.split(",")
+    for kind in wanted:
+        require_choice("formats", kind, KINDS)
     subject, name = _knee_of(knee, grade, seed)
     with _waiting("simulating; the first run after an installation compiles for some seconds more"):
         radiograph = run(subject, technique, seed=seed, engine=engine, workers=workers)
     stem = out / f"{name}_{technique.name}_seed{seed}"
-    print(save(radiograph, f"{stem}.tif"), save(radiograph, f"{stem}.png"), sep="\n")
-    print(save_parameters(radiograph, f"{stem}.json"))
+    for path in save_kinds(radiograph, stem, wanted, marked=marked):
+        print(path)
 
 
 @app.command()

@@ -50,8 +50,7 @@ def simulate(
     else:
         scene, who = scene or anatomy.build(knee), knee
     clock.lap("anatomy")
-    for material in scene.materials:
-        detector.check_material(material)
+    detector.check_materials(scene.materials)
     paths = raycast.trace(scene, protocol, engine=engine, workers=workers)
     _refuse_negative(paths.path_mm)
     gap_mm = exit_gap_mm(scene, view_of(protocol))

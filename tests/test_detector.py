@@ -28,6 +28,28 @@ def test_a_compound_with_a_density_is_a_material():
     assert density_g_per_cm3("Ti@4.51") == 4.51
 
 
+def test_a_compound_of_nist_goes_by_its_name():
+    fifty = np.array([50.0])
+    assert_allclose(attenuation_per_mm("Water, Liquid", fifty), attenuation_per_mm("H2O@1.0", fifty), rtol=1e-3)
+    assert density_g_per_cm3("Gypsum, Plaster of Paris") == 2.32
+    assert density_g_per_cm3("Polyethylene@0.97") == 0.97
+    with pytest.raises(pssf.InputError, match="density of Polyethylene"):
+        density_g_per_cm3("Polyethylene@-1")
+
+
+def test_metals_of_implants_attenuate_as_nist_has_their_elements():
+    sixty = np.array([60.0])
+    # NIST XCOM at 60 keV with coherent scattering, cm2/g.
+    for name, density, tabulated in (("Ti@4.51", 4.51, 0.7661), ("Al@2.70", 2.70, 0.2778)):
+        assert_allclose(attenuation_per_mm(name, sixty), tabulated * density / 10, rtol=0.005)
+    parts = 0.9 * 0.7661 + 0.06 * 0.2778
+    vanadium = attenuation_per_mm("V@1.0", sixty) * 10 * 0.04
+    assert_allclose(attenuation_per_mm("titanium_alloy", sixty), (parts + vanadium) * 0.443, rtol=0.005)
+    metals = ("polyethylene", "titanium_alloy", "stainless_steel", "cobalt_chromium")
+    per_mm = [attenuation_per_mm(name, sixty)[0] for name in metals]
+    assert per_mm == sorted(per_mm)
+
+
 @pytest.mark.parametrize("name", ["bone", "Xx@2.0", "Ti@heavy", "Ti@-1", "Ti@nan", "Ti"])
 def test_an_unknown_material_is_refused_by_name(name):
     with pytest.raises(pssf.InputError, match=name.split("@")[0]):

@@ -1,9 +1,9 @@
 """detector.expose   path lengths, protocol, chance  -> pixels, and what was asked to be kept
-detector.present  pixels                          -> an 8-bit view for eyes
+detector.present  pixels                          -> a view for eyes
 
 materials  attenuation        spectrum  the beam and the detector's response        primary  Beer-Lambert
 scatter    kernel scatter     grid      against scatter                             blur     focal spot, panel
-panel      noise, 16 bit      monte_carlo  photons followed one by one, through voxels
+panel      noise, 16 bit      monte_carlo  photons one by one, through voxels    rendering  for eyes
 """
 
 from collections.abc import Collection, Mapping
@@ -18,13 +18,14 @@ from ..protocol import Protocol
 from . import blur
 from .blur import Map
 from .grid import grid
-from .materials import check_material
-from .panel import present, quantum_noise, readout
+from .materials import check_materials
+from .panel import quantum_noise, readout
 from .primary import Signal, transmit
+from .rendering import present
 from .scatter import scatter_kev
 from .spectrum import beam_for, beam_of, heel_factor
 
-__all__ = ["Signal", "check_material", "expose", "present", "primary_of"]
+__all__ = ["Signal", "check_materials", "expose", "present", "primary_of"]
 
 
 def expose(

@@ -1,5 +1,6 @@
-"""Attenuation of tissues and compounds (xraylib)."""
+"""Attenuation of tissues, metals and compounds (xraylib)."""
 
+from collections.abc import Iterable
 from functools import cache
 
 import numpy as np
@@ -9,12 +10,14 @@ from ..checks import Array, InputError, require, require_choice
 from ..files import tables
 
 _CM_PER_MM = 0.1
+_FORMULA = "a formula and a density in g/cm3, such as Ti@4.51"
 
 
 def attenuation_per_mm(material: str, energies_kev: Array) -> Array:
     """(bins,)  linear attenuation with coherent scattering, 1/mm
 
-    material  a tissue of `data/tissues.toml`, or "FORMULA@DENSITY" in g/cm3
+    material  a tissue or metal of `data/tissues.toml`, a compound of NIST's list by its name, such as "Gypsum", or
+              "FORMULA@DENSITY" in g/cm3; a name too may have a density of its own, such as "Polyethylene@0.94"
     raises    InputError for an unknown material
     """
     density, weights = _recipe(material)
@@ -37,12 +40,13 @@ def elements(material: str) -> tuple[float, tuple[tuple[int, float], ...]]:
     return _recipe(material)
 
 
-def check_material(material: str) -> None:
+def check_materials(materials: Iterable[str]) -> None:
     """Refuse what is neither a tissue nor a compound with a density.
 
     raises  InputError
     """
-    _recipe(material)
+    for material in materials:
+        _recipe(material)
 
 
 def absorbed_fraction(formula: str, mg_per_cm2: float, energies_kev: Array) -> Array:
@@ -56,18 +60,27 @@ def absorbed_fraction(formula: str, mg_per_cm2: float, energies_kev: Array) -> A
 @cache
 def _recipe(material: str) -> tuple[float, tuple[tuple[int, float], ...]]:
     """Density (g/cm3) and mass fraction of each element."""
-    tissues = tables.data("tissues")
+    tissues, name = tables.data("tissues"), material.partition("@")[0]
+    if name in _nist():
+        known = xraylib.GetCompoundDataNISTByName(name)
+        density = _density(material) if "@" in material else known["density"]
+        return float(density), tuple(zip(known["Elements"], known["massFractions"], strict=True))
     if "@" in material:
         return _compound(material)
-    require_choice("material", material, (*tissues, "FORMULA@DENSITY"))
+    require_choice("material", material, (*tissues, "a name of NIST's compounds (xraylib)", "FORMULA@DENSITY"))
     if material not in tissues:
-        raise InputError(f"material = {material!r}; allowed: a formula and a density in g/cm3, such as Ti@4.51")
+        raise InputError(f"material = {material!r}; allowed: {_FORMULA}")
     entry = tissues[material]
     if "mix" in entry:
         return _mixture(entry["mix"])
     total = sum(entry["composition"].values())
     weights = ((xraylib.SymbolToAtomicNumber(s), w / total) for s, w in entry["composition"].items())
     return float(entry["density"]), tuple(weights)
+
+
+@cache
+def _nist() -> frozenset[str]:
+    return frozenset(xraylib.GetCompoundDataNISTList())
 
 
 def _mixture(volumes: dict[str, float]) -> tuple[float, tuple[tuple[int, float], ...]]:
@@ -81,16 +94,21 @@ def _mixture(volumes: dict[str, float]) -> tuple[float, tuple[tuple[int, float],
 
 
 def _compound(material: str) -> tuple[float, tuple[tuple[int, float], ...]]:
-    formula, _, text = material.partition("@")
+    try:
+        parsed = xraylib.CompoundParser(material.partition("@")[0])
+    except ValueError:
+        raise InputError(f"material = {material!r}; allowed: {_FORMULA}") from None
+    return _density(material), tuple(zip(parsed["Elements"], parsed["massFractions"], strict=True))
+
+
+def _density(material: str) -> float:
+    name, _, text = material.partition("@")
     try:
         density = float(text)
-        parsed = xraylib.CompoundParser(formula)
     except ValueError:
-        raise InputError(
-            f"material = {material!r}; allowed: a formula and a density in g/cm3, such as Ti@4.51"
-        ) from None
-    require(f"density of {formula}", density, 1e-6, 30, "g/cm3")
-    return density, tuple(zip(parsed["Elements"], parsed["massFractions"], strict=True))
+        raise InputError(f"material = {material!r}; allowed: {_FORMULA}") from None
+    require(f"density of {name}", density, 1e-6, 30, "g/cm3")
+    return density
 
 
 def _mass_attenuation(weights: tuple[tuple[int, float], ...], energies_kev: Array) -> Array:

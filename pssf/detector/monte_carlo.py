@@ -80,7 +80,8 @@ def count(
 ) -> Counts:
     """Follow photons from the source of a protocol through a scene to its detector; arguments as `scatter_monte_carlo`.
 
-    Between source, scene and detector is vacuum. The source is a point; every material has its own density throughout.
+    Between source, scene and detector is vacuum. The source is a point without heel effect; every material has its own
+    density throughout.
     cell_mm   wanted side of a cell; it is a whole number of pixels
     voxel_mm  by default 2 mm, or more for a scene of over 10 million voxels
     """

@@ -1,15 +1,13 @@
-"""The panel: quantum and readout noise, 16-bit numbers, and a view for eyes."""
+"""The panel: quantum and readout noise, 16-bit numbers."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from ..files import tables
 from ..protocol import Protocol
-from .coarse import block_mean, enlarge
 
 Map = NDArray[np.float32]
 # Quanta in a pixel from which on a normal distribution is exact enough.
@@ -68,20 +66,6 @@ def dead_pixels(protocol: Protocol) -> NDArray[np.bool_]:
     """(rows, cols)  which pixels of a protocol's detector read nothing; the same in every exposure"""
     rng = np.random.default_rng(tables.data("detector")[protocol.detector]["dead_seed"])
     return rng.random((protocol.rows, protocol.cols)) < protocol.dead_pixels
-
-
-def present(pixels: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """(rows, cols) uint8  for eyes: log signal, bone bright, large structures evened out, edges a little sharper"""
-    table = tables.data("detector")["csi"]
-    signal = np.maximum(pixels.astype(np.float32) - np.float32(table["offset_dn"]), 1.0)
-    density = -np.log(signal)
-    step = max(1, max(pixels.shape) // 128)
-    coarse = enlarge(ndimage.gaussian_filter(block_mean(density, step), 4.0), step, pixels.shape)
-    # Part of what is larger than a few centimetres is taken away, so that thigh, knee and calf share one window.
-    even = density - 0.45 * coarse + 0.6 * (density - ndimage.gaussian_filter(density, 3.0))
-    low, high = np.percentile(even[::4, ::4], [0.5, 99.8])
-    scaled = np.clip((even - low) / max(float(high - low), 1e-6), 0, 1.12)
-    return np.clip(np.rint(225.0 * scaled**2.2), 0, 255).astype(np.uint8)
 
 
 def _in_bands(

@@ -17,7 +17,7 @@ from ..raycast.sheets import BAND_ROWS, sheet_of
 from ..scene import Scene
 from .coarse import block_mean, enlarge
 from .materials import density_g_per_cm3
-from .spectrum import beam_of
+from .spectrum import beam_of, heel_factor
 
 _COARSE_MM = 9.6
 # Rays along a side of the field that look for the exit, and those of them in its middle.
@@ -103,7 +103,10 @@ def _open_kev(shape: tuple[int, ...], step: int, protocol: Protocol) -> Array:
     depth = corner[1] - source[1]
     distance2 = dx**2 + depth**2 + dz[:, None] ** 2
     signal = float((beam.photons_per_mm2 * beam.signal_kev).sum())
-    return np.asarray(signal * view.pixel_mm**2 * 1e6 * depth / distance2**1.5)
+    opened = signal * view.pixel_mm**2 * 1e6 * depth / distance2**1.5
+    if protocol.heel != "none":
+        opened *= np.interp(places[0], np.arange(protocol.rows), heel_factor(protocol))[:, None]
+    return np.asarray(opened)
 
 
 def shares(

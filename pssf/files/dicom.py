@@ -25,13 +25,15 @@ from . import tables
 _UIDS = UUID("6f0c1d7e-3b52-5b7e-9a55-50535346646d")
 
 
-def write(radiograph: Radiograph, told: str, path: Path, intent: str) -> None:
+def write(radiograph: Radiograph, told: str, path: Path, intent: str, side: str | None) -> None:
     """Write a radiograph as a Digital X-Ray object.
 
     told    JSON of all it was made from; kept in the acquisition context, since archives drop private attributes
-    intent  "processing": 16 bit, the pixels as they are; "presentation": 8 bit, as `present` renders them
+    intent  "processing": 16 bit, the pixels as they are; "presentation": 12 bit, as `present` renders them
+    side    of which a presentation bears the marker, with the collimator's edge; None for neither
     """
-    pixels = present(radiograph.pixels) if intent == "presentation" else radiograph.pixels.astype("<u2", copy=False)
+    shown = present(radiograph.pixels, bits=12, side=side) if intent == "presentation" else radiograph.pixels
+    pixels = shown.astype("<u2", copy=False)
     uids = uids_of(radiograph, told)
     found = start(radiograph, uids, ("radiograph", intent))
     found.update(dataset({"SeriesInstanceUID": uids[f"{intent} series"], "SOPInstanceUID": uids[intent]}))

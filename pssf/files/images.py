@@ -1,7 +1,7 @@
 """Radiographs on disk: 16-bit TIFF and DICOM that carry all they were made from, PNG and a second DICOM for eyes."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
@@ -27,30 +27,37 @@ INTENTS = {
     ".png": ("presentation",),
 }
 SUFFIXES = tuple(INTENTS)
+# What `save_kinds` writes.
+KINDS = ("tif", "png", "json", "dcm")
 
 
-def save(radiograph: Radiograph, path: str | Path, *, intent: str | None = None) -> Path:
-    """Write a radiograph, by suffix: .tif (16 bit), .dcm (Digital X-Ray, 16 or 8 bit) or .png (8 bit).
+def save(radiograph: Radiograph, path: str | Path, *, intent: str | None = None, marked: bool = False) -> Path:
+    """Write a radiograph, by suffix: .tif (16 bit), .dcm (Digital X-Ray, 16 or 12 bit) or .png (8 bit).
 
     intent  "processing": the linear pixels as they are, which `load` reads back; "presentation": a rendering for eyes,
             bone bright. None is the first that the suffix can hold: presentation for .png, else processing. These are
             DICOM's own words, For Processing and For Presentation, and two objects there; only a .dcm has the choice.
+    marked  draws the edge of the collimator and the side marker into a presentation of a knee
     Either carries all parameters; the same radiograph gives the same bytes, and UIDs made from its content.
-    raises  InputError for another suffix, an intent that it cannot hold, a disk that is full or cannot be written
+    raises  InputError for another suffix, an intent that it cannot hold, a marker where there is no room or no side,
+            a disk that is full or cannot be written
     """
     path = Path(path)
     suffix = suffix_of(path, SUFFIXES)
     intent = INTENTS[suffix][0] if intent is None else intent
     require_choice(f"file {path}: intent", intent, INTENTS[suffix])
+    if marked and (intent != "presentation" or radiograph.knee is None):
+        raise InputError(f"file {path}: marked = True; allowed: for a presentation of a knee")
+    side = radiograph.knee.side if marked and radiograph.knee else None
     with writing(path) as temporary:
         if suffix == ".png":
             note = PngImagePlugin.PngInfo()
             note.add_text("Description", as_json(radiograph))
-            Image.fromarray(present(radiograph.pixels)).save(temporary, format="PNG", pnginfo=note)
+            Image.fromarray(present(radiograph.pixels, side=side)).save(temporary, format="PNG", pnginfo=note)
         elif suffix == ".dcm":
             from . import dicom  # pydicom is not imported before a DICOM is wanted
 
-            dicom.write(radiograph, as_json(radiograph), temporary, intent)
+            dicom.write(radiograph, as_json(radiograph), temporary, intent, side)
         else:
             per_cm = float(10.0 / radiograph.protocol.pixel_mm)
             tifffile.imwrite(
@@ -64,6 +71,28 @@ def save(radiograph: Radiograph, path: str | Path, *, intent: str | None = None)
                 metadata=None,
             )
     return path
+
+
+def save_kinds(radiograph: Radiograph, stem: str | Path, kinds: Collection[str], *, marked: bool = False) -> list[Path]:
+    """Write a radiograph in several ways beside each other; returns their paths.
+
+    kinds   of KINDS; "dcm" is two objects, STEM.dcm For Processing and STEM_presentation.dcm
+    marked  as in `save`, of what is for presentation
+    raises  InputError for another kind; as `save`
+    """
+    for kind in kinds:
+        require_choice("formats", kind, KINDS)
+    paths = []
+    if "tif" in kinds:
+        paths.append(save(radiograph, f"{stem}.tif"))
+    if "png" in kinds:
+        paths.append(save(radiograph, f"{stem}.png", marked=marked))
+    if "json" in kinds:
+        paths.append(save_parameters(radiograph, f"{stem}.json"))
+    if "dcm" in kinds:
+        paths.append(save(radiograph, f"{stem}.dcm"))
+        paths.append(save(radiograph, f"{stem}_presentation.dcm", intent="presentation", marked=marked))
+    return paths
 
 
 def load(path: str | Path) -> Radiograph:
