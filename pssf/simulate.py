@@ -45,10 +45,8 @@ def simulate(
     """
     _check(knee, protocol, seed, keep)
     clock = Clock()
-    if isinstance(knee, Scene):
-        scene, who = knee, None
-    else:
-        scene, who = scene or anatomy.build(knee), knee
+    who = None if isinstance(knee, Scene) else knee
+    scene = knee if isinstance(knee, Scene) else scene or anatomy.build(knee)
     clock.lap("anatomy")
     detector.check_materials(scene.materials)
     paths = raycast.trace(scene, protocol, engine=engine, workers=workers)

@@ -60,7 +60,12 @@ def test_every_figure_of_a_protocol_comes_with_its_reference(tmp_path):
     with open(paths[0]) as handle:
         rows = {row["quantity"]: row for row in csv.DictReader(handle)}
     assert {"hvl1_mm_al", "exposure_index", "spr_bone", "mtf_1_per_mm", "dqe_0.5_per_mm", "dynamic_range"} < set(rows)
+    for name in ("mean", "variance", "skewness", "kurtosis"):
+        row = rows[f"noise_{name}"]
+        assert float(row["low"]) < float(row["value"]) < float(row["high"])
+    assert found.spr.shape == (128, 128)
+    assert found.spr.max() > 1 > found.spr[64, 2]
     assert 150 < float(rows["exposure_index"]["value"]) < 600
     assert rows["hvl1_mm_al"]["reference"] == "2.636"
     assert all(np.isfinite(float(row["value"])) for row in rows.values())
-    assert paths[2].read_bytes().startswith(b"\x89PNG")
+    assert paths[3].read_bytes().startswith(b"\x89PNG")

@@ -1,18 +1,20 @@
 """Scatter: the fast kernel beside the Monte Carlo that it was calibrated against, and phantoms for both."""
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import trimesh
 import xraylib
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from ..anatomy import build
 from ..checks import Array
 from ..detector.coarse import block_mean
 from ..detector.materials import elements
-from ..detector.monte_carlo import count
+from ..detector.monte_carlo import Counts, count
 from ..detector.primary import transmit
 from ..detector.scatter import exit_gap_mm, scatter_kev
 from ..detector.spectrum import beam_of
@@ -46,11 +48,11 @@ CHECKED: tuple[Case, ...] = (
 )  # fmt: skip
 # The joint region, mm on the detector: rows, columns.
 _REGION_MM = (80.0, 60.0)
-_CELL_MM = 9.6
+CELL_MM = 9.6
 
 
 def scatter_rows(
-    photons: int = 16_000_000, workers: int = 2, cases: tuple[Case, ...] = (*FITTED, *CHECKED)
+    photons: int = 8_000_000, workers: int = 2, cases: tuple[Case, ...] = (*FITTED, *CHECKED)
 ) -> list[Row]:
     """One row a case: scatter over the open beam in the joint region, by Monte Carlo and by kernel.
 
@@ -61,25 +63,45 @@ def scatter_rows(
     """
     rows = []
     for case in cases:
-        scene, protocol = case_of(case)
-        found = count(scene, protocol, photons=photons, seed=7, workers=workers, cell_mm=_CELL_MM)
-        paths = trace(scene, protocol, workers=workers).path_mm
-        view, beam = view_of(protocol), beam_of(protocol)
-        primary = transmit(paths, beam, view, workers).kev
-        opened = float(transmit({}, beam, view, workers).kev.max())
-        gap_mm = exit_gap_mm(scene, view)
-        fast = block_mean(scatter_kev(primary, paths, gap_mm, protocol), found.step) / opened
-        slow = found.scatter_kev / found.pixels / opened
-        rows.append({"used_to_fit": case in FITTED, "exit_gap_mm": round(gap_mm, 1), **_compared(case, slow, fast)})
+        run = measured(case, photons, workers)
+        opened = float(transmit({}, beam_of(run.protocol), view_of(run.protocol), workers).kev.max())
+        fast = block_mean(scatter_kev(run.primary, run.path_mm, run.gap_mm, run.protocol), run.counts.step) / opened
+        slow = run.counts.scatter_kev / run.counts.pixels / opened
+        told = {"used_to_fit": case in FITTED, "exit_gap_mm": round(run.gap_mm, 1)}
+        rows.append({**told, **_compared(case, slow, fast)})
     return rows
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """A case by Monte Carlo, and what the kernel starts from: primary (keV a pixel) and path lengths, (rows, cols)."""
+
+    protocol: Protocol
+    gap_mm: float
+    counts: Counts
+    primary: NDArray[np.float32]
+    path_mm: Mapping[str, NDArray[np.float32]]
+
+
+def measured(case: Case, photons: int, workers: int) -> Run:
+    """A case by Monte Carlo."""
+    scene, protocol = case_of(case)
+    view, paths = view_of(protocol), trace(scene, protocol, workers=workers).path_mm
+    return Run(
+        protocol=protocol,
+        gap_mm=exit_gap_mm(scene, view),
+        counts=count(scene, protocol, photons=photons, seed=7, workers=workers, cell_mm=CELL_MM),
+        primary=transmit(paths, beam_of(protocol), view, workers).kev,
+        path_mm=paths,
+    )
 
 
 def _compared(case: Case, slow: Array, fast: Array) -> Row:
     """Monte Carlo (batches, rows, cols) and kernel (rows, cols) in the joint region."""
-    half = [round(mm / _CELL_MM / 2) for mm in _REGION_MM]
+    half = [round(mm / CELL_MM / 2) for mm in _REGION_MM]
     region = tuple(slice(n // 2 - h, n // 2 + h) for n, h in zip(fast.shape, half, strict=True))
     means = slow[:, *region].mean(axis=(1, 2))
-    even = [ndimage.gaussian_filter(part, 10.0 / _CELL_MM)[region] for part in (slow.mean(axis=0), fast)]
+    even = [ndimage.gaussian_filter(part, 10.0 / CELL_MM)[region] for part in (slow.mean(axis=0), fast)]
     spread = 100 * (even[1] / even[0] - 1)
     return {
         "object": case[0],

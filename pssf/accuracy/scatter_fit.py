@@ -8,14 +8,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from ..checks import Array
-from ..detector.monte_carlo import count
-from ..detector.primary import transmit
-from ..detector.scatter import coarse, exit_gap_mm, shares
-from ..detector.spectrum import beam_of
+from ..detector.scatter import coarse, shares
 from ..files import tables
-from ..geometry import view_of
-from ..raycast import trace
-from .scatter import FITTED, Case, case_of
+from .scatter import FITTED, Case, measured
 
 # Lower and upper bounds of a term's constants: without them powers drift that only cancel each other.
 _BOUNDS = {
@@ -23,7 +18,6 @@ _BOUNDS = {
     "primary_power": (0.0, 2.5), "exit_power": (0.0, 1.5), "exit_mm": (5.0, 100.0), "inner_mm": (0.0, 300.0),
     "slope": (0.05, 4.0), "depth_mm": (0.0, 300.0),
 }  # fmt: skip
-_CELL_MM = 9.6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,14 +32,12 @@ class Sample:
 
 def sample_of(case: Case, photons: int, workers: int = 2) -> Sample:
     """One case by Monte Carlo."""
-    scene, protocol = case_of(case)
-    view, beam = view_of(protocol), beam_of(protocol)
-    found = count(scene, protocol, photons=photons, seed=7, workers=workers, cell_mm=_CELL_MM)
-    paths = trace(scene, protocol, workers=workers).path_mm
-    opened, mass, passed, step = coarse(transmit(paths, beam, view, workers).kev, paths, protocol)
-    slow = found.scatter_kev / found.pixels / opened.max()
+    run = measured(case, photons, workers)
+    opened, mass, passed, step = coarse(run.primary, run.path_mm, run.protocol)
+    slow = run.counts.scatter_kev / run.counts.pixels / opened.max()
+    cell_mm = step * run.protocol.pixel_mm
     return Sample(
-        inputs=(opened / opened.max(), mass, passed, exit_gap_mm(scene, view), protocol.tube_kv, step * view.pixel_mm),
+        inputs=(opened / opened.max(), mass, passed, run.gap_mm, run.protocol.tube_kv, cell_mm),
         expected=slow.mean(axis=0),
         error=slow.std(axis=0, ddof=1) / np.sqrt(len(slow)),
         slab=case[0] == "slab",

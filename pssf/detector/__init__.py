@@ -17,7 +17,7 @@ from ..geometry import View, view_of
 from ..protocol import Protocol
 from . import blur
 from .blur import Map
-from .grid import grid
+from .grid import behind, grid_of, scatter_passing
 from .materials import check_materials
 from .panel import quantum_noise, readout
 from .primary import Signal, transmit
@@ -60,7 +60,8 @@ def expose(
         scatter = scatter_kev(kev, path_mm, gap_mm, protocol)
         clock.lap("scatter")
     if protocol.grid_ratio > 0:
-        kev, scatter = grid(kev, scatter, protocol, gap_mm)
+        primary, scatter = _behind_grid(primary, scatter, path_mm, protocol, gap_mm, workers)
+        kev = primary.kev
         clock.lap("grid")
     kept["primary"] = kev
     if scatter is not None:
@@ -108,14 +109,38 @@ def _seen(
     return (quiet if noise is None else noise), (quiet if both else None)
 
 
+def _behind_grid(
+    primary: Signal,
+    scatter: Map | None,
+    path_mm: Mapping[str, NDArray[np.float32]],
+    protocol: Protocol,
+    gap_mm: float,
+    workers: int,
+) -> tuple[Signal, Map | None]:
+    """Primary and scatter that pass the protocol's grid; the primary by its energies in each pixel."""
+    before, after = (primary_of(path_mm, protocol, workers, grid=passed) for passed in (False, True))
+    # A ratio, for the primary may be a mean over the focal spot.
+    share = np.divide(after.kev, before.kev, out=np.zeros_like(after.kev), where=before.kev > 0)
+    if scatter is not None:
+        scatter = scatter * np.float32(scatter_passing(grid_of(protocol), beam_of(protocol), gap_mm))
+    return Signal(primary.kev * share, after.photon_kev), scatter
+
+
 def primary_of(
-    path_mm: Mapping[str, NDArray[np.float32]], protocol: Protocol, workers: int = 2, view: View | None = None
+    path_mm: Mapping[str, NDArray[np.float32]],
+    protocol: Protocol,
+    workers: int = 2,
+    view: View | None = None,
+    grid: bool = False,
 ) -> Signal:
     """Primary signal behind path lengths, heel effect included.
 
     view  of a source that is not in the middle of the focal spot; that of the protocol if None
+    grid  behind the protocol's grid
     """
     beam = beam_for(protocol, {name: float(lengths.max()) for name, lengths in path_mm.items()})
+    if grid:
+        beam = behind(grid_of(protocol), beam)
     signal = transmit(path_mm, beam, view or view_of(protocol), workers)
     if protocol.heel != "none":
         signal.kev[:] *= heel_factor(protocol)[:, None].astype(np.float32)

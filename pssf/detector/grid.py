@@ -1,19 +1,20 @@
 """An anti-scatter grid: lead strips along the leg that let pass what comes from the focus and stop most of the rest."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..checks import Array, InputError, require
 from ..protocol import Protocol
-from .blur import Map
 from .materials import attenuation_per_mm
-from .spectrum import Beam, beam_of
+from .spectrum import Beam
 
 # What a pixel sees of a limb's irradiated exit face, mm to either side across the strips and along them, and how deep
 # below it the scatter comes from (judgement; Sorenson and Floch 1985 find 150 to 200 mm for a trunk).
 _HALF_MM = (80.0, 150.0)
 _BELOW_MM = 40.0
+# What hardens the beam before the grid, of muscle.
+_TYPICAL_MM = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,37 +40,45 @@ class Grid:
             raise InputError(f"lead_mm = {self.lead_mm!r} mm; allowed: {most}")
 
 
-def grid(primary_kev: Map, scatter_kev: Map | None, protocol: Protocol, gap_mm: float) -> tuple[Map, Map | None]:
-    """Primary and scatter (rows, cols), keV a pixel, behind the moving grid of a protocol: its lines are blurred away.
+def grid_of(protocol: Protocol) -> Grid:
+    """The grid of a protocol.
 
-    gap_mm  from the object's exit to the detector: scatter comes in straighter from further away
     raises  InputError for strips that leave no room between them
     """
-    kind = Grid(ratio=protocol.grid_ratio, lines_per_cm=protocol.grid_lines_per_cm)
-    first, second = transmissions(kind, beam_of(protocol), gap_mm)
-    return primary_kev * np.float32(first), None if scatter_kev is None else scatter_kev * np.float32(second)
+    return Grid(ratio=protocol.grid_ratio, lines_per_cm=protocol.grid_lines_per_cm)
 
 
-def transmissions(kind: Grid, beam: Beam, gap_mm: float) -> tuple[float, float]:
-    """Share of the primary and of the scatter that a grid lets pass.
+def behind(kind: Grid, beam: Beam) -> Beam:
+    """What of the primary passes a moving grid, whose lines are blurred away: it runs along the strips."""
+    mu = _attenuation(beam)
+    return replace(beam, photons_per_mm2=beam.photons_per_mm2 * _passed(kind, mu, 0.0, np.ones(1))[0])
 
-    Both are averages of exp(-path in lead and aluminium) over places across a strip (geometry of Day and Dance 1983);
-    primary runs along the strips. Scatter is taken as of even radiance on the exit face and of the beam's own energies;
-    what the grid itself scatters, and fluorescence of the lead, are left out.
+
+def scatter_passing(kind: Grid, beam: Beam, gap_mm: float) -> float:
+    """Share of the scatter that a grid lets pass.
+
+    The average of exp(-path in lead and aluminium) over places across a strip (geometry of Day and Dance 1983), over
+    directions, as of even radiance on the exit face, and over the energies of the beam behind a limb; what the grid
+    itself scatters, and fluorescence of the lead, are left out.
+    gap_mm  from the object's exit to the detector: scatter comes in straighter from further away
     """
     weights = beam.photons_per_mm2 * beam.signal_kev
+    weights = weights * np.exp(-attenuation_per_mm("muscle", beam.energies_kev) * _TYPICAL_MM)
     weights = weights / weights.sum() if weights.any() else np.full(len(weights), 1 / len(weights))
-    mu = np.array([attenuation_per_mm(name, beam.energies_kev) for name in ("Pb@11.35", "Al@2.70")])
     across, along = (np.linspace(-half, half, 81) for half in _HALF_MM)
     far2 = across[:, None] ** 2 + along**2 + (gap_mm + _BELOW_MM) ** 2
     # Energy through the detector's plane from an even radiance: the fourth power of the cosine.
     seen = far2**-2
     slopes = across / (gap_mm + _BELOW_MM)
     lengths = np.sqrt(far2) / (gap_mm + _BELOW_MM)
+    mu = _attenuation(beam)
     passed = [_passed(kind, mu, abs(slope), line) for slope, line in zip(slopes, lengths, strict=True)]
-    scatter = float((np.array(passed) * seen[:, :, None] / seen.sum()).sum(axis=(0, 1)) @ weights)
-    primary = float(_passed(kind, mu, 0.0, np.ones(1))[0] @ weights)
-    return primary, scatter
+    return float((np.array(passed) * seen[:, :, None] / seen.sum()).sum(axis=(0, 1)) @ weights)
+
+
+def _attenuation(beam: Beam) -> Array:
+    """(2, nodes)  of lead and aluminium, 1/mm"""
+    return np.array([attenuation_per_mm(name, beam.energies_kev) for name in ("Pb@11.35", "Al@2.70")])
 
 
 def _passed(kind: Grid, mu: Array, slope: float, lengths: Array) -> Array:

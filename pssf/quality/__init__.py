@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from ..checks import Array
 from ..files import tables
 from ..files.atomic import write_bytes
 from ..files.records import write_csv
 from ..protocol import Protocol
 from .beam import beam_quantities
-from .detector import Curve, dqe, mtf, nnps, photon_transfer
+from .detector import Curve, dqe, mtf, nnps, noise_moments, photon_transfer
 from .exposure import exposure_quantities
 
 Row = dict[str, Any]
@@ -33,6 +34,7 @@ class Quality:
     rows      quantity, value, reference, low, high, source; a row a figure
     mtf, nnps, dqe  curves; the DQE in an RQA5 beam
     transfer  mean, variance and the variance meant of flat fields by rising mAs
+    spr       (rows, cols)  scatter over primary on the radiograph of the average knee, in cells of some 2 mm
     """
 
     rows: list[Row]
@@ -40,6 +42,7 @@ class Quality:
     nnps: Curve
     dqe: Curve
     transfer: list[tuple[float, float, float]]
+    spr: Array
 
 
 def measure_quality(protocol: Protocol, progress: Callable[[str], None] = lambda what: None) -> Quality:
@@ -51,7 +54,8 @@ def measure_quality(protocol: Protocol, progress: Callable[[str], None] = lambda
     efficiency = dqe(replace(protocol, tube_kv=70.0, filtration_mm_al=23.5, mas=3.0, mono_kev=None))
     transfer = photon_transfer(protocol)
     progress("radiograph")
-    values |= exposure_quantities(protocol)
+    exposed, spr = exposure_quantities(protocol)
+    values |= exposed
     values |= {f"mtf_{f:g}_per_mm": float(np.interp(f, sharp.per_mm, sharp.measured)) for f in _MTF_AT}
     values |= {f"dqe_{f:g}_per_mm": float(np.interp(f, efficiency.per_mm, efficiency.measured)) for f in _DQE_AT}
     values |= {
@@ -60,11 +64,14 @@ def measure_quality(protocol: Protocol, progress: Callable[[str], None] = lambda
         "variance_over_model_mean": float(np.mean([found / meant for _, found, meant in transfer])),
     }
     rows = [_row(name, value, protocol) for name, value in values.items()]
-    return Quality(rows, sharp, noise, efficiency, transfer)
+    for name, (value, low, high) in noise_moments(protocol).items():
+        bounds = {"reference": "", "low": f"{low:.5g}", "high": f"{high:.5g}", "source": "normal, by the sample count"}
+        rows.append({"quantity": name, "value": f"{value:.5g}", **bounds})
+    return Quality(rows, sharp, noise, efficiency, transfer, spr)
 
 
 def write_quality(quality: Quality, protocol: Protocol, out: Path) -> list[Path]:
-    """Write the table and the curves as CSV, and a figure where matplotlib is there; returns their paths."""
+    """Write table, curves and the SPR map as CSV, and a figure where matplotlib is there; returns their paths."""
     paths = [out / f"quality_{protocol.name}.csv", out / f"curves_{protocol.name}.csv"]
     write_csv(paths[0], quality.rows)
     curves = {"mtf": quality.mtf, "nnps_mm2": quality.nnps, "dqe_rqa5": quality.dqe}
@@ -76,6 +83,8 @@ def write_quality(quality: Quality, protocol: Protocol, out: Path) -> list[Path]
             for f, measured, model in zip(curve.per_mm, curve.measured, curve.model, strict=True)
         ],
     )
+    paths.append(out / f"spr_{protocol.name}.csv")
+    write_csv(paths[-1], [{str(col): f"{spr:.4g}" for col, spr in enumerate(row)} for row in quality.spr])
     if find_spec("matplotlib"):
         from .figure import draw
 

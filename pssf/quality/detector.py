@@ -8,6 +8,7 @@ from ..checks import Array
 from ..detector import expose
 from ..detector.blur import transfer
 from ..detector.materials import attenuation_per_mm
+from ..detector.panel import GAUSSIAN_FROM
 from ..detector.spectrum import beam_of
 from ..files import tables
 from ..protocol import Protocol
@@ -149,6 +150,33 @@ def photon_transfer(protocol: Protocol, steps: int = 6) -> list[tuple[float, flo
         meant = float(model_nnps(sharp, np.zeros(1), mean)[0]) / protocol.pixel_mm**2 * mean**2
         rows.append((mean, float((one - other).var() / 2), meant))
     return rows
+
+
+def noise_moments(protocol: Protocol) -> dict[str, tuple[float, float, float]]:
+    """How normal the noise of a flat field is, without detector blur, in units of the deviation meant.
+
+    returns  moment -> value, and from where to where it may be by chance: four standard errors of its sample count
+    """
+    flat = replace(bare(protocol, _ROI_PX * _ROIS), detector_blur="none")
+    pixels, kept, _ = expose({}, flat, gap_mm=0.0, seed=np.random.SeedSequence(9), keep=("noise_free",))
+    offset = tables.data("detector")[protocol.detector]["offset_dn"]
+    mean = kept["noise_free"].astype(np.float64) - offset
+    variance = model_nnps(flat, np.zeros(1), mean) / protocol.pixel_mm**2 * mean**2
+    off, n = (pixels - offset - mean) / np.sqrt(variance), pixels.size
+    # That of Poisson counts, or none where they are drawn as normal.
+    quanta = float(np.mean(mean**2 / variance))
+    skewness = 1 / np.sqrt(quanta) if quanta < GAUSSIAN_FROM else 0.0
+    shape = (off - off.mean()) / off.std()
+    found = {
+        "mean": (off.mean(), 0.0, 1),
+        "variance": (off.var(), 1.0, 2),
+        "skewness": (np.mean(shape**3), skewness, 6),
+        "kurtosis": (np.mean(shape**4), 3.0, 24),
+    }
+    return {
+        f"noise_{name}": (float(value), about - 4 * np.sqrt(var / n), about + 4 * np.sqrt(var / n))
+        for name, (value, about, var) in found.items()
+    }
 
 
 def _radial(radius: Array, power: Array, pixel_mm: float) -> tuple[Array, Array]:

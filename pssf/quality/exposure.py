@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from ..anatomy import build
+from ..checks import Array
+from ..detector.coarse import block_mean
 from ..detector.spectrum import beam_of, tube_spectrum
 from ..files import tables
 from ..knee import Knee
@@ -14,10 +16,11 @@ from .beam import air_kerma_ugy
 
 # Half the side of the squares in which signals are read, mm at the detector.
 _HALF_MM = 3.0
+_CELL_MM = 2.4
 
 
-def exposure_quantities(protocol: Protocol) -> dict[str, float]:
-    """Figures of one radiograph of the average knee.
+def exposure_quantities(protocol: Protocol) -> tuple[dict[str, float], Array]:
+    """Figures of one radiograph of the average knee, and its map of scatter over primary.
 
     exposure_index  100 per uGy of air kerma that an RQA5 beam needs for the median signal behind the limb (IEC 62494-1)
     """
@@ -37,6 +40,8 @@ def exposure_quantities(protocol: Protocol) -> dict[str, float]:
     offset = tables.data("detector")[protocol.detector]["offset_dn"]
     noisy = simulate(knee, replace(protocol, dead_pixels=0.0), scene=scene, engine="scanline", seed=1).pixels[bone]
     quiet = radiograph.pixels[bone].astype(np.float64)
+    step = max(1, round(_CELL_MM / protocol.pixel_mm))
+    spr = block_mean(scatter, step) / np.maximum(block_mean(primary, step), 1e-30)
     return {
         "exposure_index": 100 * float(np.median(total[limb])) / _kev_per_ugy(protocol),
         "spr_joint": float(scatter[joint].sum() / primary[joint].sum()),
@@ -44,7 +49,7 @@ def exposure_quantities(protocol: Protocol) -> dict[str, float]:
         "spr_limb": float(scatter[limb].sum() / primary[limb].sum()),
         "dynamic_range": float(total.max() / total[bone].mean()),
         "noise_bone": float((noisy - quiet).std() / (quiet.mean() - offset)),
-    }
+    }, spr
 
 
 def _kev_per_ugy(protocol: Protocol) -> float:

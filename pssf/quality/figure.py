@@ -10,11 +10,11 @@ if TYPE_CHECKING:
 
 
 def draw(quality: "Quality", name: str) -> bytes:
-    """PNG of MTF, NNPS, DQE and photon transfer."""
-    figure = Figure(figsize=(10, 7), layout="constrained")
-    axes = figure.subplots(2, 2)
+    """PNG of MTF, NNPS, DQE, photon transfer and scatter over primary."""
+    figure = Figure(figsize=(13, 7), layout="constrained")
+    axes = figure.subplots(2, 3)
     curves = (("MTF", quality.mtf), ("NNPS (mm²)", quality.nnps), ("DQE, RQA5 beam", quality.dqe))
-    for axis, (label, curve) in zip(axes.flat[:3], curves, strict=True):
+    for axis, (label, curve) in zip((axes[0, 0], axes[0, 1], axes[1, 0]), curves, strict=True):
         axis.plot(curve.per_mm, curve.measured, ".", markersize=3, label="measured")
         axis.plot(curve.per_mm, curve.model, "-", linewidth=1, label="model")
         axis.set(xlabel="cycles/mm", ylabel=label)
@@ -27,6 +27,12 @@ def draw(quality: "Quality", name: str) -> bytes:
     axes[1, 1].loglog(mean, meant, "-", linewidth=1, label="model")
     axes[1, 1].set(xlabel="mean signal (DN)", ylabel="variance (DN²)", title="photon transfer, no blur")
     axes[1, 1].legend(frameon=False)
+    shown = axes[0, 2].imshow(quality.spr, cmap="magma", vmin=0)
+    axes[0, 2].set(title="scatter over primary", xticks=[], yticks=[])
+    figure.colorbar(shown, ax=axes[0, 2])
+    middle = quality.spr[quality.spr.shape[0] * 5 // 9]
+    axes[1, 2].plot(middle, linewidth=1)
+    axes[1, 2].set(xlabel="column of the map", ylabel="SPR", title="across the tibia", ylim=(0, None))
     figure.suptitle(f"Protocol {name}")
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=120)
