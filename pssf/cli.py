@@ -66,21 +66,24 @@ def simulate(
     kinds: Annotated[
         str, typer.Option("--formats", help="Any of tif, png, json, dcm (two: linear, and for eyes), with commas.")
     ] = "tif,png,json",
-    marked: Annotated[bool, typer.Option(help="Collimator's edge and side marker in what is for eyes.")] = False,
+    border: Annotated[
+        str, typer.Option(help="none, or marked: collimator's edge and side marker in what is for eyes.")
+    ] = "none",
 ) -> None:
     """One radiograph: 16-bit TIFF, PNG for eyes, the parameters as JSON; DICOM if asked for."""
-    from .files.images import KINDS, save_kinds
+    from .files.images import BORDERS, KINDS, save_kinds
     from .protocol import load_protocol
     from .simulate import simulate as run
 
     technique, wanted = load_protocol(protocol), kinds.split(",")
     for kind in wanted:
         require_choice("formats", kind, KINDS)
+    require_choice("border", border, BORDERS)
     subject, name = _knee_of(knee, grade, seed)
     with _waiting("simulating; the first run after an installation compiles for some seconds more"):
         radiograph = run(subject, technique, seed=seed, engine=engine, workers=workers)
     stem = out / f"{name}_{technique.name}_seed{seed}"
-    for path in save_kinds(radiograph, stem, wanted, marked=marked):
+    for path in save_kinds(radiograph, stem, wanted, border=border):
         print(path)
 
 

@@ -295,3 +295,23 @@ def test_a_dicom_by_somebody_else_is_refused(radiograph, tmp_path):
 def test_pydicom_is_not_imported_before_a_dicom_is_wanted():
     code = "import sys, pssf; sys.exit('pydicom' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_a_marked_presentation_has_its_marker_on_the_lateral_side_and_a_dark_border(radiograph, tmp_path, side):
+    taken = dataclasses.replace(radiograph, knee=dataclasses.replace(radiograph.knee, side=side))
+    path = pssf.save(taken, tmp_path / f"{side}.dcm", intent="presentation", border="marked")
+    marked = pydicom.dcmread(path).pixel_array.astype(int)
+    added = marked - pssf.present(radiograph.pixels, bits=12).astype(int)
+    lateral, medial = (added[:, :64], added[:, -64:]) if side == "right" else (added[:, -64:], added[:, :64])
+    assert (marked[:2] < 600).all()
+    assert lateral[:64].max() > 3000
+    assert medial.max() <= 0
+
+
+def test_a_border_is_for_presentations_of_knees(radiograph, tmp_path):
+    with pytest.raises(pssf.InputError, match=r"k\.tif: border = 'marked'; allowed"):
+        pssf.save(radiograph, tmp_path / "k.tif", border="marked")
+    with pytest.raises(pssf.InputError, match=r"k\.png: border = 'wood'; allowed: none, marked"):
+        pssf.save(radiograph, tmp_path / "k.png", border="wood")
+    assert not list(tmp_path.iterdir())

@@ -17,7 +17,7 @@ from ..geometry import View, view_of
 from ..protocol import Protocol
 from . import blur
 from .blur import Map
-from .grid import behind, grid_of, scatter_passing
+from .grid import Grid, behind, grid_of, scatter_passing
 from .materials import check_materials
 from .panel import quantum_noise, readout
 from .primary import Signal, transmit
@@ -69,7 +69,7 @@ def expose(
         kev = kev + scatter
     noisy = protocol.noise == "quantum"
     streams = [np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, k)) for k in (0, 1)]
-    kev, quiet = _seen(kev, primary.photon_kev, protocol, streams[0], "noise_free" in keep, clock, workers)
+    kev, quiet = _seen(kev, primary.photon_kev, protocol, streams[0], keep, clock, workers)
     if quiet is not None:
         kept["noise_free"] = readout(quiet, protocol, None)
     pixels = readout(kev, protocol, streams[1] if noisy else None, workers)
@@ -78,12 +78,19 @@ def expose(
 
 
 def _seen(
-    kev: Map, photon_kev: Map, protocol: Protocol, seed: np.random.SeedSequence, both: bool, clock: Clock, workers: int
+    kev: Map,
+    photon_kev: Map,
+    protocol: Protocol,
+    seed: np.random.SeedSequence,
+    keep: Collection[str],
+    clock: Clock,
+    workers: int,
 ) -> tuple[Map, Map | None]:
     """Energy that the panel reads, keV a pixel: blurred by focal spot and panel, with its quantum noise.
 
-    returns  that; and, where both are wanted, the same without noise
+    returns  that; and, where it is to be kept, the same without noise
     """
+    both = "noise_free" in keep
     panel, shape = (protocol.pixel_mm, protocol.detector), kev.shape
     by_spot = protocol.focal_spot_mm > 0 and protocol.focal_spot == "blur"
     by_panel = protocol.detector_blur != "none"
@@ -118,11 +125,12 @@ def _behind_grid(
     workers: int,
 ) -> tuple[Signal, Map | None]:
     """Primary and scatter that pass the protocol's grid; the primary by its energies in each pixel."""
-    before, after = (primary_of(path_mm, protocol, workers, grid=passed) for passed in (False, True))
+    kind = grid_of(protocol)
+    before, after = (primary_of(path_mm, protocol, workers, grid=passed) for passed in (None, kind))
     # A ratio, for the primary may be a mean over the focal spot.
     share = np.divide(after.kev, before.kev, out=np.zeros_like(after.kev), where=before.kev > 0)
     if scatter is not None:
-        scatter = scatter * np.float32(scatter_passing(grid_of(protocol), beam_of(protocol), gap_mm))
+        scatter = scatter * np.float32(scatter_passing(kind, beam_of(protocol), gap_mm))
     return Signal(primary.kev * share, after.photon_kev), scatter
 
 
@@ -131,16 +139,16 @@ def primary_of(
     protocol: Protocol,
     workers: int = 2,
     view: View | None = None,
-    grid: bool = False,
+    grid: Grid | None = None,
 ) -> Signal:
     """Primary signal behind path lengths, heel effect included.
 
     view  of a source that is not in the middle of the focal spot; that of the protocol if None
-    grid  behind the protocol's grid
+    grid  that it passes, if any
     """
     beam = beam_for(protocol, {name: float(lengths.max()) for name, lengths in path_mm.items()})
-    if grid:
-        beam = behind(grid_of(protocol), beam)
+    if grid is not None:
+        beam = behind(grid, beam)
     signal = transmit(path_mm, beam, view or view_of(protocol), workers)
     if protocol.heel != "none":
         signal.kev[:] *= heel_factor(protocol)[:, None].astype(np.float32)

@@ -27,17 +27,18 @@ INTENTS = {
     ".png": ("presentation",),
 }
 SUFFIXES = tuple(INTENTS)
+BORDERS = ("none", "marked")
 # What `save_kinds` writes.
 KINDS = ("tif", "png", "json", "dcm")
 
 
-def save(radiograph: Radiograph, path: str | Path, *, intent: str | None = None, marked: bool = False) -> Path:
+def save(radiograph: Radiograph, path: str | Path, *, intent: str | None = None, border: str = "none") -> Path:
     """Write a radiograph, by suffix: .tif (16 bit), .dcm (Digital X-Ray, 16 or 12 bit) or .png (8 bit).
 
     intent  "processing": the linear pixels as they are, which `load` reads back; "presentation": a rendering for eyes,
             bone bright. None is the first that the suffix can hold: presentation for .png, else processing. These are
             DICOM's own words, For Processing and For Presentation, and two objects there; only a .dcm has the choice.
-    marked  draws the edge of the collimator and the side marker into a presentation of a knee
+    border  "none"; "marked" draws the edge of the collimator and the side marker into a presentation of a knee
     Either carries all parameters; the same radiograph gives the same bytes, and UIDs made from its content.
     raises  InputError for another suffix, an intent that it cannot hold, a marker where there is no room or no side,
             a disk that is full or cannot be written
@@ -46,9 +47,7 @@ def save(radiograph: Radiograph, path: str | Path, *, intent: str | None = None,
     suffix = suffix_of(path, SUFFIXES)
     intent = INTENTS[suffix][0] if intent is None else intent
     require_choice(f"file {path}: intent", intent, INTENTS[suffix])
-    if marked and (intent != "presentation" or radiograph.knee is None):
-        raise InputError(f"file {path}: marked = True; allowed: for a presentation of a knee")
-    side = radiograph.knee.side if marked and radiograph.knee else None
+    side = _side(radiograph, intent, border, path)
     with writing(path) as temporary:
         if suffix == ".png":
             note = PngImagePlugin.PngInfo()
@@ -73,11 +72,21 @@ def save(radiograph: Radiograph, path: str | Path, *, intent: str | None = None,
     return path
 
 
-def save_kinds(radiograph: Radiograph, stem: str | Path, kinds: Collection[str], *, marked: bool = False) -> list[Path]:
+def _side(radiograph: Radiograph, intent: str, border: str, path: Path) -> str | None:
+    """Whose marker a presentation bears, if any."""
+    require_choice(f"file {path}: border", border, BORDERS)
+    if border == "none":
+        return None
+    if intent != "presentation" or radiograph.knee is None:
+        raise InputError(f"file {path}: border = {border!r}; allowed: for a presentation of a knee, else none")
+    return radiograph.knee.side
+
+
+def save_kinds(radiograph: Radiograph, stem: str | Path, kinds: Collection[str], *, border: str = "none") -> list[Path]:
     """Write a radiograph in several ways beside each other; returns their paths.
 
     kinds   of KINDS; "dcm" is two objects, STEM.dcm For Processing and STEM_presentation.dcm
-    marked  as in `save`, of what is for presentation
+    border  as in `save`, of what is for presentation
     raises  InputError for another kind; as `save`
     """
     for kind in kinds:
@@ -86,12 +95,12 @@ def save_kinds(radiograph: Radiograph, stem: str | Path, kinds: Collection[str],
     if "tif" in kinds:
         paths.append(save(radiograph, f"{stem}.tif"))
     if "png" in kinds:
-        paths.append(save(radiograph, f"{stem}.png", marked=marked))
+        paths.append(save(radiograph, f"{stem}.png", border=border))
     if "json" in kinds:
         paths.append(save_parameters(radiograph, f"{stem}.json"))
     if "dcm" in kinds:
         paths.append(save(radiograph, f"{stem}.dcm"))
-        paths.append(save(radiograph, f"{stem}_presentation.dcm", intent="presentation", marked=marked))
+        paths.append(save(radiograph, f"{stem}_presentation.dcm", intent="presentation", border=border))
     return paths
 
 
