@@ -2,9 +2,9 @@
 
 Embree works in float32. Its answer is taken only for which triangle comes next; where the ray meets the plane of that
 triangle is computed in float64. How many crossings a ray has is counted beforehand in float64, from the outlines of the
-projected triangles; a ray without any is not cast, and one that has them all asks no further. The last crossing is
-looked for from behind: a ray that starts outside finds its triangle sooner than one that starts within. A pixel is
-handed to the scanline engine if
+projected triangles; a ray without any is not cast, one that has them all asks no further, and one that lies inside as
+many triangles of a neighbour's has met those. The last crossing is looked for from behind: a ray that starts outside
+finds its triangle sooner than one that starts within. A pixel is handed to the scanline engine if
 
 - it does not lie strictly inside the projected triangle, in float64: the ray passes so near an edge that Embree took
   the neighbour, or both;
@@ -42,6 +42,10 @@ SPACING = float(np.finfo(np.float32).eps)
 # the ray: one met at a grazing angle would be found again. This is past the rounding of both, and short of any other
 # sheet that matters: two sheets of one surface within 4e-5 mm (at 100 mm from its centre) are skipped together.
 STEP_SPACINGS = 3.0
+
+# Of so many columns one is cast first. A ray between two of them that lies strictly inside as many of a neighbour's
+# triangles as it has crossings has met those, and is not cast itself.
+STRIDE = 4
 
 # A triangle found again and again, or a ray with more crossings than any mesh has, is given up and repaired.
 AGAIN_LIMIT = 8
@@ -86,15 +90,19 @@ class Caster:
         left, starts = number.reshape(-1).copy(), offsets(number)
         depth, sign, doubt = np.zeros(starts[-1]), np.zeros(starts[-1], np.int8), np.zeros(number.size, np.bool_)
         rays = _Rays(int(np.count_nonzero(left)))
-        pixels = np.array(window)
-        count = start(sheet.frame, self.centre, self.low, self.high, pixels, left, doubt, *rays.state)
-        state: tuple[Any, ...] = (*self.geometry, pixels, starts, depth, sign, doubt, left, *rays.state)
-        for _ in range(HIT_LIMIT):
-            if count == 0:
-                break
-            hit = self.tree.run(rays.origins[:count], rays.directions[:count], output=1)
-            count = _advance(hit["primID"], hit["tfar"], *state)
-        doubt[rays.pixels[:count]] = True
+        pixels, met = np.array(window), np.empty(starts[-1], np.int32)
+        place: tuple[Any, ...] = (sheet.frame, self.centre, self.low, self.high, pixels, left, doubt, *rays.state)
+        state: tuple[Any, ...] = (*self.geometry, pixels, starts, depth, sign, met, doubt, left, *rays.state)
+        for between in (False, True):
+            count: int = start(*place, STRIDE, between)  # type: ignore[call-arg]
+            for _ in range(HIT_LIMIT):
+                if count == 0:
+                    break
+                hit = self.tree.run(rays.origins[:count], rays.directions[:count], output=1)
+                count = _advance(hit["primID"], hit["tfar"], *state)
+            doubt[rays.pixels[:count]] = True
+            if not between:
+                _spread(*self.geometry[:4], pixels, starts, depth, sign, met, doubt, left, STRIDE)
         found = Crossings(window=window, starts=starts, depth=depth, sign=sign)
         lacking = _lacking(starts, sign, left, self.around) & ~doubt
         unrepaired = self._repair(found, (doubt | lacking).reshape(number.shape))
@@ -177,6 +185,48 @@ def _holds(seen: Array, face: Ints, side: float, row: int, col: int) -> bool:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _spread(
+    faces: Ints,
+    seen: Array,
+    planes: Array,
+    frame: Array,
+    window: NDArray[np.int64],
+    starts: NDArray[np.int64],
+    depth: Array,
+    sign: Signs,
+    met: Ints,
+    doubt: NDArray[np.bool_],
+    left: Ints,
+    stride: int,
+) -> None:
+    """Give pixels the triangles of a neighbour that was cast, where they lie strictly inside every one of them."""
+    for pixel in range(len(left)):
+        off, cols = pixel % window[3] % stride, window[3] - pixel % window[3]
+        if left[pixel] == 0 or off == 0:
+            continue
+        row, col = window[0] + pixel // window[3], window[1] + pixel % window[3]
+        x, y, z = frame[3] + col * frame[6], frame[4], frame[5] - row * frame[6]
+        for other in (pixel - off, pixel + stride - off):
+            if stride - off >= cols and other > pixel:
+                continue
+            if left[other] or doubt[other] or starts[other + 1] - starts[other] != left[pixel]:
+                continue
+            last, holds = 0.0, True
+            for k in range(left[pixel]):
+                triangle = met[starts[other] + k]
+                nx, ny, nz, scaled = planes[triangle]
+                at = scaled / (nx * x + ny * y + nz * z)
+                holds = at > last and _holds(seen, faces[triangle], scaled, row, col)
+                if not holds:
+                    break
+                last, place = at, starts[pixel] + k
+                depth[place], sign[place], met[place] = at, 1 if scaled > 0.0 else -1, triangle
+            if holds:
+                left[pixel] = 0
+                break
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _advance(
     found: Ints,
     distance: Floats,
@@ -189,6 +239,7 @@ def _advance(
     starts: NDArray[np.int64],
     depth: Array,
     sign: Signs,
+    met: Ints,
     doubt: NDArray[np.bool_],
     left: Ints,
     origins: Floats,
@@ -220,7 +271,7 @@ def _advance(
             off = (1.0 if scaled > 0.0 else -1.0) / math.sqrt(nx * nx + ny * ny + nz * nz)
             ox, oy, oz = nx * off, ny * off, nz * off
             place = starts[pixel + 1] - left[pixel]
-            depth[place], sign[place] = at, 1 if scaled > 0.0 else -1
+            depth[place], sign[place], met[place] = at, 1 if scaled > 0.0 else -1, triangle
             left[pixel] -= 1
         if doubt[pixel] or tries >= AGAIN_LIMIT:
             doubt[pixel] = True

@@ -48,15 +48,18 @@ def start(
     ends: Array,
     triangles: NDArray[np.int32],
     again: NDArray[np.int32],
+    stride: int,
+    between: bool,
 ) -> int:
     """Put the rays of a window (first row, first column, rows, columns) where they enter the box; returns their count.
 
-    left   crossings of each pixel's ray; one without any is left out, and one with a single one comes from behind
-    doubt  set where a ray with crossings misses the box, which rounding alone can bring about
+    left    crossings of each pixel's ray; one without any is left out, and one with a single one comes from behind
+    doubt   set where a ray with crossings misses the box, which rounding alone can bring about
+    stride  of every so many columns alone; or, `between`, of the others
     """
     count = 0
     for pixel in range(len(left)):
-        if left[pixel] == 0:
+        if left[pixel] == 0 or (pixel % window[3] % stride > 0) != between:
             continue
         row, col = window[0] + pixel // window[3], window[1] + pixel % window[3]
         near, far = _box_span(frame, low, high, row, col, np.inf)
