@@ -16,7 +16,7 @@ def fat_pad(scale: float, tibia_frame: Array) -> Manifold:
     """The infrapatellar fat pad, before bones are taken out of it."""
     part = tables.data("anatomy")["fat_pad"]
     half, centre = (np.array(part[key]) * scale for key in ("half", "centre"))
-    return Manifold.sphere(1.0, 48).scale(half).translate(centre).transform(tibia_frame)
+    return Manifold.sphere(1.0, 36).scale(half).translate(centre).transform(tibia_frame)
 
 
 def tendon(scale: float, femur_frame: Array, tibia_frame: Array) -> Manifold:

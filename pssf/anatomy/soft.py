@@ -13,6 +13,8 @@ from .solids import column
 _POWER = 2.25
 # Least tissue between bone and fascia; over the patella and the tibial crest there is hardly more.
 _COVER_MM = 3.0
+# Skin bends little along the leg: what lies within this of a plane is drawn as one.
+_COARSER_MM = 0.03
 
 
 def layers(knee: Knee, build: Build, bone_points_mm: Array) -> dict[str, Manifold]:
@@ -28,12 +30,11 @@ def layers(knee: Knee, build: Build, bone_points_mm: Array) -> dict[str, Manifol
     coarse = _follow_shafts(np.array(rows), knee, build)
     # The patella stands in front of the limb's middle: where bone needs room the section moves there before it grows.
     fascia = _hold(_resample(coarse) - np.array([0.0, wrap_ml, wrap_ap, 0.0, 0.0]), bone_points_mm)
-    levels = np.linspace(-205.0, 205.0, 42)
+    levels = np.linspace(-205.0, 205.0, 38)
 
     def grown(ml_mm: float, ap_mm: float, name: str) -> Manifold:
-        return column(
-            fascia + np.array([0.0, ml_mm, ap_mm, 0.0, 0.0]), np.zeros_like, levels, name, power=_POWER, count=64
-        )
+        sections = fascia + np.array([0.0, ml_mm, ap_mm, 0.0, 0.0])
+        return column(sections, np.zeros_like, levels, name, power=_POWER, count=64).simplify(_COARSER_MM)
 
     return {
         "skin": grown(wrap_ml, wrap_ap, "skin"),
