@@ -88,11 +88,9 @@ def make_case(case: Case, site: Site, engine: str, threads: int) -> list[Row]:
     raises  InputError where the folder or a library is not what it is where the cohort was claimed
     """
     records.require_claimed(site.folder / "cohort.json", site.claim)
-    for name, wanted in site.versions.items():
-        if versions()[name] != wanted:
-            raise InputError(
-                f"on {node()}: {name} = {versions()[name]}; allowed: {wanted}, as where the run was started"
-            )
+    for name, here in versions().items():
+        if here != site.versions[name]:
+            raise InputError(f"on {node()}: {name} = {here}; allowed: {site.versions[name]}, as where the run started")
     scene = anatomy.build(case.knee)
     rows = []
     for shot in case.shots:

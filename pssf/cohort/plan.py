@@ -63,6 +63,11 @@ def preset_names() -> list[str]:
 def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None = None) -> Plan:
     """Draw a cohort.
 
+    Both knees of a subject have one body (sex, stature, size of bones and cortex, limb, fat, age) and one grade. Given
+    these, joint space, alignment, osteophytes, pose and trabeculae are drawn for each knee apart: they are alike by
+    their grade alone. In people they correlate within a grade too; the ranges that are drawn from do not say by how
+    much, and a number of our own is not put in their place.
+
     preset     a name of `data/presets.toml`
     overrides  entries that replace the preset's, such as {"knees": [2, 2, 2]} or {"protocols": ["reference"]}
     raises     InputError for an unknown preset, entry or protocol, or counts that do not fit
