@@ -61,7 +61,7 @@ def spread(
             pickled = [pickle.dumps(item) for item in items]
             futures = client.map(_call, pickled, function=function, shared=held, pure=False)
             indices = {future: index for index, future in enumerate(futures)}
-            for future in as_completed(futures):
+            for future in as_completed(futures, loop=client.loop):
                 take(indices[future], future.result())
                 future.release()  # what is still wanted of a worker that dies would be done once more
         except KilledWorker:

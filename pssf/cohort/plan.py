@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -113,9 +114,7 @@ def _people(knees: Sequence[int], bilateral: int) -> list[tuple[int, int, str | 
 
 
 def _case(seed: int, index: int, subject: int, grade: int, side: str | None, protocols: list[Protocol]) -> Case:
-    # The body is drawn once a subject, from a stream of the subject's own, so that both knees share it.
-    body = draw_knee(grade=0, rng=np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_BODY, subject))))
-    fixed: dict[str, Any] = {name: getattr(body, name) for name in _BODY_FIELDS}
+    fixed = dict(_body(seed, subject))
     if side is not None:
         fixed["side"] = side
     shape = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index, _SHAPE)))
@@ -125,3 +124,10 @@ def _case(seed: int, index: int, subject: int, grade: int, side: str | None, pro
         state = np.random.SeedSequence(seed, spawn_key=(index, _NOISE, place)).generate_state(1, np.uint64)
         shots.append(Shot(f"s{subject:04d}_k{index:04d}_{protocol.name}", protocol, int(state[0] >> np.uint64(1))))
     return Case(subject=subject, index=index, knee=knee, shots=tuple(shots))
+
+
+@lru_cache(maxsize=1)  # the other knee of a subject comes next
+def _body(seed: int, subject: int) -> Mapping[str, Any]:
+    """The fields that the knees of a subject share, drawn from a stream of the subject's own."""
+    body = draw_knee(grade=0, rng=np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_BODY, subject))))
+    return {name: getattr(body, name) for name in _BODY_FIELDS}
