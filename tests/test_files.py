@@ -105,7 +105,9 @@ def test_a_writer_begins_again_when_a_sweep_took_its_file_before_it_was_locked(t
         lock(handle, how)
 
     monkeypatch.setattr(atomic.fcntl, "flock", late)
-    atomic.write_bytes(tmp_path / "knee.tif", b"whole")
+    with atomic.writing(tmp_path / "knee.tif") as temporary:
+        temporary.write_bytes(b"whole")
+        atomic.sweep(tmp_path)  # what was written without the lock would be gone now
     assert len(swept) == 1
     assert [p.name for p in tmp_path.iterdir()] == ["knee.tif"]
 
