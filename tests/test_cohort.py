@@ -258,7 +258,7 @@ from pssf import cli, cohort
 if __name__ == "__main__":
     overrides = {"knees": [1, 1, 1], "protocols": sys.argv[2:]}
     cohort.plan_cohort = functools.partial(cohort.plan_cohort, overrides=overrides)
-    sys.argv = ["pssf", "cohort", "--out", sys.argv[1], "--workers", "2"]
+    sys.argv = ["pssf", "cohort", "--out", sys.argv[1], "--workers", "2", "--seed", "5"]
     cli.main()
 """
 
