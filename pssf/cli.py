@@ -1,22 +1,20 @@
 """The command line: pssf simulate | meshes | cohort | study | accuracy | quality | protocols."""
 
 import sys
-from collections.abc import Callable, Iterator
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.status import Status
 from rich.table import Table
 
 from .checks import InputError, require_choice, require_whole
 from .files import tables
 from .knee import Knee, draw_knee, knee_from
+from .parallel import WorkersLostError, cores
+from .progress import bar
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help=__doc__)
 
@@ -27,6 +25,23 @@ KneeFile = Annotated[
     Path | None, typer.Option("--knee", help="TOML file with the parameters of a knee, instead of a draw.")
 ]
 Workers = Annotated[int, typer.Option(help="Processes or threads; they do not change the result.")]
+Processes = Annotated[
+    int,
+    typer.Option(
+        "--workers",
+        default_factory=cores,
+        show_default="all cores that this process may use",
+        help="Processes of this machine, one thread each; they do not change the result.",
+    ),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="tcp://HOST:PORT",
+        help="Dask scheduler whose workers make the radiographs, instead of processes of this machine; all must see "
+        "--out under the same path and have the same pssf (extra: cluster).",
+    ),
+]
 Engine = Annotated[str, typer.Option(help="Ray caster: embree or scanline; they agree, and scanline is faster.")]
 Preset = Annotated[str, typer.Option(help="Cohort: quick (24 subjects) or paper (180 subjects).")]
 
@@ -40,8 +55,8 @@ def main() -> None:
         sys.exit(2)
     except typer.Abort:
         sys.exit(130)
-    except BrokenProcessPool:
-        print("pssf: a worker process was killed (memory?); run the same command to go on from there", file=sys.stderr)
+    except WorkersLostError as error:
+        print(f"pssf: {error}; run the same command to go on from there", file=sys.stderr)
         sys.exit(1)
     except KeyboardInterrupt:
         print("pssf: stopped; run the same command to go on from there", file=sys.stderr)
@@ -108,27 +123,68 @@ def meshes(
         print(path)
 
 
-@app.command()
+cohort_app = typer.Typer(pretty_exceptions_enable=False)
+app.add_typer(cohort_app, name="cohort")
+
+
+@cohort_app.callback(invoke_without_command=True)
 def cohort(
-    out: Out, preset: Preset = "quick", seed: Seed = 0, workers: Workers = 2, engine: Engine = "scanline"
+    context: typer.Context,
+    workers: Processes,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder for what is made; made if need be. Required.")
+    ] = None,
+    preset: Preset = "quick",
+    seed: Seed = 0,
+    scheduler: Scheduler = None,
+    engine: Engine = "scanline",
 ) -> None:
-    """Radiographs of a whole cohort and their manifest; goes on where an earlier run stopped."""
+    """Radiographs of a whole cohort and their manifest.
+
+    Goes on where an earlier run stopped or was killed, and ends with the same bytes: what stands is checked and kept.
+    A folder that holds another cohort is refused, with the first difference.
+    """
     from .cohort import make_cohort, plan_cohort
 
+    if context.invoked_subcommand is not None:
+        return
+    if out is None:
+        raise InputError("option --out is missing; allowed: a folder for the cohort")
     plan = plan_cohort(preset, seed=seed)
-    with _bar("radiographs", sum(len(case.shots) for case in plan.cases)) as made:
-        manifest = make_cohort(plan, out, workers=workers, engine=engine, progress=made)
+    with bar("radiographs", sum(len(case.shots) for case in plan.cases)) as pace:
+        manifest = make_cohort(
+            plan, out, workers=workers, scheduler=scheduler, engine=engine, progress=pace.made, found=pace.found
+        )
     print(f"manifest  {manifest}")
+
+
+@cohort_app.command()
+def verify(folder: Annotated[Path, typer.Argument(help="Folder that pssf cohort made.")]) -> None:
+    """Check every file of a cohort against its hash; a line for each fault, and exit code 2 if there is one."""
+    from .cohort import verify_cohort
+
+    with _waiting("reading"):
+        found = verify_cohort(folder)
+    for fault in found.faults:
+        print(fault)
+    if found.faults:
+        raise typer.Exit(2)
+    print(f"whole     {found.radiographs} radiographs, {found.files} files, as they were written")
 
 
 @app.command()
 def study(
-    out: Out, preset: Preset = "quick", seed: Seed = 0, workers: Workers = 2, engine: Engine = "scanline"
+    out: Out,
+    workers: Processes,
+    preset: Preset = "quick",
+    seed: Seed = 0,
+    scheduler: Scheduler = None,
+    engine: Engine = "scanline",
 ) -> None:
-    """The whole study: cohort, regions, features, models, report."""
+    """The whole study: cohort, regions, features, models, report; goes on where an earlier run stopped."""
     from .experiment import run_experiment
 
-    result = run_experiment(out, preset=preset, seed=seed, workers=workers, engine=engine, bar=_bar)
+    result = run_experiment(out, preset=preset, seed=seed, workers=workers, scheduler=scheduler, engine=engine, bar=bar)
     print(f"report    {result.report}")
     for path in result.pictures.values():
         print(f"picture   {path}")
@@ -205,23 +261,3 @@ def _knee_of(path: Path | None, grade: int, seed: int) -> tuple[Knee, str]:
 def _waiting(why: str) -> Status:
     """Says on standard error what is being waited for, while it lasts."""
     return Console(stderr=True).status(why)
-
-
-@contextmanager
-def _bar(what: str, total: int) -> Iterator[Callable[[int], None]]:
-    """A progress bar on standard error; yields a function that moves it on."""
-    columns = (
-        TextColumn("{task.description:<12}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
-        task = progress.add_task(what, total=total)
-        try:
-            yield lambda made: progress.advance(task, made)
-        except BaseException:
-            progress.live.transient = True  # a refusal is one line
-            raise

@@ -125,7 +125,7 @@ def draw_knee(*, grade: int, rng: np.random.Generator, **fixed: Any) -> Knee:
     drawn: dict[str, Any] = {"sex": sex, "grade": int(grade), "side": "right" if rng.random() < 0.5 else "left"}
     for name, law in body.items():
         mean, sd = law[sex] if isinstance(law, dict) else law
-        drawn[name] = round(mean + sd * float(np.clip(rng.standard_normal(), -2, 2)), 4)
+        drawn[name] = round(mean + sd * min(2.0, max(-2.0, rng.standard_normal())), 4)
     for name in ("jsw_medial_mm", "jsw_lateral_mm", "subchondral_plate", "varus_deg"):
         drawn[name] = _uniform(rng, ranges[name])
     for name, law in pose.items():

@@ -1,19 +1,36 @@
-"""Work on several processes whose results do not depend on how many there are."""
+"""Work on several processes, of this machine or of a cluster, whose results do not depend on how many there are."""
 
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from importlib.util import find_spec
 from multiprocessing import get_context, parent_process
 from typing import Any, TypeVar
 
 from threadpoolctl import threadpool_limits
 
+from .checks import InputError
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
+# How often in a row, without a result between, workers may be killed before the work is given up.
+_PATIENCE = 2
+
 _shared: dict[str, Any] = {}  # of a worker process: set once when it starts, read only afterwards
+
+
+class WorkersLostError(RuntimeError):
+    """Workers were killed again and again, or a cluster was lost; what had come to stand by then stands."""
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(usable, 256)
 
 
 def ordered_map(
@@ -22,13 +39,16 @@ def ordered_map(
     *,
     shared: dict[str, Any],
     workers: int = 1,
+    scheduler: str | None = None,
     arrived: Callable[[int, Result], None] | None = None,
 ) -> list[Result]:
-    """[function(item, **shared) for item in items], on `workers` processes.
+    """[function(item, **shared) for item in items], on `workers` processes, or on those of a Dask scheduler.
 
-    shared   sent to every worker once; with more than one worker it, the function and the items must be picklable
-    arrived  is told index and result of each item as it ends, in whatever order that happens
-    returns  results in the order of the items
+    shared     sent to every worker; with more than one worker it, the function and the items must be picklable
+    scheduler  address such as "tcp://host:8786", whose workers do the work instead; None: processes of this machine
+    arrived    is told index and result of each item as it ends, in whatever order that happens
+    returns    results in the order of the items; what a killed worker had in hand is done again by another
+    raises     WorkersLostError when workers keep being killed; InputError for a scheduler that cannot be used
     """
     results: dict[int, Result] = {}
 
@@ -37,30 +57,101 @@ def ordered_map(
         if arrived is not None:
             arrived(index, result)
 
-    if workers <= 1 or len(items) <= 1:
+    if scheduler is not None:
+        require_scheduler(scheduler)
+        from .cluster import spread
+
+        spread(function, items, shared, scheduler, take)
+    elif workers <= 1 or len(items) <= 1:
         for index, item in enumerate(items):
             with threadpool_limits(1):
                 result = function(item, **shared)
             take(index, result)
-        return [results[index] for index in range(len(items))]
-    # spawn: a forked copy of a process that has threads (ITK, OpenMP) may hang.
-    pool = ProcessPoolExecutor(min(workers, len(items)), get_context("spawn"), _begin, (shared,))
-    try:
-        futures = {pool.submit(_call, function, item): index for index, item in enumerate(items)}
-        for future in as_completed(futures):
-            take(futures[future], future.result())
-    finally:
-        pool.shutdown(cancel_futures=True)
+    else:
+        _in_processes(function, items, shared, workers, take)
     return [results[index] for index in range(len(items))]
 
 
-def _begin(shared: dict[str, Any]) -> None:
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+def require_scheduler(address: str) -> None:
+    """Refuse a scheduler that cannot be used, before anything is written.
+
+    raises  InputError for an address that is none or does not answer, a scheduler without workers, a missing library
+    """
+    if find_spec("distributed") is None:
+        raise InputError(
+            f"scheduler = {address!r} needs distributed; bring it, in the source folder, with: uv sync --extra cluster"
+        )
+    from .cluster import require_workers
+
+    require_workers(address)
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """One thread for BLAS, OpenMP and SimpleITK, since there is a process for every core."""
     if find_spec("SimpleITK"):
         # As many threads as cores in every process would wait for each other.
         import SimpleITK as sitk  # noqa: N813
 
         sitk.ProcessObject.SetGlobalDefaultNumberOfThreads(1)
+    # The order of a sum, hence its last bit, then does not hang on the machine either.
+    with threadpool_limits(1):
+        yield
+
+
+def _in_processes(
+    function: Callable[..., Result],
+    items: Sequence[Item],
+    shared: dict[str, Any],
+    workers: int,
+    take: Callable[[int, Result], None],
+) -> None:
+    left = set(range(len(items)))
+
+    def arrived(index: int, result: Result) -> None:
+        left.discard(index)
+        take(index, result)
+
+    killed = 0
+    while left:
+        before = len(left)
+        try:
+            _one_pool(function, {index: items[index] for index in sorted(left)}, shared, workers, arrived)
+        except BrokenProcessPool:
+            # One killed worker ends its whole pool; a new one does what is left.
+            killed = killed + 1 if len(left) == before else 1
+            if killed == _PATIENCE:
+                raise WorkersLostError(f"a worker process was killed {killed} times over (memory?)") from None
+
+
+def _one_pool(
+    function: Callable[..., Result],
+    items: dict[int, Item],
+    shared: dict[str, Any],
+    workers: int,
+    arrived: Callable[[int, Result], None],
+) -> None:
+    """As far as a pool comes; raises BrokenProcessPool after all that its workers finished has arrived."""
+    broken: BrokenProcessPool | None = None
+    # spawn: a forked copy of a process that has threads (ITK, OpenMP) may hang.
+    pool = ProcessPoolExecutor(min(workers, len(items)), get_context("spawn"), _begin, (shared,))
+    try:
+        futures = {pool.submit(_call, function, item): index for index, item in items.items()}
+        for future in as_completed(futures):
+            try:
+                result = future.result()
+            except BrokenProcessPool as error:
+                broken = error
+            else:
+                arrived(futures[future], result)
+    finally:
+        pool.shutdown(cancel_futures=True)
+    if broken is not None:
+        raise broken
+
+
+def _begin(shared: dict[str, Any]) -> None:
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     _shared.update(shared)
 
 
@@ -73,6 +164,5 @@ def _end_with_parent() -> None:
 
 
 def _call(function: Callable[..., Result], item: Any) -> Result:
-    # One thread for BLAS and OpenMP too; the order of a sum, hence its last bit, then does not hang on the machine.
-    with threadpool_limits(1):
+    with one_thread():
         return function(item, **_shared)

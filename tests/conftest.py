@@ -1,10 +1,13 @@
 """Shared fixtures: a knee built once, a small detector."""
 
 import dataclasses
+import json
+from pathlib import Path
 
 import pytest
 
 import pssf
+from pssf import cohort
 
 
 @pytest.fixture(scope="session")
@@ -22,3 +25,25 @@ def knee() -> pssf.Knee:
 @pytest.fixture(scope="session")
 def scene(knee: pssf.Knee) -> pssf.Scene:
     return pssf.build(knee)
+
+
+@pytest.fixture(scope="session")
+def small_protocols(tmp_path_factory) -> list[str]:
+    """Two protocols on tiny detectors, as files."""
+    folder, paths = tmp_path_factory.mktemp("protocols"), []
+    for name in ("reference", "low_dose"):
+        protocol = dataclasses.replace(pssf.load_protocol(name), rows=64, cols=64, pixel_mm=4.8)
+        fields = {k: v for k, v in dataclasses.asdict(protocol).items() if v is not None}
+        path = folder / f"{name}.toml"
+        path.write_text("".join(f"{k} = {json.dumps(v)}\n" for k, v in fields.items()))
+        paths.append(str(path))
+    return paths
+
+
+@pytest.fixture(scope="session")
+def whole_cohort(small_protocols, tmp_path_factory) -> Path:
+    """The folder of a cohort of three knees, made by one worker; to be looked at only."""
+    folder = tmp_path_factory.mktemp("whole") / "c"
+    plan = cohort.plan_cohort("quick", seed=5, overrides={"knees": [1, 1, 1], "protocols": small_protocols})
+    cohort.make_cohort(plan, folder, workers=1)
+    return folder

@@ -83,6 +83,35 @@ def test_a_full_or_unwritable_disk_leaves_nothing_half_written(radiograph, tmp_p
     assert not list(tmp_path.iterdir())
 
 
+def test_a_sweep_takes_what_a_killed_writer_left_and_nothing_else(tmp_path):
+    (tmp_path / ".pssf-dead-abcd1234.tif").write_bytes(b"half")
+    for name in (".hidden", "knee.png"):
+        (tmp_path / name).write_bytes(b"mine")
+    with atomic.writing(tmp_path / "knee.tif") as temporary:
+        temporary.write_bytes(b"whole")
+        assert len(atomic.unfinished(tmp_path)) == 2
+        atomic.sweep(tmp_path)
+        assert atomic.unfinished(tmp_path) == [temporary]
+    assert sorted(p.name for p in tmp_path.iterdir()) == [".hidden", "knee.png", "knee.tif"]
+
+
+def test_a_writer_begins_again_when_a_sweep_took_its_file_before_it_was_locked(tmp_path, monkeypatch):
+    lock, swept = atomic.fcntl.flock, []
+
+    def late(handle, how):
+        if how == atomic.fcntl.LOCK_EX and not swept:
+            swept.append(handle.name)
+            atomic.sweep(tmp_path)
+        lock(handle, how)
+
+    monkeypatch.setattr(atomic.fcntl, "flock", late)
+    with atomic.writing(tmp_path / "knee.tif") as temporary:
+        temporary.write_bytes(b"whole")
+        atomic.sweep(tmp_path)  # what was written without the lock would be gone now
+    assert len(swept) == 1
+    assert [p.name for p in tmp_path.iterdir()] == ["knee.tif"]
+
+
 def test_an_existing_file_survives_a_failed_write(radiograph, tmp_path, monkeypatch):
     path = tmp_path / "knee.tif"
     path.write_bytes(b"earlier")

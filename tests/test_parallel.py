@@ -3,8 +3,14 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
-from pssf.parallel import ordered_map
+import numpy as np
+import pytest
+from scipy import fft
+
+from pssf import parallel
+from pssf.parallel import WorkersLostError, ordered_map
 
 ENDLESS = """
 import os, time
@@ -30,6 +36,67 @@ def test_results_come_in_order_whatever_the_number_of_workers():
     )
     assert found == ordered_map(double, range(7), shared={"offset": 1}) == [1, 3, 5, 7, 9, 11, 13]
     assert sorted(arrived) == list(enumerate(found))
+
+
+def die_once(item, marker):
+    if item == 3 and not marker.exists():
+        marker.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return 2 * item
+
+
+def test_the_work_of_a_killed_worker_is_done_again_and_none_of_it_twice_over(tmp_path):
+    arrived = []
+    shared = {"marker": tmp_path / "died"}
+    found = ordered_map(die_once, range(6), shared=shared, workers=2, arrived=lambda *result: arrived.append(result))
+    assert (tmp_path / "died").exists()
+    assert found == [0, 2, 4, 6, 8, 10]
+    assert sorted(arrived) == list(enumerate(found))
+
+
+def die_always(item, folder):
+    if item == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    (folder / str(item)).touch()
+    return item
+
+
+def test_work_that_kills_every_worker_is_given_up_after_all_else_was_done(tmp_path):
+    arrived = []
+    with pytest.raises(WorkersLostError, match="a worker process was killed 2 times over"):
+        ordered_map(
+            die_always, range(5), shared={"folder": tmp_path}, workers=2, arrived=lambda index, _: arrived.append(index)
+        )
+    assert sorted(arrived) == [0, 2, 3, 4]
+
+
+def busy_threads(seconds):
+    """Threads of this process that computed for more than a tenth of so many seconds of linear algebra and FFT."""
+    rng = np.random.default_rng(0)
+    square = rng.random((600, 600))
+    before, until = ticks(), time.monotonic() + seconds
+    while time.monotonic() < until:
+        square = square @ square / np.abs(square @ square).max()
+        fft.fft2(square)
+    limit = 0.1 * seconds * os.sysconf("SC_CLK_TCK")
+    return sum(spent - before.get(thread, 0) > limit for thread, spent in ticks().items())
+
+
+def ticks():
+    """Clock ticks that each thread of this process has computed for."""
+    stats = {
+        path.parent.name: path.read_text().rpartition(")")[2].split() for path in Path("/proc/self/task").glob("*/stat")
+    }
+    return {thread: int(fields[11]) + int(fields[12]) for thread, fields in stats.items()}
+
+
+def test_a_worker_computes_in_one_thread():
+    assert ordered_map(busy_threads, [0.5, 0.5], shared={}, workers=2) == [1, 1]
+
+
+def test_cores_are_those_that_this_process_may_use(monkeypatch):
+    monkeypatch.setattr(parallel.os, "sched_getaffinity", lambda _: {0, 3, 5}, raising=False)
+    assert parallel.cores() == 3
 
 
 def test_workers_end_when_their_parent_is_killed(tmp_path):

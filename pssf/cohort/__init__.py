@@ -1,5 +1,6 @@
 """cohort.plan_cohort   preset, seed    -> who is in it, and how each knee is taken
 cohort.make_cohort   plan, folder    -> images and a manifest; goes on where an earlier run stopped
+cohort.verify_cohort folder          -> every file against its hash, and what is missing, changed or too much
 
 A cohort's folder holds cohort.json (what was asked for), images/*.tif, records/*.json (one a knee, written after its
 images) and, when all is made, manifest.csv with one row a radiograph.
@@ -7,5 +8,6 @@ images) and, when all is made, manifest.csv with one row a radiograph.
 
 from .make import make_cohort
 from .plan import Case, Plan, Shot, plan_cohort, preset_names
+from .verify import Verification, verify_cohort
 
-__all__ = ["Case", "Plan", "Shot", "make_cohort", "plan_cohort", "preset_names"]
+__all__ = ["Case", "Plan", "Shot", "Verification", "make_cohort", "plan_cohort", "preset_names", "verify_cohort"]

@@ -1,75 +1,119 @@
-"""Makes the radiographs of a plan, knee by knee, in processes of this machine."""
+"""Makes the radiographs of a plan, knee by knee, in processes of this machine or on a cluster."""
 
 import json
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from platform import node
 from typing import Any
 
 from .. import anatomy
-from ..checks import require_whole
-from ..files import records
+from ..checks import InputError, require_whole
+from ..files import atomic, records
 from ..files.images import save
 from ..knee import knee_table
-from ..parallel import ordered_map
+from ..parallel import cores, ordered_map, require_scheduler
 from ..protocol import protocol_table
 from ..radiograph import Radiograph
 from ..simulate import simulate, versions
 from .plan import Case, Plan, Shot
 
 Row = dict[str, Any]
+FOLDERS = ("", "images", "records")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Site:
+    """Where a cohort is made, as every worker must find it.
+
+    claim     hash of its cohort.json
+    versions  of all that its pixels depend on
+    """
+
+    folder: Path
+    claim: str
+    versions: dict[str, str]
 
 
 def make_cohort(
     plan: Plan,
     folder: str | Path,
     *,
-    workers: int = 2,
+    workers: int | None = None,
+    scheduler: str | None = None,
     engine: str = "scanline",
     progress: Callable[[int], None] = lambda made: None,
+    found: Callable[[int], None] = lambda there: None,
 ) -> Path:
-    """Make what is missing of a cohort and write its manifest; the bytes do not depend on the number of workers.
+    """Make what is missing of a cohort and write its manifest; the bytes do not depend on who makes them.
 
-    folder    of this cohort; what an earlier run left there is checked against its hashes and kept
-    engine    "scanline", or "embree", which gives the same path lengths in fifteen times the time
-    progress  called with the number of radiographs that have come to stand, as they do
-    returns   the path of the manifest (CSV, one row a radiograph)
-    raises    InputError for a folder that holds another cohort, a damaged file in it, a disk that cannot be written
+    folder     of this cohort; what an earlier run left there is checked against its hashes and kept
+    workers    processes of this machine; None: one for each core that this process may use
+    scheduler  address of a Dask scheduler whose workers do the work instead, in the same folder under the same path
+    engine     "scanline", or "embree", which gives the same path lengths in fifteen times the time
+    progress   called with the number of radiographs that have been made, as they are
+    found      called with the number of radiographs that an earlier run left, as they are checked, before any is made
+    returns    the path of the manifest (CSV, one row a radiograph)
+    raises     InputError for a folder that holds another cohort, a damaged file in it, a disk that cannot be written,
+               a scheduler that cannot be used; WorkersLostError when workers keep being killed
     """
+    workers = cores() if workers is None else workers
     require_whole("workers", workers, 1, 256, "processes")
+    if scheduler is not None:
+        require_scheduler(scheduler)
     folder = Path(folder)
-    records.claim(folder / "cohort.json", {**plan.table(), "engine": engine, "versions": versions()})
-    rows: dict[int, list[Row]] = {}
-    missing = []
-    for case in plan.cases:
-        known = records.read_rows(folder, case.index, [shot.name for shot in case.shots])
-        if known is None:
-            missing.append(case)
-        else:
-            rows[case.index] = known
-            progress(len(case.shots))
+    claim = records.claim(folder / "cohort.json", {**plan.table(), "engine": engine, "versions": versions()})
+    _sweep(folder)
+    rows = _found(plan, folder, found)
+    missing = [case for case in plan.cases if case.index not in rows]
 
     def stands(index: int, made: list[Row]) -> None:
         rows[missing[index].index] = made
         progress(len(missing[index].shots))
 
     # Cores that have no knee of their own work on the rays of one.
-    threads = max(1, workers // max(1, len(missing)))
-    shared = {"folder": folder, "engine": engine, "threads": threads}
-    ordered_map(make_case, missing, shared=shared, workers=workers, arrived=stands)
+    threads = 1 if scheduler else max(1, workers // max(1, len(missing)))
+    site = Site(folder=folder.absolute(), claim=claim, versions=versions())
+    shared = {"site": site, "engine": engine, "threads": threads}
+    ordered_map(make_case, missing, shared=shared, workers=workers, scheduler=scheduler, arrived=stands)
+    _sweep(folder)
     manifest = folder / "manifest.csv"
     records.write_csv(manifest, [row for case in plan.cases for row in rows[case.index]])
     return manifest
 
 
-def make_case(case: Case, folder: Path, engine: str, threads: int) -> list[Row]:
-    """Make and save every radiograph of one knee, then its record; returns its rows of the manifest."""
+def make_case(case: Case, site: Site, engine: str, threads: int) -> list[Row]:
+    """Make and save every radiograph of one knee, then its record; returns its rows of the manifest.
+
+    raises  InputError where the folder or a library is not what it is where the cohort was claimed
+    """
+    records.require_claimed(site.folder / "cohort.json", site.claim)
+    for name, here in versions().items():
+        if here != site.versions[name]:
+            raise InputError(f"on {node()}: {name} = {here}; allowed: {site.versions[name]}, as where the run started")
     scene = anatomy.build(case.knee)
     rows = []
     for shot in case.shots:
         radiograph = simulate(case.knee, shot.protocol, seed=shot.seed, engine=engine, workers=threads, scene=scene)
-        path = save(radiograph, folder / "images" / f"{shot.name}.tif")
-        rows.append(_row(case, shot, radiograph, path.relative_to(folder), records.sha256(path)))
-    records.write_rows(folder, case.index, rows)
+        path = save(radiograph, site.folder / "images" / f"{shot.name}.tif")
+        rows.append(_row(case, shot, radiograph, path.relative_to(site.folder), records.sha256(path)))
+    records.write_rows(site.folder, case.index, rows)
+    return rows
+
+
+def _sweep(folder: Path) -> None:
+    for name in FOLDERS:
+        atomic.sweep(folder / name)
+
+
+def _found(plan: Plan, folder: Path, found: Callable[[int], None]) -> dict[int, list[Row]]:
+    """The rows of every knee that an earlier run finished, by index."""
+    rows: dict[int, list[Row]] = {}
+    for case in plan.cases:
+        known = records.read_rows(folder, case.index, [shot.name for shot in case.shots])
+        if known is not None:
+            rows[case.index] = known
+            found(len(case.shots))
     return rows
 
 

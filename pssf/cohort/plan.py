@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -63,6 +64,11 @@ def preset_names() -> list[str]:
 def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None = None) -> Plan:
     """Draw a cohort.
 
+    Both knees of a subject have one body (sex, stature, size of bones and cortex, limb, fat, age) and one grade. Given
+    these, joint space, alignment, osteophytes, pose and trabeculae are drawn for each knee apart: they are alike by
+    their grade alone. In people they correlate within a grade too; the ranges that are drawn from do not say by how
+    much, and a number of our own is not put in their place.
+
     preset     a name of `data/presets.toml`
     overrides  entries that replace the preset's, such as {"knees": [2, 2, 2]} or {"protocols": ["reference"]}
     raises     InputError for an unknown preset, entry or protocol, or counts that do not fit
@@ -108,9 +114,7 @@ def _people(knees: Sequence[int], bilateral: int) -> list[tuple[int, int, str | 
 
 
 def _case(seed: int, index: int, subject: int, grade: int, side: str | None, protocols: list[Protocol]) -> Case:
-    # The body is drawn once a subject, from a stream of the subject's own, so that both knees share it.
-    body = draw_knee(grade=0, rng=np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_BODY, subject))))
-    fixed: dict[str, Any] = {name: getattr(body, name) for name in _BODY_FIELDS}
+    fixed = dict(_body(seed, subject))
     if side is not None:
         fixed["side"] = side
     shape = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index, _SHAPE)))
@@ -120,3 +124,10 @@ def _case(seed: int, index: int, subject: int, grade: int, side: str | None, pro
         state = np.random.SeedSequence(seed, spawn_key=(index, _NOISE, place)).generate_state(1, np.uint64)
         shots.append(Shot(f"s{subject:04d}_k{index:04d}_{protocol.name}", protocol, int(state[0] >> np.uint64(1))))
     return Case(subject=subject, index=index, knee=knee, shots=tuple(shots))
+
+
+@lru_cache(maxsize=1)  # the other knee of a subject comes next
+def _body(seed: int, subject: int) -> Mapping[str, Any]:
+    """The fields that the knees of a subject share, drawn from a stream of the subject's own."""
+    body = draw_knee(grade=0, rng=np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_BODY, subject))))
+    return {name: getattr(body, name) for name in _BODY_FIELDS}

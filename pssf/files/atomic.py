@@ -1,12 +1,20 @@
 """A file appears whole or not at all."""
 
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import NamedTemporaryFile, TemporaryDirectory
+from typing import IO
 
 from ..checks import InputError
+
+if sys.platform != "win32":
+    import fcntl
+
+# No file of anybody else's begins like this, so that `sweep` cannot take one.
+_PREFIX = ".pssf-"
 
 
 @contextmanager
@@ -15,22 +23,22 @@ def writing(path: Path) -> Iterator[Path]:
 
     raises  InputError naming the file when the disk is full or cannot be written
     """
-    temporary: Path | None = None
+    held: IO[bytes] | None = None
     try:
         folder(path.parent)
-        with NamedTemporaryFile(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix, delete=False) as handle:
-            temporary = Path(handle.name)
-        yield temporary
-        with open(temporary, "rb") as handle:
+        held = _temporary(path)
+        yield Path(held.name)
+        with open(held.name, "rb") as handle:
             os.fsync(handle.fileno())
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
+        os.chmod(held.name, 0o644)
+        os.replace(held.name, path)
     except OSError as error:
         raise unwritable(path, error) from None
     finally:
-        if temporary is not None:
+        if held is not None:
             with suppress(OSError):
-                temporary.unlink(missing_ok=True)
+                Path(held.name).unlink(missing_ok=True)
+            held.close()
 
 
 def write_bytes(path: Path, content: bytes) -> None:
@@ -40,6 +48,26 @@ def write_bytes(path: Path, content: bytes) -> None:
     """
     with writing(path) as temporary:
         temporary.write_bytes(content)
+
+
+def unfinished(path: Path) -> list[Path]:
+    """Temporary files in a folder: of writers at work, or of such as were killed."""
+    return sorted(path.glob(f"{_PREFIX}*"))
+
+
+def sweep(path: Path) -> None:
+    """Delete the temporary files that writers left in a folder when they were killed; those being written stay."""
+    if sys.platform == "win32":
+        return
+    for left in unfinished(path):
+        # A lock that is held, or a file system without locks: whose file it is cannot be told, so it stays.
+        with suppress(OSError):
+            handle = os.open(left, os.O_RDWR)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                left.unlink()
+            finally:
+                os.close(handle)
 
 
 def folder(path: Path) -> Path:
@@ -66,3 +94,18 @@ def unwritable(path: Path, error: OSError) -> InputError:
     # numpy says how much of an array it could write, and not why.
     reason = error.strerror or f"no room for all of it ({error})"
     return InputError(f"file {path}: {reason}; allowed: a folder that can be written, with room left")
+
+
+def _temporary(path: Path) -> IO[bytes]:
+    """A new file beside `path`, locked until its handle is closed or its process dies, so that `sweep` knows it."""
+    while True:
+        prefix = f"{_PREFIX}{path.stem}-"
+        handle = NamedTemporaryFile(dir=path.parent, prefix=prefix, suffix=path.suffix, delete=False)  # noqa: SIM115
+        if sys.platform == "win32":  # which writes to no file that is open elsewhere
+            handle.close()
+            return handle
+        with suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        if os.path.exists(handle.name):
+            return handle
+        handle.close()  # a sweep came between making and locking

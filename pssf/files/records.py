@@ -5,6 +5,7 @@ import hashlib
 import io
 import json
 from pathlib import Path
+from platform import node
 from typing import TYPE_CHECKING, Any
 
 from ..checks import InputError
@@ -28,14 +29,14 @@ def sha256(path: Path) -> str:
         raise InputError(f"file {path}: {error.strerror or error}; allowed: a readable file") from None
 
 
-def claim(path: Path, asked: dict[str, Any]) -> None:
-    """Write down what a folder is for; refuse a folder that is for something else.
+def claim(path: Path, asked: dict[str, Any]) -> str:
+    """Write down what a folder is for, and return the hash of that; refuse a folder that is for something else.
 
     raises  InputError naming the first entry that differs
     """
     if not path.exists():
         write_json(path, asked)
-        return
+        return sha256(path)
     found = read_json(path)
     if not isinstance(found, dict):
         raise InputError(f"file {path}: damaged (not what was asked for); allowed: a new folder")
@@ -43,6 +44,21 @@ def claim(path: Path, asked: dict[str, Any]) -> None:
         place, old, new = _difference(found, asked)
         what = f"{place} = {old!r}, asked for {new!r}"
         raise InputError(f"folder {path.parent} holds another cohort: {what}; allowed: a new folder")
+    return sha256(path)
+
+
+def require_claimed(path: Path, digest: str) -> None:
+    """Refuse to work in a folder that is not the one that was claimed, as a worker on another machine may see it.
+
+    raises  InputError naming the machine
+    """
+    allowed = "allowed: a folder that all workers share, under one path"
+    try:
+        found = sha256(path)
+    except InputError as error:
+        raise InputError(f"on {node()}: {str(error).split(';')[0]}; {allowed}") from None
+    if found != digest:
+        raise InputError(f"on {node()}: folder {path.parent} holds another cohort; {allowed}")
 
 
 def read_json(path: Path) -> Any:
@@ -60,7 +76,7 @@ def read_json(path: Path) -> Any:
 
 def write_rows(folder: Path, knee: int, rows: list[Row]) -> None:
     """Write the record of one knee, with a hash of its own; its images stand by then."""
-    write_json(_record(folder, knee), {"rows": rows, "sha256": _digest(rows)})
+    write_json(record_path(folder, knee), {"rows": rows, "sha256": _digest(rows)})
 
 
 def read_rows(folder: Path, knee: int, names: list[str]) -> list[Row] | None:
@@ -69,13 +85,10 @@ def read_rows(folder: Path, knee: int, names: list[str]) -> list[Row] | None:
     names   of the radiographs that it must be of, in order
     raises  InputError naming a record or an image that is damaged
     """
-    path = _record(folder, knee)
+    path = record_path(folder, knee)
     if not path.exists():
         return None
-    record = read_json(path)
-    rows = record.get("rows") if isinstance(record, dict) else None
-    if not isinstance(rows, list) or record.get("sha256") != _digest(rows):
-        raise InputError(f"file {path}: damaged (not as it was written); delete it to have it made again")
+    rows = rows_of(path)
     if [row["radiograph"] for row in rows] != names:
         raise InputError(
             f"file {path}: not of knee {knee}; allowed: {', '.join(names)}; delete it to have it made again"
@@ -91,6 +104,18 @@ def read_rows(folder: Path, knee: int, names: list[str]) -> list[Row] | None:
     return rows
 
 
+def rows_of(path: Path) -> list[Row]:
+    """The rows of a record, checked against its own hash.
+
+    raises  InputError for a record that is damaged
+    """
+    record = read_json(path)
+    rows = record.get("rows") if isinstance(record, dict) else None
+    if not isinstance(rows, list) or record.get("sha256") != _digest(rows):
+        raise InputError(f"file {path}: damaged (not as it was written); delete it to have it made again")
+    return rows
+
+
 def write_json(path: Path, content: Any) -> None:
     """Write a value as JSON."""
     write_bytes(path, (json.dumps(content, indent=1) + "\n").encode())
@@ -98,18 +123,47 @@ def write_json(path: Path, content: Any) -> None:
 
 def write_csv(path: Path, rows: list[Row]) -> None:
     """Write rows as CSV with a header, columns in the order of the first row."""
+    write_bytes(path, as_csv(rows))
+
+
+def as_csv(rows: list[Row]) -> bytes:
+    """What `write_csv` writes."""
     text = io.StringIO()
     writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    write_bytes(path, text.getvalue().encode())
+    return text.getvalue().encode()
+
+
+def read_csv(path: Path, required: tuple[str, ...]) -> list[Row]:
+    """The rows of a CSV file, all values as text.
+
+    required  columns that every row must have
+    raises    InputError for a file that cannot be read or lacks one of them
+    """
+    try:
+        rows: list[Row] = list(csv.DictReader(io.StringIO(path.read_text(encoding="utf-8"))))
+    except OSError as error:
+        raise InputError(f"file {path}: {error.strerror or error}; allowed: a readable file") from None
+    except (ValueError, csv.Error) as error:
+        raise InputError(f"file {path}: not a table ({error})") from None
+    for name in required:
+        if not rows or any(row.get(name) is None for row in rows):
+            raise InputError(f"file {path}: no column {name}, or a row without it; required: {', '.join(required)}")
+    return rows
+
+
+def same(path: Path, content: bytes) -> bool:
+    """Whether a file holds these bytes."""
+    return sha256(path) == hashlib.sha256(content).hexdigest()
 
 
 def _digest(rows: list[Row]) -> str:
     return hashlib.sha256(json.dumps(rows, sort_keys=True).encode()).hexdigest()
 
 
-def _record(folder: Path, knee: int) -> Path:
+def record_path(folder: Path, knee: int) -> Path:
+    """Where the record of one knee stands."""
     return folder / "records" / f"k{knee:04d}.json"
 
 

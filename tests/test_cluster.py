@@ -1,0 +1,109 @@
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from test_cohort import digests, tiny
+
+import pssf
+from pssf import cohort, parallel
+from pssf.parallel import WorkersLostError, ordered_map
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """A scheduler with two worker processes."""
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as found:
+        yield found
+
+
+def test_a_cluster_gives_the_bytes_of_one_worker_here(cluster, small_protocols, whole_cohort, tmp_path):
+    cohort.make_cohort(tiny(small_protocols), tmp_path / "c", scheduler=cluster.scheduler_address)
+    assert digests(tmp_path / "c") == digests(whole_cohort)
+    assert cohort.verify_cohort(tmp_path / "c").faults == ()
+
+
+def where(item, offset):
+    return 2 * item + offset, os.getpid()
+
+
+def test_results_come_in_order_from_the_cluster_and_not_from_here(cluster):
+    arrived = []
+    found = ordered_map(
+        where,
+        range(7),
+        shared={"offset": 1},
+        scheduler=cluster.scheduler_address,
+        arrived=lambda *result: arrived.append(result),
+    )
+    assert [value for value, _ in found] == [1, 3, 5, 7, 9, 11, 13]
+    assert sorted(arrived) == list(enumerate(found))
+    assert os.getpid() not in {pid for _, pid in found}
+
+
+def die_once(item, marker):
+    if item == 2 and not marker.exists():
+        marker.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return 2 * item
+
+
+def test_the_work_of_a_killed_worker_of_the_cluster_is_done_again(cluster, tmp_path):
+    shared = {"marker": tmp_path / "died"}
+    assert ordered_map(die_once, range(6), shared=shared, scheduler=cluster.scheduler_address) == [0, 2, 4, 6, 8, 10]
+    assert (tmp_path / "died").exists()
+
+
+def die_always(item):
+    if item == 0:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return item
+
+
+def test_work_that_kills_every_worker_of_the_cluster_is_given_up(cluster):
+    with pytest.raises(WorkersLostError, match="killed again and again"):
+        ordered_map(die_always, range(3), shared={}, scheduler=cluster.scheduler_address)
+
+
+def refuse(item):
+    raise pssf.InputError(f"item = {item}; allowed: none")
+
+
+def test_a_refusal_by_a_worker_arrives_as_it_is(cluster):
+    with pytest.raises(pssf.InputError, match=r"^item = 0; allowed: none$"):
+        ordered_map(refuse, [0], shared={}, scheduler=cluster.scheduler_address)
+
+
+def test_a_scheduler_without_workers_is_refused():
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(n_workers=0, dashboard_address=None) as empty,
+        pytest.raises(pssf.InputError, match="has no workers; allowed: one or more"),
+    ):
+        parallel.require_scheduler(empty.scheduler_address)
+
+
+@pytest.mark.parametrize("address", ["here", "8786", "tcp://somewhere", "http://127.0.0.1:8786"])
+def test_what_is_no_address_is_refused(address):
+    with pytest.raises(pssf.InputError, match=rf"scheduler = '{address}'; allowed: .*tcp://host:8786"):
+        parallel.require_scheduler(address)
+
+
+def test_a_missing_library_is_refused_with_the_way_to_get_it(monkeypatch):
+    monkeypatch.setattr(parallel, "find_spec", lambda name: None)
+    with pytest.raises(pssf.InputError, match=r"needs distributed; .*uv sync --extra cluster"):
+        parallel.require_scheduler("tcp://127.0.0.1:8786")
+
+
+def test_a_scheduler_that_does_not_answer_is_told_in_one_line_within_seconds_and_nothing_is_left(tmp_path):
+    began = time.monotonic()
+    command = [sys.executable, "-m", "pssf", "cohort", "--out", str(tmp_path / "c"), "--scheduler", "tcp://127.0.0.1:9"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.startswith("pssf: scheduler = 'tcp://127.0.0.1:9' does not answer within 5 s; allowed: ")
+    assert done.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+    assert time.monotonic() - began < 30

@@ -1,0 +1,110 @@
+import csv
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+import pssf
+from pssf import cohort
+
+
+@pytest.fixture
+def folder(whole_cohort, tmp_path):
+    """A copy of a whole cohort, to be damaged."""
+    return shutil.copytree(whole_cohort, tmp_path / "c")
+
+
+def first(folder, name):
+    return min((folder / name).iterdir())
+
+
+def append(path):
+    path.write_bytes(path.read_bytes() + b"x")
+
+
+def cell(folder, column, value):
+    """Write another value into the manifest's first row."""
+    path = folder / "manifest.csv"
+    with open(path) as handle:
+        rows = list(csv.DictReader(handle))
+    rows[0][column] = value
+    with open(path, "w", newline="") as handle:
+        writer = csv.DictWriter(handle, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def cut(path):
+    """Leave out the last line."""
+    path.write_text("".join(path.read_text().splitlines(keepends=True)[:-1]))
+
+
+def test_a_whole_cohort_has_no_fault_and_is_counted(folder):
+    found = cohort.verify_cohort(folder)
+    assert found.faults == ()
+    assert (found.radiographs, found.files) == (6, len([p for p in folder.rglob("*") if p.is_file()]))
+
+
+@pytest.mark.parametrize(
+    ("damage", "lines"),
+    [
+        (lambda f: append(first(f, "images")), ["images/s0000_k0000_low_dose.tif: changed (sha256 "]),
+        (lambda f: first(f, "images").unlink(), ["images/s0000_k0000_low_dose.tif: missing"]),
+        (lambda f: append(first(f, "records")), ["records/k0000.json: damaged ("]),
+        (lambda f: first(f, "records").unlink(), ["records/k0000.json: missing ("]),
+        (lambda f: (f / "images" / "mine.tif").touch(), ["images/mine.tif: extra ("]),
+        (lambda f: (f / "images" / ".pssf-a-1.tif").touch(), ["images/.pssf-a-1.tif: unfinished ("]),
+        (lambda f: (f / ".pssf-a-1.csv").touch(), [".pssf-a-1.csv: unfinished ("]),
+        (lambda f: cell(f, "jsw_medial_mm", "9.9"), ["manifest.csv: changed ("]),
+        (lambda f: cell(f, "knee", "first"), ["manifest.csv: damaged ("]),
+        (lambda f: (f / "manifest.csv").unlink(), ["manifest.csv: missing ("]),
+        (lambda f: (f / "manifest.csv").write_text("file\nx\n"), ["manifest.csv: damaged ("]),
+        (lambda f: (f / "manifest.csv").write_bytes(b"\xff"), ["manifest.csv: damaged ("]),
+        (lambda f: (f / "cohort.json").write_text("{}"), ["cohort.json: damaged ("]),
+        (
+            lambda f: cut(f / "manifest.csv"),
+            [
+                "manifest.csv: 5 radiographs, 6 were asked for",
+                "manifest.csv: changed (",
+                "images/s0002_k0002_low_dose.tif: extra (",
+            ],
+        ),
+    ],
+)
+def test_every_fault_is_a_line_that_names_the_file(folder, damage, lines):
+    damage(folder)
+    faults = cohort.verify_cohort(folder).faults
+    assert len(faults) == len(lines)
+    for fault, line in zip(faults, lines, strict=True):
+        assert fault.startswith(line)
+
+
+def test_an_image_changed_together_with_its_hash_in_the_manifest_is_found(folder):
+    image = first(folder, "images")
+    append(image)
+    with open(folder / "manifest.csv") as handle:
+        row = next(row for row in csv.DictReader(handle) if row["file"].endswith(image.name))
+    path = folder / "manifest.csv"
+    path.write_text(path.read_text().replace(row["sha256"], pssf.files.records.sha256(image)))
+    assert [fault.split(" (")[0] for fault in cohort.verify_cohort(folder).faults] == ["manifest.csv: changed"]
+
+
+def test_a_folder_of_no_cohort_is_refused(tmp_path):
+    with pytest.raises(pssf.InputError, match=r"has no cohort\.json"):
+        cohort.verify_cohort(tmp_path)
+
+
+def test_the_command_prints_a_line_a_fault_and_ends_with_2_or_one_line_and_ends_with_0(folder):
+    def run():
+        script = [sys.executable, "-m", "pssf", "cohort", "verify", str(folder)]
+        return subprocess.run(script, capture_output=True, text=True, check=False)
+
+    whole = run()
+    assert (whole.returncode, whole.stdout) == (0, "whole     6 radiographs, 11 files, as they were written\n")
+    for image in list((folder / "images").iterdir())[:2]:
+        append(image)
+    broken = run()
+    assert broken.returncode == 2
+    assert broken.stdout.count("\n") == broken.stdout.count(": changed (sha256 ") == 2
+    assert broken.stderr == ""
