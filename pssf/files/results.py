@@ -49,6 +49,6 @@ def save_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode("utf-8"))
 
 
-def save_picture(path: Path, png: bytes) -> None:
-    """A PNG as it is."""
-    write_bytes(path, png)
+def save_bytes(path: Path, content: bytes) -> None:
+    """A picture or a model as it is."""
+    write_bytes(path, content)
