@@ -189,7 +189,7 @@ def _findings(
         scores=tables["scores"],
         differences=tables["differences"],
         calibration=tables["calibration"],
-        families=by_family(shown).join(by_family(shown, "drop"), rsuffix=" drop"),
+        families=by_family(shown).join(by_family(shown, "drop").add_suffix(" drop")),
         screened=[outcome.stable for outcome in outcomes if outcome.stable is not None],
         models=sorted(outcomes[0].models),
         stable=count_stable(tables["reliability"]),

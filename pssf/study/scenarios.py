@@ -139,9 +139,7 @@ def _follow(
     for label, classifier in recipe.models.items():
         arm = {"task": parts.task, "trained_on": recipe.trained_on, "model": label, "selection": recipe.selection}
         fitted = tune(prepared, classifier, fit_on, check_on, seed=seed)
-        for scenario, tested_on, rows in recipe.tests:
-            labels = {**arm, "scenario": scenario, "tested_on": tested_on, "repeat": repeat}
-            gathered.predictions.append(_predict(fitted, rows, recipe.names, parts.grades).assign(**labels))
+        gathered.predictions.append(_predict(fitted, recipe, parts.grades).assign(**arm, repeat=repeat))
         scenario, _, rows = recipe.tests[0]
         if recipe.selection == NONE or scenario not in ("within", "multi"):
             continue
@@ -198,8 +196,10 @@ def _part(table: pd.DataFrame, names: list[str], grades: tuple[int, ...]) -> Par
     return table[names], np.searchsorted(grades, table["grade"].to_numpy())
 
 
-def _predict(fitted: Fitted, table: pd.DataFrame, names: list[str], grades: tuple[int, ...]) -> pd.DataFrame:
-    features, truth = _part(table, names, grades)
+def _predict(fitted: Fitted, recipe: _Recipe, grades: tuple[int, ...]) -> pd.DataFrame:
+    """The predictions of all tests of a recipe, one below the other."""
+    table = pd.concat([rows.assign(scenario=name, tested_on=on) for name, on, rows in recipe.tests], ignore_index=True)
+    features, truth = _part(table, recipe.names, grades)
     probability = fitted.pipeline.predict_proba(features) if len(table) else np.empty((0, len(grades)))
-    found = table[["radiograph", "knee", "subject", "protocol"]].assign(truth=truth)
+    found = table[["radiograph", "knee", "subject", "protocol", "scenario", "tested_on"]].assign(truth=truth)
     return found.assign(**{f"p{k}": probability[:, k].astype(np.float64) for k in range(len(grades))})

@@ -43,7 +43,10 @@ class Prune(TransformerMixin, BaseEstimator):
 
     def transform(self, X: pd.DataFrame) -> pd.DataFrame:
         # A feature may be undefined in a radiograph met later, such as the elongation of a mask that is a line.
-        return X[self.kept_].fillna(self.median_)
+        # By numpy, for fillna goes column by column and took a third of the time of a prediction.
+        values = X[self.kept_].to_numpy(np.float64)
+        filled = np.where(np.isnan(values), self.median_.to_numpy(), values)
+        return pd.DataFrame(filled, columns=self.kept_, index=X.index)
 
 
 class SelectL1(TransformerMixin, BaseEstimator):
