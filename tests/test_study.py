@@ -18,6 +18,7 @@ from sklearn.metrics import balanced_accuracy_score, f1_score, roc_auc_score
 
 from pssf import study
 from pssf.checks import InputError
+from pssf.files.results import load_table
 from pssf.radiomics.region import Template
 from pssf.study import StudySettings, metrics
 from pssf.study.localisation import errors, summarise
@@ -436,7 +437,8 @@ def test_repeats_have_their_own_reliability_and_no_part_in_training_or_localisat
 
 def test_a_model_on_disk_gives_the_probabilities_of_the_first_split(result):
     told = pd.read_csv(result.tables["predictions"]).query("task == '0 vs 2' and scenario == 'within' and repeat == 0")
-    features = pd.read_csv(result.tables["features"], float_precision="round_trip").set_index("radiograph")
+    features = load_table(result.tables["features"], ("radiograph", "sha256", "settings", "status"))
+    features = features.set_index("radiograph")
     assert set(result.models) == {"lr_l1", "rf_l1"}
     for name, path in result.models.items():
         rows = told[told["model"] == name.split("_")[0]]
