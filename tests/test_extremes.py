@@ -10,6 +10,7 @@ import pytest
 from pssf.checks import InputError
 from pssf.study import StudySettings
 from pssf.study.evidence import tables_of_features, tables_of_models
+from pssf.study.importance import by_family
 from pssf.study.scenarios import Outcome, one_split
 from pssf.study.split import split_subjects
 
@@ -75,8 +76,14 @@ def test_a_grade_that_is_missing_from_training_under_one_protocol_leaves_its_arm
     cohort = table(6)
     split = split_subjects(cohort["subject"], cohort["grade"], seed=0)
     lost = cohort["subject"].isin(split.training) & (cohort["grade"] == 2) & (cohort["protocol"] == "reference")
-    found = one_split(0, table=cohort[~lost], names=NAMES, settings=LIGHT).predictions
+    outcomes, tables = study(cohort[~lost], dataclasses.replace(LIGHT, repeats=1))
+    found = outcomes[0].predictions
     assert set(found["trained_on"]) == {"all"}
+    assert outcomes[0].models == {}
+    for name in ("calibration", "calibration_curve", "importance", "permutation"):
+        assert tables[name].empty, name
+    shown = tables["importance"].merge(tables["permutation"], on=["model", "selection", "feature"], how="left")
+    assert by_family(shown).join(by_family(shown, "drop").add_suffix(" drop")).shape == (7, 0)
 
 
 @pytest.mark.parametrize("selection", ["l1", "mrmr"])
