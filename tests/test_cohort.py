@@ -1,6 +1,8 @@
 import csv
+import dataclasses
 import errno
 import hashlib
+import json
 import os
 import re
 import signal
@@ -160,6 +162,61 @@ def test_a_folder_of_another_seed_is_refused(protocols, tmp_path):
     other = cohort.plan_cohort("quick", seed=6, overrides={"knees": [1, 1, 1], "protocols": protocols})
     with pytest.raises(pssf.InputError, match="holds another cohort: seed = 5, asked for 6"):
         cohort.make_cohort(other, tmp_path / "c", workers=1)
+
+
+def test_repeats_are_of_single_subjects_evenly_over_the_grades_under_the_reference_protocol():
+    plan = cohort.plan_cohort("paper", seed=0)
+    repeats = cohort.plan_repeats(plan)
+    known = {case.index: case for case in plan.cases}
+    again = [case for case in repeats.cases if case.index in known]
+    assert Counter(case.knee.grade for case in again) == {0: 7, 1: 7, 2: 6}
+    assert len({case.subject for case in again}) == len(again) == 20
+    assert len({case.index for case in repeats.cases}) == len(repeats.cases) == 60
+    assert all(case.knee == known[case.index].knee for case in again)
+    shots = [shot for case in repeats.cases for shot in case.shots]
+    assert len(shots) == 80
+    seeds = {shot.seed for shot in shots} | {shot.seed for case in plan.cases for shot in case.shots}
+    assert len(seeds) == 80 + 780
+    assert {shot.protocol.name for shot in shots} == {"reference"}
+
+
+def test_a_knee_is_placed_anew_to_opposite_sides_and_changes_in_nothing_else():
+    plan = cohort.plan_cohort("quick", seed=0, overrides={"retested": 24})
+    known = {f"k{case.index:04d}": case.knee for case in plan.cases}
+    placed: dict[str, list] = {}
+    for case in cohort.plan_repeats(plan).cases:
+        for shot in case.shots:
+            if "perturbation" in shot.name:
+                placed.setdefault(shot.name.split("_")[1], []).append((case.knee, shot.protocol))
+    assert len(placed) == 24
+    for name, ((one, beam), (two, other)) in placed.items():
+        knee = known[name]
+        assert one.rotation_deg + two.rotation_deg == pytest.approx(2 * knee.rotation_deg)
+        assert abs(one.rotation_deg - knee.rotation_deg) == pytest.approx(2)
+        assert {beam.beam_angle_deg, other.beam_angle_deg} == {-1.0, 1.0}
+        low, high = sorted((one.flexion_deg, two.flexion_deg))
+        assert high == pytest.approx(knee.flexion_deg + 2)
+        assert low == pytest.approx(max(0.0, knee.flexion_deg - 2))
+        for again in (one, two):
+            back = dataclasses.replace(again, rotation_deg=knee.rotation_deg, flexion_deg=knee.flexion_deg)
+            assert back == knee
+
+
+def test_repeats_can_be_made_as_a_cohort_and_name_what_they_are(protocols, tmp_path):
+    plan = tiny(protocols, retested=2)
+    repeats = cohort.plan_repeats(plan)
+    rows = rows_of(cohort.make_cohort(repeats, tmp_path / "r", workers=1))
+    kinds = Counter(row["radiograph"].rsplit("_", 1)[1] for row in rows)
+    assert kinds == {"noise1": 2, "noise2": 2, "perturbation1": 2, "perturbation2": 2}
+    assert len({row["sha256"] for row in rows}) == 8
+    beams = {entry["beam_angle_deg"] for entry in json.loads((tmp_path / "r" / "cohort.json").read_text())["protocols"]}
+    assert beams == {-1.0, 0.0, 1.0}
+
+
+def test_a_plan_that_retests_no_knee_has_no_repeats_and_an_unknown_protocol_is_refused(protocols):
+    assert cohort.plan_repeats(tiny(protocols, retested=0)) is None
+    with pytest.raises(pssf.InputError, match=r"protocol = 'x'; allowed: reference, low_dose"):
+        cohort.plan_repeats(tiny(protocols), reference="x")
 
 
 RUN = """
@@ -332,6 +389,7 @@ def test_a_worker_that_sees_another_folder_or_has_other_libraries_refuses_to_wor
         ({"knees": [0, 0, 0]}, "knees = 0"),
         ({"knees": [-1, 0, 3]}, "knees of grade 0 = -1"),
         ({"bilateral": 20}, "bilateral = 20"),
+        ({"retested": -1}, "retested = -1"),
         ({"protocols": ["reference", "reference"]}, "each once"),
         ({"knee": [1]}, "did you mean 'knees'"),
     ],

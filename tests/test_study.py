@@ -18,11 +18,13 @@ from sklearn.metrics import balanced_accuracy_score, f1_score, roc_auc_score
 
 from pssf import study
 from pssf.checks import InputError
+from pssf.files.results import load_table
 from pssf.radiomics.region import Template
 from pssf.study import StudySettings, metrics
 from pssf.study.localisation import errors, summarise
 from pssf.study.models import tune
 from pssf.study.reliability import count_stable, icc, reliability
+from pssf.study.saving import loads
 from pssf.study.scenarios import one_split, score_splits
 from pssf.study.selection import SELECTIONS, Prune, is_degenerate, preparation
 from pssf.study.split import split_subjects
@@ -132,7 +134,7 @@ def test_a_feature_that_is_the_same_everywhere_has_no_icc_and_is_counted_apart()
     assert np.isnan(icc(1 + 1e-15 * np.arange(15.0).reshape(5, 3))).all()
     table = features(8).assign(constant=1.0)
     stable = count_stable(reliability(table, ["signal", "constant"], "reference"))
-    assert list(stable["protocols"]) == [
+    assert list(stable["across"]) == [
         "all protocols",
         "reference and low_dose",
         "reference and geometry_shift",
@@ -232,8 +234,9 @@ def test_signal_is_found_in_every_scenario_and_the_same_twice():
     table = features(10, noise=0.2)
     outcome = one_split(0, table=table, names=NAMES, settings=FAST)
     scores = score_splits(outcome.predictions)
-    assert set(scores["scenario"]) == {"within", "cross", "multi"}
-    assert (scores.loc[scores["task"] == "0 vs 2", "auc"] > 0.9).all()
+    assert set(scores["scenario"]) == {"within", "cross", "cross_stable", "cross_harmonised", "multi"}
+    models = scores[scores["selection"] != "none"]
+    assert (models.loc[models["task"] == "0 vs 2", "auc"] > 0.9).all()
     pd.testing.assert_frame_equal(
         outcome.predictions, one_split(0, table=table, names=NAMES, settings=FAST).predictions
     )
@@ -243,7 +246,8 @@ def mean_auc(table: pd.DataFrame, names: list[str], model: str, repeats: int = 6
     quick = StudySettings(selections=("l1",), models=(model,))
     outcomes = [one_split(r, table=table, names=names, settings=quick).predictions for r in range(repeats)]
     scores = score_splits(pd.concat(outcomes, ignore_index=True))
-    return float(scores[(scores["task"] == "0 vs 2") & (scores["scenario"] == "multi")]["auc"].mean())
+    of_model = (scores["task"] == "0 vs 2") & (scores["scenario"] == "multi") & (scores["model"] == model)
+    return float(scores[of_model]["auc"].mean())
 
 
 def test_permuted_labels_give_an_auc_of_a_half():
@@ -265,6 +269,9 @@ def test_a_fingerprint_of_the_subject_does_not_leak_across_the_split():
         table[f"mark{i}"] = mark[table["subject"], i]
     names = [f"mark{i}" for i in range(3)]
     assert abs(mean_auc(table, names, "rf") - 0.5) < 4 * np.sqrt(49 / (12 * 24 * 24))
+    # The same study with the leak planted, each radiograph passing for a subject of its own: the mark tells nearly all.
+    leaking = table.assign(subject=np.arange(len(table)))
+    assert mean_auc(leaking, names, "rf", repeats=2) > 0.9
 
 
 # --- localisation --------------------------------------------------------------------------------------------------
@@ -329,15 +336,30 @@ class Cohort:
                 self.rows.append(place | truth | file | {"protocol": protocol, "sdd_mm": 1150.0, "sod_mm": 950.0})
         self.manifest = pd.DataFrame(self.rows)
 
+    def again(self, knees: int) -> pd.DataFrame:
+        """The first knees taken twice more with other noise, and twice with other noise and a little further left."""
+        rows = []
+        for row in [row for row in self.rows if row["protocol"] == "reference"][:knees]:
+            for place, (kind, turn) in enumerate((k, t) for k in ("noise", "perturbation") for t in ("1", "2")):
+                name = f"{row['radiograph']}_{kind}{turn}"
+                file = {"radiograph": name, "file": name, "sha256": hashlib.sha256(name.encode()).hexdigest()}
+                moved = {"truth_medial_col_px": row["truth_medial_col_px"] - 0.4 * (kind == "perturbation")}
+                rows.append(
+                    row | file | moved | {"kind": kind, "turn": turn, "draw": 10_000 + 10 * row["knee"] + place}
+                )
+        self.rows += [row for row in rows if row["radiograph"] not in {known["radiograph"] for known in self.rows}]
+        return pd.DataFrame(rows)
+
     def load(self, file: str) -> np.ndarray:
         row = next(row for row in self.rows if row["file"] == file)
         gain = {"reference": 30000, "low_dose": 6000, "geometry_shift": 25000}[row["protocol"]]
         at = row["truth_medial_row_px"], row["truth_medial_col_px"]
-        return draw(row["grade"], *at, row["side"], 1.0, gain, 100 * row["subject"] + PROTOCOLS.index(row["protocol"]))
+        seed = row.get("draw", 100 * row["subject"] + PROTOCOLS.index(row["protocol"]))
+        return draw(row["grade"], *at, row["side"], 1.0, gain, seed)
 
 
 TEMPLATE = Template(pixels=draw(0, 128, 140, "right", 3.0, 60000, 0), row=128, col=140, pixel_mm=PIXEL_MM)
-SMALL = StudySettings(region_px=80, bins=32, repeats=2, selections=("l1",), models=("lr", "rf"))
+SMALL = StudySettings(region_px=80, bins=32, repeats=2, replicates=200, selections=("l1",), models=("lr", "rf"))
 
 
 @cache
@@ -348,7 +370,8 @@ def cohort() -> Cohort:
 @pytest.fixture(scope="module")
 def result(tmp_path_factory) -> study.StudyResult:
     out = tmp_path_factory.mktemp("study")
-    return study.run(cohort().manifest, cohort().load, TEMPLATE, SMALL, out, seconds={"cohort": 1.5})
+    again = cohort().again(3)
+    return study.run(cohort().manifest, cohort().load, TEMPLATE, SMALL, out, again=again, seconds={"cohort": 1.5})
 
 
 def test_a_study_finds_the_regions_and_tells_the_grades_apart(result):
@@ -359,7 +382,13 @@ def test_a_study_finds_the_regions_and_tells_the_grades_apart(result):
     scores = result.scores
     within = scores[(scores["task"] == "0 vs 2") & (scores["scenario"] == "within")]
     assert within["auc"].max() > 0.8
-    assert list(result.seconds) == ["cohort", "regions and features", "training and testing", "reliability and figures"]
+    assert list(result.seconds) == [
+        "cohort",
+        "regions and features",
+        "training and testing",
+        "intervals and differences",
+        "reliability and figures",
+    ]
 
 
 def test_the_report_is_one_page_with_everything_in_it(result):
@@ -384,12 +413,49 @@ def test_a_second_run_measures_nothing_again_and_writes_the_same_bytes(result, t
         asked.append(file)
         return cohort().load(file)
 
-    again = study.run(cohort().manifest, load, TEMPLATE, SMALL, tmp_path)
+    again = study.run(cohort().manifest, load, TEMPLATE, SMALL, tmp_path, again=cohort().again(3))
     assert len(asked) == 9  # the panel's
     for name, path in result.tables.items():
         assert again.tables[name].read_bytes() == path.read_bytes(), name
     for name, path in result.pictures.items():
         assert again.pictures[name].read_bytes() == path.read_bytes(), name
+    for name, path in result.models.items():
+        assert again.models[name].read_bytes() == path.read_bytes(), name
+
+
+def test_repeats_have_their_own_reliability_and_no_part_in_training_or_localisation(result):
+    across = result.reliability.groupby("across")["knees"].max()
+    assert across["repeated noise"] == across["small perturbations"] == 3
+    assert across["all protocols"] == 15
+    assert result.localisation.iloc[-1]["radiographs"] == 45
+    tested = set(pd.read_csv(result.tables["predictions"])["radiograph"])
+    assert not [name for name in tested if "noise" in name or "perturbation" in name]
+    page = result.report.read_text(encoding="utf-8")
+    assert "repeated noise" in page
+    assert "are not in it" not in page
+
+
+def test_a_model_on_disk_gives_the_probabilities_of_the_first_split(result):
+    told = pd.read_csv(result.tables["predictions"]).query("task == '0 vs 2' and scenario == 'within' and repeat == 0")
+    features = load_table(result.tables["features"], ("radiograph", "sha256", "settings", "status"))
+    features = features.set_index("radiograph")
+    assert set(result.models) == {"lr_l1", "rf_l1"}
+    for name, path in result.models.items():
+        rows = told[told["model"] == name.split("_")[0]]
+        model = loads(path.read_bytes())
+        found = model.predict_proba(features.loc[rows["radiograph"], list(model[0].feature_names_in_)])
+        assert_allclose(found[:, 1], rows["p1"], rtol=1e-12)
+
+
+def test_repeats_that_cannot_serve_are_refused_by_name(tmp_path):
+    manifest, again = cohort().manifest, cohort().again(2)
+    for broken, told in (
+        (again.drop(columns="turn"), "turn"),
+        (again.assign(kind="shake"), "kind of repeat = 'shake'"),
+        (again.assign(radiograph=manifest["radiograph"].iloc[0]), "listed twice"),
+    ):
+        with pytest.raises(InputError, match=told):
+            study.run(manifest, cohort().load, TEMPLATE, SMALL, tmp_path, again=broken)
 
 
 def test_refused_regions_are_counted_and_left_out(tmp_path):

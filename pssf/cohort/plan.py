@@ -1,7 +1,7 @@
 """Who is in a cohort and how each knee is taken; drawn from a seed, made later."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -13,7 +13,9 @@ from ..knee import Knee, draw_knee, knee_table
 from ..protocol import Protocol, load_protocol, protocol_table
 
 # Keys of the streams under a cohort's seed. A knee's index stands first, so the order of making changes nothing.
-_SHAPE, _NOISE, _BODY = 0, 3, 2**31
+_SHAPE, _NOISE, _AGAIN, _BODY = 0, 3, 4, 2**31
+# Off by which a knee is placed anew: what a careful radiographer is said to keep to (judgement).
+_ROTATION_DEG, _FLEXION_DEG, _BEAM_DEG = 2.0, 2.0, 1.0
 # What the two knees of a subject share.
 _BODY_FIELDS = ("sex", "stature_mm", "bone_scale", "cortex_scale", "limb_ap_mm", "fat_mm", "age_years")
 
@@ -39,19 +41,25 @@ class Case:
 
 @dataclass(frozen=True)
 class Plan:
-    """A cohort before it is made."""
+    """A cohort before it is made.
+
+    repeats   splits of its subjects
+    retested  knees that are taken again, see `plan_repeats`
+    """
 
     preset: str
     seed: int
     repeats: int
     cases: tuple[Case, ...]
+    retested: int = 0
 
     def table(self) -> dict[str, Any]:
         """All that decides the pixels of this cohort, JSON-ready."""
+        protocols = dict.fromkeys(shot.protocol for case in self.cases for shot in case.shots)
         return {
             "preset": self.preset,
             "seed": self.seed,
-            "protocols": [protocol_table(shot.protocol) for shot in self.cases[0].shots],
+            "protocols": [protocol_table(protocol) for protocol in protocols],
             "knees": [{"subject": case.subject, "index": case.index, **knee_table(case.knee)} for case in self.cases],
         }
 
@@ -86,7 +94,64 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
     cases = []
     for index, (subject, grade, side) in enumerate(_people(table["knees"], table["bilateral"])):
         cases.append(_case(seed, index, subject, grade, side, protocols))
-    return Plan(preset=preset, seed=seed, repeats=table["repeats"], cases=tuple(cases))
+    require_whole("retested", table["retested"], 0, 100_000, "knees")
+    return Plan(preset=preset, seed=seed, repeats=table["repeats"], cases=tuple(cases), retested=table["retested"])
+
+
+def plan_repeats(plan: Plan, *, reference: str = "reference") -> Plan | None:
+    """Knees of a cohort, one a subject and evenly over the grades, to be taken again under one protocol.
+
+    Each is taken twice with other noise, and placed anew twice, to opposite sides: rotation and flexion off by 2 deg
+    (flexion not below 0) and the beam by 1 deg, signs drawn, noise other again. A radiograph's name ends in _noise1,
+    _noise2, _perturbation1 or _perturbation2, and has the number of its knee in the plan: s0001_k0003_noise1. A knee
+    that is placed anew is a case of its own, with an index beyond the plan's.
+
+    returns  None where the plan retests no knee
+    raises   InputError for a protocol that the plan does not have
+    """
+    if not plan.retested:
+        return None
+    protocols = {shot.protocol.name: shot.protocol for case in plan.cases for shot in case.shots}
+    require_choice("protocol", reference, tuple(protocols))
+    cases: list[Case] = []
+    for case in _spread(plan):
+        at = len(plan.cases) + 2 * case.index
+        cases += _again(plan.seed, case, protocols[reference], at)
+    return Plan(preset=f"{plan.preset}, repeats", seed=plan.seed, repeats=plan.repeats, cases=tuple(cases))
+
+
+def _spread(plan: Plan) -> list[Case]:
+    """`plan.retested` cases, or as many as there are subjects: a grade after the other gives its next subject."""
+    queues: dict[int | None, list[Case]] = {}
+    seen: set[int] = set()
+    for case in plan.cases:
+        if case.subject not in seen:
+            queues.setdefault(case.knee.grade, []).append(case)
+            seen.add(case.subject)
+    longest = max(len(queue) for queue in queues.values())
+    turns = [queue[turn] for turn in range(longest) for queue in queues.values() if turn < len(queue)]
+    return sorted(turns[: plan.retested], key=lambda case: case.index)
+
+
+def _again(seed: int, case: Case, protocol: Protocol, at: int) -> list[Case]:
+    """The knee as it stands with other noise, and placed anew to one side and to the other."""
+    root = np.random.SeedSequence(seed, spawn_key=(case.index, _AGAIN))
+    states = [int(state >> np.uint64(1)) for state in root.generate_state(4, np.uint64)]
+    signs = np.random.default_rng(root.spawn(1)[0]).choice([-1.0, 1.0], 3)
+    stem = f"s{case.subject:04d}_k{case.index:04d}"
+    shots = tuple(Shot(f"{stem}_noise{turn}", protocol, states[turn - 1]) for turn in (1, 2))
+    cases = [replace(case, shots=shots)]
+    for turn, side in ((1, 1.0), (2, -1.0)):
+        rotation, flexion, beam = (float(side * sign) for sign in signs)
+        knee = replace(
+            case.knee,
+            rotation_deg=round(case.knee.rotation_deg + rotation * _ROTATION_DEG, 4),
+            flexion_deg=round(max(0.0, case.knee.flexion_deg + flexion * _FLEXION_DEG), 4),
+        )
+        placed = replace(protocol, beam_angle_deg=protocol.beam_angle_deg + beam * _BEAM_DEG)
+        shot = Shot(f"{stem}_perturbation{turn}", placed, states[turn + 1])
+        cases.append(Case(subject=case.subject, index=at + turn - 1, knee=knee, shots=(shot,)))
+    return cases
 
 
 def _people(knees: Sequence[int], bilateral: int) -> list[tuple[int, int, str | None]]:

@@ -1,5 +1,6 @@
 """Results of a study on disk: tables, JSON, pages and pictures. Each file appears whole or not at all."""
 
+import csv
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -49,6 +50,18 @@ def save_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode("utf-8"))
 
 
-def save_picture(path: Path, png: bytes) -> None:
-    """A PNG as it is."""
-    write_bytes(path, png)
+def save_bytes(path: Path, content: bytes) -> None:
+    """A picture or a model as it is."""
+    write_bytes(path, content)
+
+
+def holds(path: Path, key: str = "") -> bool:
+    """Whether a file, or a folder with something in it, is there; and if a key is given, its table or JSON has it."""
+    if not path.exists() or (path.is_dir() and not any(path.iterdir())):
+        return False
+    if not key:
+        return True
+    if path.suffix == ".json":
+        return key in json.loads(path.read_text(encoding="utf-8"))
+    with open(path, newline="", encoding="utf-8") as handle:
+        return key in next(csv.reader(handle), [])

@@ -4,9 +4,15 @@ split.split_subjects      subjects, grades       -> training, validation, test s
 selection.preparation     name of a selection    -> pipeline: prune, standardise, select
 models.tune               training, validation   -> fitted model
 metrics.score             truth, probability     -> AUC, balanced accuracy, macro F1
+baselines.baselines_of    features               -> chance, body and joint space alone, as further models
+transfer                  training radiographs   -> stable features; features harmonised across protocols
 scenarios.one_split       features of a cohort   -> predictions within, across and over all protocols
-reliability.reliability   features of a cohort   -> ICC of every feature
-importance.by_family      importances            -> share of each family
+intervals                 predictions            -> 95 % intervals; paired differences with p
+calibration               predictions            -> slope, Brier score; confusion
+reliability               features of a cohort   -> ICC of every feature, its interval, shares of variance
+importance                importances            -> share of each feature and family; permutation
+saving.dumps              fitted model           -> bytes without pickle
+evidence                  outcomes, features     -> all tables
 localisation.summarise    found and known places -> error by protocol and grade
 figures                   tables                 -> PNG
 report.render             all of these           -> one HTML page
@@ -37,6 +43,7 @@ _NEEDED = {
     "matplotlib": "matplotlib",
     "skimage": "scikit-image",
     "jinja2": "jinja2",
+    "skops": "skops",
 }
 
 
@@ -50,6 +57,7 @@ class StudySettings:
     repeats        splits of the subjects
     rho            |Spearman's rho| above which the later of two features is left out
     most_features  that a selection may keep
+    replicates     of the bootstrap; the least p is 2 / (replicates + 1)
     reference      protocol of the within-protocol scenario, and that ICCs are paired with
     raises         InputError for a value out of range
     """
@@ -61,6 +69,7 @@ class StudySettings:
     seed: int = 0
     rho: float = 0.9
     most_features: int = 10
+    replicates: int = 2000
     selections: tuple[str, ...] = _SELECTIONS
     models: tuple[str, ...] = _MODELS
     reference: str = "reference"
@@ -73,6 +82,7 @@ class StudySettings:
         require_whole("seed", self.seed, 0, 2**63 - 1, "")
         require("rho", self.rho, 0.1, 1, "(correlation)")
         require_whole("most_features", self.most_features, 1, 100, "features")
+        require_whole("replicates", self.replicates, 100, 100_000, "samples")
         for name, given, allowed in (("selections", self.selections, _SELECTIONS), ("models", self.models, _MODELS)):
             if not given:
                 raise InputError(f"{name} = (); allowed: one or more of {', '.join(allowed)}")
@@ -86,8 +96,10 @@ class StudyResult:
 
     pictures      name -> PNG
     tables        name -> CSV
-    scores        one row an arm: mean and spread of AUC, balanced accuracy, macro F1
-    reliability   one row a feature and set of protocols: ICC(2,1), ICC(3,1)
+    models        name -> skops file: fitted within protocol on the first split, 0 vs 2
+    scores        one row an arm: mean, spread and interval of AUC, balanced accuracy, macro F1
+    differences   one row a pair of arms and metric: paired difference, interval, p, p after Holm
+    reliability   one row a feature and set of conditions: ICC(2,1), ICC(3,1), intervals, shares of variance
     localisation  one row a protocol and grade
     seconds       wall time of each stage, those before the study included
     """
@@ -95,7 +107,9 @@ class StudyResult:
     report: Path
     pictures: dict[str, Path]
     tables: dict[str, Path]
+    models: dict[str, Path]
     scores: "pd.DataFrame"
+    differences: "pd.DataFrame"
     reliability: "pd.DataFrame"
     localisation: "pd.DataFrame"
     seconds: dict[str, float]
@@ -121,6 +135,7 @@ def run(
     settings: StudySettings,
     out: Path,
     *,
+    again: "pd.DataFrame | None" = None,
     seconds: dict[str, float] | None = None,
     workers: int = 1,
     progress: Progress | None = None,
@@ -128,8 +143,11 @@ def run(
     """Find the regions, measure them, train and test, and write report, pictures and tables into `out`.
 
     manifest     one row a radiograph: radiograph, subject, knee, side, grade, protocol, file, sha256, pixel_mm, sdd_mm,
-                 sod_mm, truth_medial_row_px, truth_medial_col_px
+                 sod_mm, truth_medial_row_px, truth_medial_col_px; for the baselines also sex, age_years, stature_mm,
+                 jsw_medial_mm, without which they are left out
     load_pixels  entry of the column `file` -> (rows, cols) uint16, linear; picklable if workers > 1
+    again        some knees taken again under the reference protocol: the manifest's columns, with the knee that it is
+                 again, kind (noise | perturbation) and turn; only for the reliability of features
     seconds      wall time of the stages before this one, for the report
     workers      processes; no result depends on them
     progress     is told stage, done, of how many
@@ -139,5 +157,13 @@ def run(
     from .pipeline import run_study
 
     return run_study(
-        manifest, load_pixels, template, settings, out, seconds=seconds or {}, workers=workers, progress=progress
+        manifest,
+        load_pixels,
+        template,
+        settings,
+        out,
+        again=again,
+        seconds=seconds or {},
+        workers=workers,
+        progress=progress,
     )

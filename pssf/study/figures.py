@@ -108,8 +108,8 @@ def confusions(predictions: pd.DataFrame, selection: str) -> bytes:
 
 def heat_map(reliability: pd.DataFrame) -> bytes:
     """ICC of every feature: columns are the forms and sets of protocols, features sorted by family, in two blocks."""
-    table = reliability.pivot(index="feature", columns="protocols", values=list(ICC_FORMS))
-    sets = list(dict.fromkeys(reliability["protocols"]))
+    table = reliability.pivot(index="feature", columns="across", values=list(ICC_FORMS))
+    sets = list(dict.fromkeys(reliability["across"]))
     columns = [(form, label) for form in ICC_FORMS for label in sets]
     order = sorted(table.index, key=lambda name: (FAMILIES.index(family(name)), name))
     values = table.loc[order, columns].to_numpy(dtype=float)
@@ -162,7 +162,7 @@ def _matrix(axis: Any, counts: NDArray[np.int64]) -> None:
 
 def _shown(arm: tuple[str, str]) -> bool:
     scenario, tested_on = arm
-    return scenario != "multi" or tested_on == "all"
+    return scenario in ("within", "cross") or (scenario == "multi" and tested_on == "all")
 
 
 def _title(scenario: str) -> str:

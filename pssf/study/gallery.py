@@ -11,8 +11,8 @@ from ..radiomics.table import Load
 from . import StudySettings, figures
 from .figures import Shot
 from .importance import by_family
+from .reliability import protocols_of
 from .report import Picture
-from .scenarios import protocols_of
 from .selection import SELECTIONS
 
 _SHRINK = 4  # of the radiographs in the panel; the file stays small and the joint can be seen

@@ -42,6 +42,39 @@ def auc(positive: NDArray[np.bool_], value: Array) -> float:
     return float((rankdata(value)[positive].sum() - ones * (ones + 1) / 2) / pairs)
 
 
+def weighted_scores(truth: NDArray[np.int64], probability: Array, weight: Array) -> dict[str, Array]:
+    """`score` of many weighted samples of the same rows at once: a weight of 2 counts a row twice, of 0 not at all.
+
+    truth        (rows,) class index
+    probability  (rows, classes)
+    weight       (rows, samples) whole numbers, so that every sum is exact and no order of adding shows
+    returns      metric -> (samples,); NaN for all three where a class has no weight
+    """
+    classes = probability.shape[1]
+    cell = np.zeros((classes * classes, len(truth)))
+    cell[truth * classes + probability.argmax(axis=1), np.arange(len(truth))] = 1.0
+    counts = (cell @ weight).reshape(classes, classes, -1)
+    true, called, right = counts.sum(axis=1), counts.sum(axis=0), np.einsum("kks->ks", counts)
+    ones = range(classes) if classes > 2 else (1,)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        found = {
+            "auc": np.mean([_weighted_auc(truth == k, probability[:, k], weight) for k in ones], axis=0),
+            "balanced_accuracy": (right / true).mean(axis=0),
+            "macro_f1": (2 * right / (true + called)).mean(axis=0),
+        }
+    lacking = ~(true > 0).all(axis=0)
+    return {metric: np.where(lacking, np.nan, values) for metric, values in found.items()}
+
+
+def _weighted_auc(positive: NDArray[np.bool_], value: Array, weight: Array) -> Array:
+    """(samples,) `auc` with weights: pairs in order over all pairs, each pair counted as often as both its rows."""
+    above, below = value[positive][:, None], value[~positive][None, :]
+    in_order = (above > below) + 0.5 * (above == below)
+    of_positive, of_negative = weight[positive], weight[~positive]
+    wins = np.einsum("ns,ns->s", in_order.T @ of_positive, of_negative)
+    return wins / (of_positive.sum(axis=0) * of_negative.sum(axis=0))
+
+
 def confusion(truth: NDArray[np.int64], probability: Array) -> NDArray[np.int64]:
     """(classes, classes) counts: rows are the true class, columns the most probable."""
     counts = np.zeros((probability.shape[1], probability.shape[1]), dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Three classifiers, each tuned on the validation subjects over a small grid."""
+"""Three classifiers, and what they must do better than, each tuned on the validation subjects over a small grid."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from sklearn.base import BaseEstimator, TransformerMixin
+from sklearn.dummy import DummyClassifier
 from sklearn.ensemble import RandomForestClassifier
 from sklearn.linear_model import LogisticRegression
 from sklearn.metrics import log_loss
@@ -22,6 +23,7 @@ _GRIDS: dict[str, list[dict[str, Any]]] = {
     "lr": [{"C": c} for c in (0.01, 0.1, 1.0, 10.0)],
     "rf": [{"min_samples_leaf": leaf} for leaf in (4, 1)],
     "xgb": [{"max_depth": depth} for depth in (2, 4)],
+    "chance": [{}],
 }
 
 
@@ -31,7 +33,7 @@ class Fitted:
 
     pipeline    from all features to probabilities of the classes
     parameters  what the validation subjects chose
-    importance  feature -> share of the model's importance; the shares sum to 1
+    importance  feature -> share of the model's importance; the shares sum to 1; empty for chance
     """
 
     pipeline: Pipeline
@@ -51,14 +53,16 @@ def tune(
 
     Best is the least logarithmic loss: with a few validation knees the AUC has too few values to choose by.
 
+    model     one of MODELS, or "chance": the shares of the classes in training
     prepared  fitted `selection.preparation`, of the same training radiographs
     training, validation   features (rows, features), class index (rows,); without validation rows the first, most
                            cautious, parameters are taken
     """
-    require_choice("model", model, MODELS)
+    require_choice("model", model, _GRIDS)
     X, y = prepared.transform(training[0]).to_numpy(), training[1]
     X_check = prepared.transform(validation[0]).to_numpy() if len(validation[1]) else None
-    weight = compute_sample_weight("balanced", y)
+    # Chance is the shares of the classes as they are, which equal weights would hide.
+    weight = np.ones(len(y)) if model == "chance" else compute_sample_weight("balanced", y)
     best: tuple[float, Any, dict[str, Any]] | None = None
     for parameters in _GRIDS[model]:
         candidate = _unfitted(model, parameters, seed).fit(X, y, sample_weight=weight)
@@ -71,7 +75,7 @@ def tune(
     return Fitted(
         pipeline=Pipeline([*prepared.steps, ("values", _Values()), ("model", best[1])]),
         parameters=best[2],
-        importance=dict(zip(names, shares.tolist(), strict=True)),
+        importance=dict(zip(names, shares.tolist(), strict=False)),
     )
 
 
@@ -105,12 +109,15 @@ def _unfitted(model: str, parameters: dict[str, Any], seed: int) -> Any:
             verbosity=0,
             **parameters,
         ),
+        "chance": DummyClassifier,
     }
     return make[model]()
 
 
 def _importance(model: Any) -> Array:
     """(features,) shares: |coefficients| of standardised features, impurity (forest) or gain (boosting)."""
+    if isinstance(model, DummyClassifier):
+        return np.zeros(0)
     raw = np.abs(model.coef_).mean(axis=0) if hasattr(model, "coef_") else model.feature_importances_
     raw = np.nan_to_num(np.asarray(raw, dtype=np.float64))
     return raw / raw.sum() if raw.sum() > 0 else np.full(len(raw), 1 / len(raw))

@@ -17,18 +17,26 @@ from ..parallel import ordered_map
 from ..radiomics.region import Template
 from ..radiomics.table import NOT_FEATURES, How, Job, Load, Record, extract_all
 from . import Progress, StudyResult, StudySettings, localisation
+from .baselines import SOURCES, measures_of, with_measures
+from .checklist import checklist
+from .claims import claims
+from .environment import environment
+from .evidence import Tables, joined, tables_of_features, tables_of_models
 from .gallery import gallery
-from .importance import by_feature
-from .reliability import count_stable, reliability
+from .importance import by_family
+from .reliability import REPEATS, count_stable
 from .report import Findings, Picture, render
-from .scenarios import Outcome, one_split, score_splits, summarise
+from .scenarios import Outcome, one_split
 from .selection import is_degenerate
 
 _COLUMNS = (
     *("radiograph", "subject", "knee", "side", "grade", "protocol", "file", "sha256"),
     *("pixel_mm", "sdd_mm", "sod_mm", "truth_medial_row_px", "truth_medial_col_px"),
 )
-_PACKAGES = ("pssf", "pyradiomics", "scikit-learn", "xgboost-cpu", "feature-engine", "scikit-image", "numpy", "pandas")
+_PACKAGES = (
+    *("pssf", "pyradiomics", "scikit-learn", "xgboost-cpu", "feature-engine", "scikit-image", "skops"),
+    *("scipy", "numpy", "pandas"),
+)
 _COUNTED = {"subjects": "subject", "knees": "knee", "protocols": "protocol", "radiographs": "radiograph"}
 _TEXT = ("radiograph", "sha256", "settings", "status")
 
@@ -40,31 +48,37 @@ def run_study(
     settings: StudySettings,
     out: Path,
     *,
+    again: pd.DataFrame | None,
     seconds: dict[str, float],
     workers: int,
     progress: Progress | None,
 ) -> StudyResult:
     """See `pssf.study.run`."""
     check_manifest(manifest, settings)
-    manifest, seconds = manifest[list(_COLUMNS)], dict(seconds)
+    everything, seconds = _everything(manifest, again), dict(seconds)
     tell = progress or (lambda stage, done, of: None)
     with _timed(seconds, "regions and features"):
-        table, work = _measured(manifest, load_pixels, template, settings, out, workers, tell)
-    names = [name for name in table.columns if name not in (*NOT_FEATURES, *manifest.columns)]
-    located = localisation.errors(table)
+        table, work = _measured(everything, load_pixels, template, settings, out, workers, tell)
+    names = [name for name in table.columns if name not in (*NOT_FEATURES, *everything.columns)]
+    located = localisation.errors(with_measures(table[table["kind"] == ""]))
+    repeated = table[(table["kind"] != "") & (table["status"] == "found")]
     usable = located[located["status"] == "found"]
     _require_enough(usable, settings)
     with _timed(seconds, "training and testing"):
         outcomes = _outcomes(usable, names, settings, workers, tell)
-    predictions = pd.concat([outcome.predictions for outcome in outcomes], ignore_index=True)
+    predictions = joined([outcome.predictions for outcome in outcomes])
     if predictions.empty:
         raise InputError("regions found = too few to train on; allowed: grades 0 and 2 found among training subjects")
-    importances = pd.concat([outcome.importances for outcome in outcomes], ignore_index=True)
+    with _timed(seconds, "intervals and differences"):
+        tables = tables_of_models(outcomes, settings)
     with _timed(seconds, "reliability and figures"):
-        tables = _tables(located, usable, names, settings, predictions, importances)
+        tables = tables_of_features(located, repeated, names, settings.reference) | tables
         pictures = gallery(located, load_pixels, settings, predictions, tables)
-    findings = _findings(located, names, settings, tables, pictures, seconds, work, workers)
-    return _write(out, findings, tables, predictions)
+    with _timed(seconds, "claims"):
+        importances = joined([outcome.importances for outcome in outcomes])
+        tables["claims"] = claims(usable, predictions, importances, tables, settings)
+    findings = _findings(located, names, settings, tables, outcomes, pictures, seconds, work, workers)
+    return _write(out, findings, tables | {"predictions": predictions}, outcomes)
 
 
 def check_manifest(manifest: pd.DataFrame, settings: StudySettings) -> None:
@@ -79,6 +93,24 @@ def check_manifest(manifest: pd.DataFrame, settings: StudySettings) -> None:
     twice = manifest["radiograph"][manifest["radiograph"].duplicated()]
     if len(twice):
         raise InputError(f"manifest: radiograph {twice.iloc[0]} is listed twice; allowed: once")
+
+
+def _everything(manifest: pd.DataFrame, again: pd.DataFrame | None) -> pd.DataFrame:
+    """The manifest, the columns that the study reads, and below it what was taken again; `kind` tells them apart."""
+    columns = [*_COLUMNS, *(name for name in SOURCES if name in manifest)]
+    first = manifest[columns].assign(kind="", turn="")
+    if again is None or again.empty:
+        return first
+    missing = [name for name in (*columns, "kind", "turn") if name not in again]
+    if missing:
+        raise InputError(f"manifest of repeats: columns {', '.join(missing)} are missing; required: as in the manifest")
+    for kind in again["kind"].unique():
+        require_choice("kind of repeat", kind, tuple(REPEATS))
+    both = pd.concat([first, again[[*columns, "kind", "turn"]]], ignore_index=True)
+    twice = both["radiograph"][both["radiograph"].duplicated()]
+    if len(twice):
+        raise InputError(f"manifest of repeats: radiograph {twice.iloc[0]} is listed twice; allowed: once")
+    return both
 
 
 def _require_enough(usable: pd.DataFrame, settings: StudySettings) -> None:
@@ -132,43 +164,26 @@ def _outcomes(
         done += 1
         tell("training and testing", done, settings.repeats)
 
-    table = usable[["radiograph", "knee", "subject", "grade", "protocol", *names]]
+    table = usable[["radiograph", "knee", "subject", "grade", "protocol", *measures_of(usable), *names]]
     shared = {"table": table, "names": names, "settings": settings}
     return ordered_map(one_split, range(settings.repeats), shared=shared, workers=workers, arrived=arrived)
-
-
-def _tables(
-    located: pd.DataFrame,
-    usable: pd.DataFrame,
-    names: list[str],
-    settings: StudySettings,
-    predictions: pd.DataFrame,
-    importances: pd.DataFrame,
-) -> dict[str, pd.DataFrame]:
-    splits = score_splits(predictions)
-    within = importances[(importances["task"] == "0 vs 2") & (importances["trained_on"] == settings.reference)]
-    return {
-        "localisation": localisation.summarise(located),
-        "splits": splits,
-        "scores": summarise(splits),
-        "reliability": reliability(usable, names, settings.reference),
-        "importance": by_feature(within, settings.repeats),
-    }
 
 
 def _findings(
     located: pd.DataFrame,
     names: list[str],
     settings: StudySettings,
-    tables: dict[str, pd.DataFrame],
+    tables: Tables,
+    outcomes: list[Outcome],
     pictures: dict[str, Picture],
     seconds: dict[str, float],
     work_seconds: dict[str, float],
     workers: int,
 ) -> Findings:
     usable = located[located["status"] == "found"]
-    importance = tables["importance"]
-    leading = importance[importance["selection"] == settings.selections[0]].groupby("model", sort=False).head(5)
+    keys = ["model", "selection", "feature"]
+    importance = tables["importance"].merge(tables["permutation"][[*keys, "drop"]], on=keys, how="left")
+    shown = importance[importance["selection"] == settings.selections[0]]
     grouped = located.groupby("grade")
     composition = grouped.agg(subjects=("subject", "nunique"), knees=("knee", "nunique"), radiographs=("knee", "size"))
     counts = {name: int(located[column].nunique()) for name, column in _COUNTED.items()}
@@ -178,8 +193,14 @@ def _findings(
         composition=composition.reset_index(),
         localisation=tables["localisation"],
         scores=tables["scores"],
+        differences=tables["differences"],
+        claims=tables["claims"],
+        calibration=tables["calibration"],
+        families=by_family(shown).join(by_family(shown, "drop").add_suffix(" drop")),
+        screened=[outcome.stable for outcome in outcomes if outcome.stable is not None],
+        models=sorted(outcomes[0].models),
         stable=count_stable(tables["reliability"]),
-        leading=leading,
+        leading=shown.groupby("model", sort=False).head(5),
         degenerate=[name for name in names if is_degenerate(usable[name].to_numpy())],
         pictures=pictures,
         settings=asdict(settings),
@@ -192,23 +213,30 @@ def _findings(
     )
 
 
-def _write(out: Path, findings: Findings, tables: dict[str, pd.DataFrame], predictions: pd.DataFrame) -> StudyResult:
-    """Tables, pictures, study.json and the page; only times differ between two runs on the same cohort and settings."""
+def _write(out: Path, findings: Findings, tables: Tables, outcomes: list[Outcome]) -> StudyResult:
+    """Tables, pictures, models, study.json and the page; of two runs on one cohort and settings only times differ."""
     pictures = {}
     for name, picture in findings.pictures.items():
         pictures[name] = out / "pictures" / f"{name}.png"
-        results.save_picture(pictures[name], picture.png)
-    written = {name: out / f"{name}.csv" for name in (*tables, "predictions")}
-    for name, table in {**tables, "predictions": predictions}.items():
+        results.save_bytes(pictures[name], picture.png)
+    written = {name: out / f"{name}.csv" for name in tables}
+    for name, table in tables.items():
         results.save_table(written[name], table)
+    models = {name: out / "models" / f"{name}.skops" for name in sorted(outcomes[0].models)}
+    for name, path in models.items():
+        results.save_bytes(path, outcomes[0].models[name])
     facts = ("counts", "features", "degenerate", "settings", "versions", "seconds", "workers")
     results.save_json(out / "study.json", {name: getattr(findings, name) for name in facts})
+    results.save_json(out / "environment.json", environment())
     results.save_text(out / "report.html", render(findings))
+    results.save_json(out / "checklist.json", checklist(out))
     return StudyResult(
         report=out / "report.html",
         pictures=pictures,
         tables={"features": out / "features.csv", **written},
+        models=models,
         scores=tables["scores"],
+        differences=tables["differences"],
         reliability=tables["reliability"],
         localisation=tables["localisation"],
         seconds=findings.seconds,

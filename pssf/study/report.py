@@ -7,15 +7,18 @@ from typing import Any
 import jinja2
 import pandas as pd
 
+from .baselines import BASELINES
 from .figures import FAMILY_NAMES
+from .intervals import MINUS_JSW
 from .localisation import GROSS_MM
 from .metrics import METRICS
 from .models import MODELS
 from .reliability import ICC_FORMS
 from .scenarios import TASKS
-from .selection import SELECTIONS
+from .selection import NONE, SELECTIONS
 
 SCENARIOS = {"within": "Within protocol", "cross": "Cross-protocol", "multi": "Multi-protocol"}
+_SHORT = {"lr": "Logistic", "rf": "Forest", "xgb": "XGBoost"} | BASELINES
 # Alzubaidi & Al-Bayaty, arXiv 2601.11642: what is printed beside, never aimed at.
 PAPER = {"stable": 43, "features": 107, "within": 0.92, "cross": 0.78, "multi": "0.88–0.90"}
 
@@ -43,8 +46,14 @@ class Findings:
     composition   grade, subjects, knees, radiographs
     localisation  of `localisation.summarise`
     scores        of `scenarios.summarise`
+    differences   of `intervals.differences`
+    claims        of `claims.claims`
+    calibration   of `calibration.calibration`
+    families      share of importance of each family, a column a model; and the drop of AUC, "<model> drop"
+    screened      how many features were stable in the training subjects of each split
+    models        names of the saved models
     stable        of `reliability.count_stable`
-    leading       model, feature, share, chosen: the features that count most
+    leading       model, feature, share, chosen, drop: the features that count most
     degenerate    names of features that are the same in every radiograph
     seconds       stage -> wall time; work_seconds: step -> sum over the processes
     test_subjects least and most of a split
@@ -54,6 +63,12 @@ class Findings:
     composition: pd.DataFrame
     localisation: pd.DataFrame
     scores: pd.DataFrame
+    differences: pd.DataFrame
+    claims: pd.DataFrame
+    calibration: pd.DataFrame
+    families: pd.DataFrame
+    screened: list[int]
+    models: list[str]
     stable: pd.DataFrame
     leading: pd.DataFrame
     degenerate: list[str]
@@ -77,13 +92,16 @@ def render(findings: Findings) -> str:
         lstrip_blocks=True,
     )
     environment.filters["fixed"] = _fixed
+    environment.filters["signed"] = lambda value: ("+" if value > 0 else "") + _fixed(value)
     environment.filters["plain"] = lambda name: str(name).replace("_", " ")
     return environment.get_template("report.html.j2").render(
         f=findings,
         tasks=_score_tables(findings.scores),
         metrics=METRICS,
-        models=MODELS,
-        selections=SELECTIONS,
+        compared=_compared(findings.differences),
+        models=MODELS | BASELINES,
+        selections=SELECTIONS | {NONE: "baseline"},
+        short=_SHORT,
         scenarios=SCENARIOS,
         forms=ICC_FORMS,
         families=FAMILY_NAMES,
@@ -93,14 +111,14 @@ def render(findings: Findings) -> str:
 
 
 def _score_tables(scores: pd.DataFrame) -> dict[str, dict[str, Any]]:
-    """Task -> {selections, models: of the columns, models within selections; rows: scenario, and a line a metric}."""
+    """Task -> {groups: selection -> models, the columns; rows: scenario, and a line a metric}."""
     tables = {}
     for task in TASKS:
-        part = scores[scores["task"] == task]
+        part = scores[(scores["task"] == task) & scores["scenario"].isin(list(SCENARIOS))]
         if part.empty:
             continue
-        selections, models = list(dict.fromkeys(part["selection"])), list(dict.fromkeys(part["model"]))
-        arms = [(model, selection) for selection in selections for model in models]
+        groups = _groups(part)
+        arms = [(model, selection) for selection, models in groups.items() for model in models]
         rows = []
         for (scenario, trained_on, tested_on), block in part.groupby(
             ["scenario", "trained_on", "tested_on"], sort=False
@@ -115,18 +133,48 @@ def _score_tables(scores: pd.DataFrame) -> dict[str, dict[str, Any]]:
                     "subjects": int(first["test_subjects"]),
                     "radiographs": int(first["test_radiographs"]),
                     "splits": int(block["splits"].min()),
-                    "lines": {metric: [_spread(cells.get(arm, {}), metric) for arm in arms] for metric in METRICS},
+                    "lines": {metric: [_cell(cells.get(arm, {}), metric) for arm in arms] for metric in METRICS},
                 }
             )
-        tables[task] = {"selections": selections, "models": models, "rows": rows}
+        tables[task] = {"groups": groups, "rows": rows}
     return tables
 
 
-def _spread(line: dict[str, Any], metric: str) -> str:
+def _compared(differences: pd.DataFrame) -> dict[str, dict[str, Any]]:
+    """Task -> {groups: as above; rows: comparison, scenario, tested_on, cells: differences of AUC}."""
+    tables = {}
+    for task in TASKS:
+        part = differences[(differences["task"] == task) & (differences["metric"] == "auc")]
+        if part.empty:
+            continue
+        groups, rows = _groups(part), []
+        for (comparison, scenario, tested_on), block in part.groupby(
+            ["comparison", "scenario", "tested_on"], sort=False
+        ):
+            if comparison == MINUS_JSW and scenario == "multi" and tested_on != "all":
+                continue  # nearly the row of all protocols; it is in the CSV
+            cells = {(line["model"], line["selection"]): line for line in block.to_dict("records")}
+            found = [cells.get((model, selection), {}) for selection, models in groups.items() for model in models]
+            rows.append({"comparison": comparison, "scenario": scenario, "tested_on": tested_on, "cells": found})
+        tables[task] = {"groups": groups, "rows": rows}
+    return tables
+
+
+def _groups(table: pd.DataFrame) -> dict[str, list[str]]:
+    """Selection -> models, in the order of the table."""
+    pairs = dict.fromkeys(zip(table["selection"], table["model"], strict=True))
+    groups: dict[str, list[str]] = {}
+    for selection, model in pairs:
+        groups.setdefault(selection, []).append(model)
+    return groups
+
+
+def _cell(line: dict[str, Any], metric: str) -> tuple[str, str]:
+    """The mean, and its interval or nothing."""
     if pd.isna(line.get(metric)):
-        return "n/a"
-    spread = line[f"{metric}_sd"]
-    return _fixed(line[metric], 2) + ("" if pd.isna(spread) else f" ± {_fixed(spread, 2)}")
+        return "n/a", ""
+    low, high = line[f"{metric}_low"], line[f"{metric}_high"]
+    return _fixed(line[metric]), "" if pd.isna(low) else f"{_fixed(low)}–{_fixed(high)}"
 
 
 def _fixed(value: Any, digits: int = 2) -> str:

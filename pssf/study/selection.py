@@ -15,6 +15,7 @@ from sklearn.preprocessing import StandardScaler
 from ..checks import require_choice
 
 SELECTIONS = {"l1": "L1", "mrmr": "mRMR"}
+NONE = "none"
 _INVERSE_STRENGTHS = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 
 
@@ -42,7 +43,10 @@ class Prune(TransformerMixin, BaseEstimator):
 
     def transform(self, X: pd.DataFrame) -> pd.DataFrame:
         # A feature may be undefined in a radiograph met later, such as the elongation of a mask that is a line.
-        return X[self.kept_].fillna(self.median_)
+        # By numpy, for fillna goes column by column and took a third of the time of a prediction.
+        values = X[self.kept_].to_numpy(np.float64)
+        filled = np.where(np.isnan(values), self.median_.to_numpy(), values)
+        return pd.DataFrame(filled, columns=self.kept_, index=X.index)
 
 
 class SelectL1(TransformerMixin, BaseEstimator):
@@ -106,12 +110,23 @@ class SelectMRMR(TransformerMixin, BaseEstimator):
         return X[self.kept_]
 
 
+class SelectAll(TransformerMixin, BaseEstimator):
+    """Every feature: for the few measurements of a baseline."""
+
+    def fit(self, X: pd.DataFrame, y: Any = None) -> "SelectAll":
+        self.kept_ = list(X.columns)
+        return self
+
+    def transform(self, X: pd.DataFrame) -> pd.DataFrame:
+        return X[self.kept_]
+
+
 def preparation(selection: str, *, rho: float, most: int, seed: int) -> Pipeline:
-    """Prune, standardise, select; unfitted. `selection` is one of SELECTIONS."""
-    require_choice("selection", selection, SELECTIONS)
-    chooser = SelectL1(most=most, random_state=seed) if selection == "l1" else SelectMRMR(most=most)
-    steps = [("prune", Prune(rho)), ("scale", StandardScaler().set_output(transform="pandas")), ("select", chooser)]
-    return Pipeline(steps)
+    """Prune, standardise, select; unfitted. `selection` is one of SELECTIONS, or "none"."""
+    require_choice("selection", selection, (*SELECTIONS, NONE))
+    choosers = {"l1": SelectL1(most=most, random_state=seed), "mrmr": SelectMRMR(most=most), NONE: SelectAll()}
+    scale = StandardScaler().set_output(transform="pandas")
+    return Pipeline([("prune", Prune(rho)), ("scale", scale), ("select", choosers[selection])])
 
 
 def is_degenerate(values: NDArray[np.float64]) -> bool:

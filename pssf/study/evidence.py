@@ -1,0 +1,54 @@
+"""From predictions and features to the tables of the study."""
+
+import pandas as pd
+
+from . import StudySettings, localisation
+from .calibration import calibration, confusions, reliability_curve
+from .importance import by_feature
+from .intervals import differences, intervals, resample
+from .reliability import reliability, repeatability
+from .scenarios import ARM, Outcome, score_splits, summarise
+
+Tables = dict[str, pd.DataFrame]
+
+
+def tables_of_models(outcomes: list[Outcome], settings: StudySettings) -> Tables:
+    """splits, scores (with intervals), differences, confusion, calibration, calibration_curve, importance, permutation.
+
+    outcomes  one a split, of `scenarios.one_split`
+    """
+    predictions = joined([outcome.predictions for outcome in outcomes])
+    importances = joined([outcome.importances for outcome in outcomes])
+    permutation = joined([outcome.permutation for outcome in outcomes])
+    splits = score_splits(predictions)
+    replicates = resample(predictions, replicates=settings.replicates, seed=settings.seed)
+    within = importances[(importances["task"] == "0 vs 2") & (importances["trained_on"] == settings.reference)]
+    return {
+        "splits": splits,
+        "scores": summarise(splits).merge(intervals(replicates), on=ARM, how="left", validate="one_to_one"),
+        "differences": differences(replicates),
+        "confusion": confusions(predictions),
+        "calibration": calibration(predictions),
+        "calibration_curve": reliability_curve(predictions),
+        "importance": by_feature(within, settings.repeats),
+        "permutation": by_feature(permutation, settings.repeats, "drop"),
+    }
+
+
+def tables_of_features(located: pd.DataFrame, repeated: pd.DataFrame, names: list[str], reference: str) -> Tables:
+    """localisation, reliability (across protocols, and across repeats where there are any).
+
+    located   of `localisation.errors`
+    repeated  radiographs taken again, with a region found: kind, turn, knee, features
+    """
+    usable = located[located["status"] == "found"]
+    across = reliability(usable, names, reference)
+    if len(repeated):
+        again = repeatability(usable, repeated, names, reference)
+        across = pd.concat([across, again], ignore_index=True) if len(across) else again
+    return {"localisation": localisation.summarise(located), "reliability": across}
+
+
+def joined(parts: list[pd.DataFrame]) -> pd.DataFrame:
+    """The tables one below the other."""
+    return pd.concat(parts, ignore_index=True)

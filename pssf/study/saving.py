@@ -1,0 +1,62 @@
+"""Fitted models as bytes without pickle (skops); the same model gives the same bytes."""
+
+import io
+import re
+import zipfile
+from typing import Any
+
+import pandas as pd
+import skops.io
+from sklearn.impute import SimpleImputer
+from sklearn.pipeline import Pipeline
+from sklearn.preprocessing import StandardScaler
+
+# Beside what skops trusts by itself; nothing else is loaded.
+_TRUSTED = ["numpy.dtype", "sklearn.tree._tree.Tree", "xgboost.core.Booster", "xgboost.sklearn.XGBClassifier"]
+_DATE = (1980, 1, 1, 0, 0, 0)  # the earliest that a ZIP file can say
+
+
+def portable(fitted: Pipeline) -> Pipeline:
+    """A `models.Fitted` pipeline as steps of scikit-learn alone: impute, scale, model, on the features that it kept.
+
+    Its input is a table of the features in `feature_names_in_`; whoever loads it needs no code of this package.
+    """
+    kept = fitted.named_steps["select"].kept_
+    prune, scale = fitted.named_steps["prune"], fitted.named_steps["scale"]
+    places = [prune.kept_.index(name) for name in kept]
+    # Fitted on one row, a step has the right form; then it is given what was learnt.
+    row = pd.DataFrame([prune.median_[kept].to_numpy()], columns=kept)
+    impute, scaler = SimpleImputer(strategy="median").fit(row), StandardScaler().fit(row.to_numpy())
+    for name in ("mean_", "var_", "scale_"):
+        setattr(scaler, name, getattr(scale, name)[places])
+    scaler.n_samples_seen_ = scale.n_samples_seen_
+    return Pipeline([("impute", impute), ("scale", scaler), ("model", fitted.named_steps["model"])])
+
+
+def dumps(fitted: Pipeline) -> bytes:
+    """The `portable` form as a skops file."""
+    return _same_bytes(skops.io.dumps(portable(fitted)))
+
+
+def loads(content: bytes) -> Any:
+    """The pipeline of `dumps`; types that such a pipeline does not hold are refused by skops."""
+    return skops.io.loads(content, trusted=_TRUSTED)
+
+
+def _same_bytes(content: bytes) -> bytes:
+    """The same file with objects and parts numbered in order, where skops has addresses and chance, and no time."""
+    with zipfile.ZipFile(io.BytesIO(content)) as packed:
+        files = {name: packed.read(name) for name in packed.namelist()}
+    schema = files.pop("schema.json").decode()
+    for pattern in (r'(?<="__id__": )\d+', r'(?<="file": ")[^".]+'):
+        numbers: dict[str, str] = {}
+        for given in re.findall(pattern, schema):
+            numbers.setdefault(given, str(len(numbers)))
+        schema = re.sub(pattern, lambda hit, to=numbers: to[hit[0]], schema)
+    renamed = {f"{numbers[name.split('.')[0]]}.{name.split('.')[1]}": data for name, data in files.items()}
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as made:
+        for name in sorted(renamed):
+            made.writestr(zipfile.ZipInfo(name, _DATE), renamed[name], zipfile.ZIP_DEFLATED)
+        made.writestr(zipfile.ZipInfo("schema.json", _DATE), schema, zipfile.ZIP_DEFLATED)
+    return buffer.getvalue()

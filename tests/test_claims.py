@@ -1,0 +1,114 @@
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pssf.study import StudySettings
+from pssf.study.checklist import STATUSES, checklist
+from pssf.study.claims import COLUMNS, claims, verdict
+
+SETTINGS = StudySettings(replicates=200, models=("lr",), selections=("l1",))
+
+
+def radiographs(rise, seed=3, subjects=90):
+    """Subjects with one knee each, and features that rise by `rise` deviations a grade."""
+    rng = np.random.default_rng(seed)
+    grade = np.repeat([0, 1, 2], subjects // 3)
+    names = ("firstorder_linear_Mean", "firstorder_linear_Energy", "glcm_Contrast", "glcm_JointEntropy")
+    values = {name: rise * grade + rng.standard_normal(subjects) for name in names}
+    return pd.DataFrame({"subject": np.arange(subjects), "grade": grade, "protocol": "reference", **values})
+
+
+def told(rise, score_step=0.0):
+    table = radiographs(rise)
+    rng = np.random.default_rng(4)
+    middle = table["grade"] * score_step + 0.3 * rng.standard_normal(len(table))
+    p = np.stack([np.exp(-((middle - k) ** 2)) for k in range(3)], axis=1)
+    p /= p.sum(axis=1, keepdims=True)
+    predictions = pd.DataFrame({
+        "task": "0/1/2", "scenario": "within", "model": "lr", "selection": "l1", "subject": table["subject"],
+        "truth": table["grade"], "p0": p[:, 0], "p1": p[:, 1], "p2": p[:, 2],
+    })  # fmt: skip
+    importances = pd.DataFrame({
+        "task": "0 vs 2", "trained_on": "reference", "model": "lr", "selection": "l1",
+        "repeat": np.repeat(np.arange(10), 2), "feature": ["glcm_Contrast", "shape2D_Sphericity"] * 10,
+        "share": [0.8, 0.2] * 10,
+    })  # fmt: skip
+    scores = pd.DataFrame([{
+        "task": "0 vs 2", "scenario": "within", "trained_on": "reference", "tested_on": "reference", "model": "lr",
+        "selection": "l1", "auc": 0.9, "auc_low": 0.85, "auc_high": 0.95,
+    }])  # fmt: skip
+    differences = pd.DataFrame([
+        {"comparison": name, "task": "0 vs 2", "metric": "auc", "selection": "l1", "model": "lr",
+         "tested_on": "low_dose", "difference": d, "low": low, "high": high}
+        for name, d, low, high in (("cross minus within", -0.1, -0.2, -0.05), ("multi minus cross", 0.02, -0.1, 0.1))
+    ])  # fmt: skip
+    reliability = pd.DataFrame({
+        "feature": ["a", "b"], "across": "all protocols",
+        "ICC(2,1)": [0.95, 0.5], "ICC(2,1) low": [0.92, 0.3], "ICC(2,1) high": [0.97, 0.7],
+    })  # fmt: skip
+    tables = {"scores": scores, "differences": differences, "reliability": reliability}
+    found = claims(table, predictions, importances, tables, SETTINGS)
+    assert list(found.columns) == COLUMNS
+    return found
+
+
+def verdicts(found, start):
+    return set(found[found["claim"].str.startswith(start)]["verdict"])
+
+
+def test_an_interval_beyond_a_bound_holds_and_one_across_it_decides_nothing():
+    assert verdict(0.1, 0.2, 0.0) == "holds"
+    assert verdict(-0.2, -0.1, 0.0) == "does not hold"
+    assert verdict(-0.2, -0.1, 0.0, -1) == "holds"
+    assert verdict(-0.1, 0.1, 0.0) == "not decidable"
+    assert verdict(float("nan"), 0.1, 0.0) == "not decidable"
+
+
+def test_claims_follow_what_is_in_the_tables():
+    found = told(rise=1.0, score_step=1.0)
+    assert verdicts(found, "GLCM contrast") == {"holds"}
+    # Of a linear signal: more of it is darker to the eye.
+    assert verdicts(found, "First-order mean") == {"does not hold"}
+    assert verdicts(found, "Grade 1") == {"holds"}
+    assert verdicts(found, "The extreme grades") == {"holds"} or verdicts(found, "The extreme grades") == {
+        "not decidable"
+    }
+    assert verdicts(found, "A subset") == {"holds"}
+    assert verdicts(found, "The most important") == {"holds"}
+    assert verdicts(found, "Logistic regression is strong") == {"holds"}
+    assert verdicts(found, "Another protocol") == {"holds"}
+    assert verdicts(found, "Training on all") == {"not decidable"}
+
+
+def test_where_grades_do_not_differ_nothing_is_claimed():
+    found = told(rise=0.0)
+    trends = found[found["measure"].str.startswith("Spearman")]
+    assert len(trends) == 4
+    # Each interval of 95 % is right 19 times in 20.
+    assert (trends["verdict"] == "not decidable").sum() >= 3
+    assert verdicts(found, "Grade 1") == {"not decidable"}
+
+
+def test_the_interval_of_a_trend_has_the_width_of_its_sample_count():
+    found = told(rise=1.0).set_index("claim").loc["GLCM contrast rises with grade"]
+    # Fisher's z: standard error 1.03 / sqrt(n - 3), here n = 90.
+    z = np.arctanh([found["low"], found["high"]])
+    assert np.ptp(z) == pytest.approx(2 * 1.96 * 1.03 / np.sqrt(87), rel=0.35)
+
+
+def test_an_item_is_answered_only_where_its_evidence_is(tmp_path):
+    (tmp_path / "scores.csv").write_text("model,auc\n")
+    (tmp_path / "study.json").write_text(json.dumps({"settings": {}}))
+    found = checklist(tmp_path)
+    answers = {(item["guideline"], item["id"]): item for item in found["items"]}
+    assert answers["CLEAR", "39"]["status"] == "yes"
+    assert answers["CLEAR", "40"] == {
+        "guideline": "CLEAR", "id": "40", "item": "Uncertainty", "status": "no",
+        "evidence": "scores.csv auc_low: not made in this run",
+    }  # fmt: skip
+    assert answers["CLEAR", "1-6"]["status"] == "human"
+    assert {item["status"] for item in found["items"]} <= set(STATUSES)
+    assert 0 < found["metrics_score_percent"] < 60
+    assert sum(found["summary"]["METRICS"].values()) == 30

@@ -1,0 +1,132 @@
+"""ICC with intervals, shares of variance, repeats."""
+
+import numpy as np
+import pandas as pd
+import pingouin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from pssf.study.reliability import (
+    count_stable,
+    grid,
+    icc,
+    icc_intervals,
+    reliability,
+    repeatability,
+    variance_shares,
+)
+
+
+def draw(knees: int, conditions: int, *, of_condition: float, noise: float, seed: int) -> np.ndarray:
+    """(knees, conditions): knees of variance 1, and an offset a condition."""
+    rng = np.random.default_rng(seed)
+    values = rng.normal(size=(knees, 1)) + of_condition * rng.normal(size=conditions)
+    return values + noise * rng.normal(size=(knees, conditions))
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    knees=st.integers(4, 30),
+    conditions=st.integers(2, 4),
+    offset=st.floats(0, 2),
+    noise=st.floats(0.05, 3),
+    seed=st.integers(0, 1000),
+)
+def test_intervals_of_an_icc_equal_those_of_pingouin(knees, conditions, offset, noise, seed):
+    values = draw(knees, conditions, of_condition=offset, noise=noise, seed=seed)
+    table = pd.DataFrame(values).rename_axis(index="knee", columns="by").stack().rename("value").reset_index()
+    pingouin.options["round.column.CI95"] = None
+    theirs = pingouin.intraclass_corr(table, "knee", "by", "value").set_index("Type")
+    for (low, high), name in zip(icc_intervals(values), ("ICC(A,1)", "ICC(C,1)"), strict=True):
+        assert_allclose((low, high), theirs.loc[name, "CI95"], rtol=1e-8, atol=1e-10)
+
+
+def test_an_interval_covers_the_true_icc_as_often_as_it_says():
+    # Consistency of variance 1 between knees and 0.25 within: 1 / 1.25 = 0.8. 400 draws miss 20 +- 4.4, bound at 4 sd.
+    missed = 0
+    for seed in range(400):
+        low, high = icc_intervals(draw(20, 3, of_condition=0.3, noise=0.5, seed=seed))[1]
+        missed += not low <= 0.8 <= high
+    assert abs(missed - 20) <= 4 * 4.4
+
+
+def test_conditions_that_agree_to_the_last_digit_have_an_icc_of_one_without_width():
+    values = np.repeat(np.arange(6.0)[:, None], 3, axis=1)
+    assert icc(values) == (1.0, 1.0)
+    assert icc_intervals(values) == ((1.0, 1.0), (1.0, 1.0))
+
+
+def test_an_offset_alone_leaves_consistency_certain_and_agreement_open():
+    (low, high), consistency = icc_intervals(np.arange(10.0)[:, None] + np.array([0.0, 5.0]))
+    assert_allclose(consistency, 1, rtol=1e-9)
+    assert low < 0.5 < high
+
+
+def test_what_never_varies_has_no_interval_and_no_shares():
+    assert np.isnan(icc_intervals(np.full((5, 3), 2.0))).all()
+    assert np.isnan(variance_shares(np.full((5, 3), 2.0))).all()
+
+
+def test_shares_of_variance_are_those_that_were_drawn():
+    # Variances 1, 0.5 (40 conditions, so that it is known to sqrt(2/39) = 23 %), 0.25; bound at 4 sd of the second.
+    shares = variance_shares(draw(400, 40, of_condition=np.sqrt(0.5), noise=0.5, seed=1))
+    assert sum(shares) == pytest.approx(1)
+    assert_allclose(shares, np.array([1, 0.5, 0.25]) / 1.75, atol=4 * 0.23 * 0.5 / 1.75)
+    assert shares[0] / shares[2] == pytest.approx(4, rel=4 * np.sqrt(2 / 399))
+
+
+def test_a_negative_component_is_set_to_zero():
+    values = draw(10, 3, of_condition=0.0, noise=1.0, seed=0)
+    values -= values.mean(axis=0)  # conditions differ by less than noise would make them
+    assert variance_shares(values)[1] == 0.0
+
+
+def table_of(values: np.ndarray, conditions: list[str]) -> pd.DataFrame:
+    rows = []
+    for knee, line in enumerate(values):
+        for name, value in zip(conditions, line, strict=True):
+            rows.append({"radiograph": f"{knee}_{name}", "knee": knee, "protocol": name, "a": value, "b": 3.0})
+    return pd.DataFrame(rows)
+
+
+def test_a_class_is_by_the_lower_bound():
+    values = draw(12, 2, of_condition=0.0, noise=0.15, seed=4)
+    row = reliability(table_of(values, ["reference", "other"]), ["a", "b"], "reference").set_index("feature").loc["a"]
+    assert row["ICC(2,1)"] >= 0.90
+    assert row["ICC(2,1) low"] < 0.90
+    assert row["class"] == "good"
+
+
+def test_a_missing_value_costs_its_knee_for_that_feature_alone():
+    table = table_of(draw(12, 2, of_condition=0.1, noise=0.2, seed=4), ["reference", "other"])
+    whole = reliability(table.assign(c=table["a"]), ["a", "c"], "reference").set_index("feature")
+    table = table.assign(c=table["a"].where(table["radiograph"] != "3_other"))
+    found = reliability(table, ["a", "c"], "reference").set_index("feature")
+    assert found.loc["a", "ICC(2,1)"] == whole.loc["a", "ICC(2,1)"]
+    assert (found.loc["a", "knees"], found.loc["c", "knees"]) == (12, 11)
+    assert np.isfinite(found.loc["c", "ICC(2,1)"])
+
+
+def test_a_knee_without_one_protocol_is_left_out():
+    table = table_of(draw(5, 2, of_condition=0, noise=0.2, seed=0), ["reference", "other"])
+    assert grid(table[table["radiograph"] != "2_other"], ["a"], "protocol", ["reference", "other"]).shape == (4, 2, 1)
+
+
+def test_repeats_are_paired_with_the_first_radiograph_of_their_knee():
+    first = table_of(draw(9, 2, of_condition=3.0, noise=0.1, seed=2), ["reference", "other"])
+    of_reference = first[first["protocol"] == "reference"]
+    parts = []
+    for kind, noise in (("noise", 0.01), ("perturbation", 1.0)):
+        for turn in ("1", "2"):
+            rng = np.random.default_rng(int(turn))
+            moved = of_reference["a"] + noise * rng.normal(size=len(of_reference))
+            parts.append(of_reference.assign(kind=kind, turn=turn, a=moved).head(6))
+    found = repeatability(first, pd.concat(parts, ignore_index=True), ["a", "b"], "reference")
+    stable = count_stable(found).set_index("across")
+    assert list(stable.index) == ["repeated noise", "small perturbations"]
+    assert (stable["knees"] == 6).all()
+    assert stable.loc["repeated noise", "ICC(2,1)"] == 1
+    assert stable.loc["small perturbations", "ICC(2,1)"] == 0
+    assert (stable["ICC(2,1) of"] == 1).all()
