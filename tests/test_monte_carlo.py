@@ -7,6 +7,7 @@ import xraylib
 from numpy.testing import assert_allclose
 
 import pssf
+from pssf.accuracy.monte_carlo import reference_rows
 from pssf.accuracy.scatter import limb, slab
 from pssf.detector import transport
 from pssf.detector.interactions import interactions_of
@@ -14,6 +15,7 @@ from pssf.detector.monte_carlo import count, scatter_monte_carlo
 from pssf.detector.primary import transmit
 from pssf.detector.spectrum import beam_of
 from pssf.detector.voxels import voxels_of
+from pssf.files import tables
 from pssf.geometry import view_of
 
 # Wide enough that one draw in 15 000 falls outside.
@@ -240,3 +242,15 @@ def test_scatter_behind_a_limb_agrees_with_the_reference_within_3_percent(kv, th
     middle = np.s_[:, 4:26, 10:14]
     scatter, error = mean_and_error(found.scatter_kev[middle].sum(axis=(1, 2)) / found.pixels[middle[1:]].sum())
     assert abs(scatter / open_kev(protocol) / reference - 1) < 0.03 + 3 * error / scatter
+
+
+def test_the_table_beside_an_independent_monte_carlo_has_a_row_a_case(monkeypatch):
+    known = tables.data("reference")["scatter"]
+    few = {"scatter": {kind: known[kind][:1] for kind in ("slab", "limb")}}
+    monkeypatch.setattr(tables, "data", lambda name, whole=tables.data: few if name == "reference" else whole(name))
+    rows = reference_rows(2, photons=400_000)
+    assert [row["object"] for row in rows] == ["slab", "limb"]
+    for row in rows:
+        # The reference's own error is 1 to 2 %.
+        assert abs(row["difference_percent"]) < 4 + 3 * row["error_percent"]
+    assert abs(rows[1]["primary_percent"]) < 6

@@ -9,6 +9,7 @@ solids     spheres as polyhedra, and their exact chords
 builds     random knees, built or refused
 tessellation  outlines of the bones by triangles
 texture    trabeculae: integrals by step, and their look on radiographs beside real ones
+monte_carlo  the Monte Carlo of scatter beside an independent one
 scatter    the kernel of scatter beside the Monte Carlo (scatter_fit fits it once more)
 focal      blur of the focal spot against rays from points of it
 figure     error against run time, drawn                      (extra "study")
@@ -28,6 +29,7 @@ from .agreement import agreement_rows
 from .builds import build_rows
 from .engines import Row, engine_rows, growth_rows, nested_rows
 from .focal import focal_rows
+from .monte_carlo import reference_rows
 from .morphometry import knee_rows
 from .physics import physics_rows
 from .scatter import scatter_rows
@@ -38,7 +40,7 @@ from .texture import spread_rows, step_rows
 # Those that measure memory come first: a process that is started begins with the peak of the one that started it.
 TABLES = (
     "engines", "growth", "nested", "stages", "agreement", "spectrum", "focal_spot", "physics",
-    "scatter", "tessellation", "texture_steps", "texture", "builds", "knees",
+    "monte_carlo", "scatter", "tessellation", "texture_steps", "texture", "builds", "knees",
 )  # fmt: skip
 
 
@@ -72,6 +74,7 @@ def measure(
         "spectrum": spectrum_rows,
         "focal_spot": lambda: focal_rows(workers),
         "physics": physics_rows,
+        "monte_carlo": lambda: reference_rows(workers),
         "scatter": lambda: scatter_rows(workers=workers),
         "tessellation": tessellation_rows,
         "texture_steps": step_rows,

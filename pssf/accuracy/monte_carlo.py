@@ -1,0 +1,54 @@
+"""The Monte Carlo of scatter beside an independent one: slabs of water and elliptic limbs."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..detector.monte_carlo import count
+from ..detector.primary import transmit
+from ..detector.spectrum import beam_of
+from ..files import tables
+from ..geometry import view_of
+from ..protocol import load_protocol
+from .scatter import Row, limb, slab
+
+_PHOTONS = 4_000_000
+_CELL_MM = 10.0
+# Width and height of the field at the detector, mm, and where in it values are read: behind a slab in the middle,
+# behind a limb along its bone.
+_FIELDS = {"slab": (300, 300), "limb": (240, 300)}
+_READ = {"slab": np.s_[:, 12:18, 12:18], "limb": np.s_[:, 4:26, 10:14]}
+
+
+def reference_rows(workers: int, photons: int = _PHOTONS) -> list[Row]:
+    """One row a case of `data/reference.toml`.
+
+    quantity            scatter over primary of a slab, scatter over the open beam of a limb
+    error_percent       of the value, one standard deviation
+    difference_percent  from the reference, which has an error of 1 to 2 % of its own
+    primary_percent     by how much the reference's primary is off Beer and Lambert's, of limbs
+    """
+    known = tables.data("reference")["scatter"]
+    return [_row(kind, case, workers, photons) for kind in ("slab", "limb") for case in known[kind]]
+
+
+def _row(kind: str, case: list[float], workers: int, photons: int) -> Row:
+    kv, thick_mm, gap_mm, *expected = case
+    cols, rows = _FIELDS[kind]
+    coarse = replace(load_protocol("reference"), rows=rows, cols=cols, pixel_mm=1.0, tube_kv=kv)
+    protocol = replace(coarse, sod_mm=1150.0 - gap_mm - thick_mm / 2)
+    scene = slab(thick_mm) if kind == "slab" else limb(thick_mm)
+    found = count(scene, protocol, photons=photons, seed=1, workers=workers, cell_mm=_CELL_MM)
+    opened = float(transmit({}, beam_of(protocol), view_of(protocol)).kev[rows // 2, cols // 2])
+    read = _READ[kind]
+    pixels = found.pixels[read[1:]].sum() * opened
+    primary, scatter = (part[read].sum(axis=(1, 2)) / pixels for part in (found.primary_kev, found.scatter_kev))
+    value = scatter.mean() / (primary.mean() if kind == "slab" else 1.0)
+    return {
+        "object": kind, "tube_kv": kv, "thickness_mm": thick_mm, "gap_mm": gap_mm,
+        "quantity": "scatter over primary" if kind == "slab" else "scatter over open beam",
+        "value": float(f"{value:.4g}"), "reference": expected[-1],
+        "error_percent": round(float(100 * scatter.std(ddof=1) / np.sqrt(len(scatter)) / scatter.mean()), 2),
+        "difference_percent": round(float(100 * (value / expected[-1] - 1)), 2),
+        "primary_percent": round(float(100 * (expected[0] / primary.mean() - 1)), 2) if kind == "limb" else "",
+    }  # fmt: skip
