@@ -8,7 +8,7 @@ import trimesh
 from numpy.testing import assert_allclose
 
 from pssf import InputError, accuracy, load_protocol
-from pssf.accuracy import agreement, builds, engines, figure, morphometry, solids, stages, tessellation, texture
+from pssf.accuracy import agreement, builds, chain, engines, figure, morphometry, solids, stages, tessellation, texture
 from pssf.geometry import view_of
 
 
@@ -165,3 +165,16 @@ def test_an_unknown_table_is_refused(tmp_path):
 def test_stages_are_measured_in_processes_of_their_own():
     rows = stages.stage_rows(2)
     assert [row["run"] for row in rows if row["engine"] == "embree"] == ["cold", "first", "second"]
+
+
+def test_the_chain_tells_seconds_share_and_error_of_every_stage(monkeypatch, small):
+    protocol = dataclasses.replace(small, rows=512, cols=512, pixel_mm=0.6)
+    monkeypatch.setattr(chain, "load_protocol", lambda name: protocol)
+    rows = {row["stage"]: row for row in chain.chain_rows(2)}
+    assert set(rows) >= {"rays", "attenuation", "scatter", "focal spot", "quantum noise", "detector blur", "readout"}
+    for engine in ("scanline", "embree"):
+        assert sum(row[f"{engine}_share"] for row in rows.values()) == pytest.approx(1, abs=0.01)
+    assert rows["rays"]["error"] < 1e-5
+    assert rows["attenuation"]["error"] < 1e-3
+    assert rows["scatter"]["error"] < 0.08
+    assert rows["detector blur"]["error"] < 0.02

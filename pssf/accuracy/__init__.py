@@ -2,7 +2,8 @@
 
 engines    ray casting: seconds, memory and error by engine, triangles, pixels and precision; how they grow
 agreement  both engines on random knees from random sides
-stages     the stages of simulate; nodes of the spectrum
+stages     simulate from cold to warm; nodes of the spectrum
+chain      the stages of simulate: seconds, share, error
 physics    spectrum, attenuation, primary and scatter beside references
 morphometry  drawn knees beside published sizes, and the errors of their labels
 solids     spheres as polyhedra, and their exact chords
@@ -27,6 +28,7 @@ from ..files.records import write_csv, write_json
 from ..simulate import versions
 from .agreement import agreement_rows
 from .builds import build_rows
+from .chain import chain_rows
 from .engines import Row, engine_rows, growth_rows, nested_rows
 from .focal import focal_rows
 from .monte_carlo import reference_rows
@@ -39,7 +41,7 @@ from .texture import spread_rows, step_rows
 
 # Those that measure memory come first: a process that is started begins with the peak of the one that started it.
 TABLES = (
-    "engines", "growth", "nested", "stages", "agreement", "spectrum", "focal_spot", "physics",
+    "engines", "growth", "nested", "stages", "chain", "agreement", "spectrum", "focal_spot", "physics",
     "monte_carlo", "scatter", "tessellation", "texture_steps", "texture", "builds", "knees",
 )  # fmt: skip
 
@@ -70,6 +72,7 @@ def measure(
         "growth": lambda: growth_rows(engines),
         "nested": lambda: nested_rows(workers),
         "stages": lambda: stage_rows(workers),
+        "chain": lambda: chain_rows(workers),
         "agreement": lambda: agreement_rows(knees, workers),
         "spectrum": spectrum_rows,
         "focal_spot": lambda: focal_rows(workers),

@@ -1,0 +1,95 @@
+"""The stages of simulate: seconds, share of the whole, and the error of each, measured here."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from ..anatomy import build
+from ..detector import primary_of
+from ..detector.blur import focal_spot_blur
+from ..detector.primary import transmit
+from ..detector.spectrum import beam_for, beam_of
+from ..geometry import view_of
+from ..knee import Knee
+from ..protocol import Protocol, load_protocol
+from ..quality.detector import mtf, photon_transfer
+from ..raycast import trace
+from ..scene import Scene
+from ..simulate import sampled_primary, simulate
+from .engines import Row
+from .scatter import Case, scatter_rows
+
+_RUNS = 3
+_LIMB: tuple[Case, ...] = (("knee", 70, 120, 82),)
+
+
+def chain_rows(workers: int) -> list[Row]:
+    """One row a stage: seconds and share with either engine (best of three, knee built before), and its error.
+
+    The error of a stage is measured on the spot against what it stands for: see `_errors`.
+    """
+    knee, protocol = Knee(), load_protocol("reference")
+    scene = build(knee)
+    found = {engine: _seconds(knee, scene, protocol, engine, workers) for engine in ("scanline", "embree")}
+    errors = _errors(scene, protocol, workers)
+    rows: list[Row] = []
+    for stage in [name for name in found["scanline"] if name != "anatomy"]:
+        row: Row = {"stage": stage}
+        for engine, seconds in found.items():
+            whole = sum(part for name, part in seconds.items() if name != "anatomy")
+            row |= {f"{engine}_seconds": round(seconds[stage], 3), f"{engine}_share": round(seconds[stage] / whole, 3)}
+        what, error = errors.get(stage, ("", lambda: None))
+        value = error()
+        rows.append({**row, "error": "" if value is None else float(f"{value:.2g}"), "error_of": what})
+    return rows
+
+
+def _seconds(knee: Knee, scene: Scene, protocol: Protocol, engine: str, workers: int) -> dict[str, float]:
+    """Stage -> seconds of the fastest of a few runs, after one that loads what is loaded once."""
+    runs = [
+        dict(simulate(knee, protocol, engine=engine, workers=workers, scene=scene).seconds) for _ in range(_RUNS + 1)
+    ]
+    return min(runs[1:], key=lambda one: sum(one.values()))
+
+
+def _errors(scene: Scene, protocol: Protocol, workers: int) -> dict[str, tuple[str, Callable[[], float]]]:
+    """Stage -> what its error is of, and how to measure it."""
+    view, joint = view_of(protocol), replace(protocol, rows=512, cols=512)
+
+    def rays() -> float:
+        short, exact = (trace(scene, joint, precision=p, workers=workers).path_mm for p in ("float32", "float64"))
+        return max(float(np.abs(short[name] - exact[name]).max()) for name in short)
+
+    def attenuation() -> float:
+        paths = trace(scene, protocol, engine="scanline", workers=workers).path_mm
+        few = beam_for(protocol, {name: float(lengths.max()) for name, lengths in paths.items()})
+        folded, full = (transmit(paths, beam, view, workers).kev for beam in (few, beam_of(protocol)))
+        return float(np.abs(folded / full - 1).max())
+
+    def scatter() -> float:
+        row = scatter_rows(photons=4_000_000, workers=workers, cases=_LIMB)[0]
+        return abs(row["difference_percent"]) / 100
+
+    def focal_spot() -> float:
+        exact = sampled_primary(scene, joint, "scanline", workers, 5).kev
+        paths = trace(scene, joint, engine="scanline", workers=workers).path_mm
+        blurred = focal_spot_blur(primary_of(paths, joint, workers).kev, joint.focal_spot_mm, view_of(joint), workers)
+        return float(np.sqrt(np.mean((blurred / exact - 1) ** 2)))
+
+    def noise() -> float:
+        return float(np.mean([abs(found / meant - 1) for _, found, meant in photon_transfer(protocol)]))
+
+    def blur() -> float:
+        curve = mtf(protocol)
+        inside = (curve.per_mm > 0) & (curve.per_mm < 3)
+        return float(np.abs(curve.measured / curve.model - 1)[inside].max())
+
+    return {
+        "rays": ("path length in float32, mm, largest", rays),
+        "attenuation": ("primary signal, few energies for all, relative, largest", attenuation),
+        "scatter": ("kernel in the joint region against 4 million photons, relative", scatter),
+        "focal spot": ("primary signal of the joint against 25 points of the spot, relative, RMS", focal_spot),
+        "quantum noise": ("variance of flat fields against the one meant, relative, mean", noise),
+        "detector blur": ("MTF of a slanted edge against the one meant up to 3/mm, relative, largest", blur),
+    }
