@@ -388,6 +388,7 @@ def test_a_study_finds_the_regions_and_tells_the_grades_apart(result):
         "training and testing",
         "intervals and differences",
         "reliability and figures",
+        "claims",
     ]
 
 
