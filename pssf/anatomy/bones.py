@@ -136,7 +136,7 @@ def femur(build: Build, grown: Grown) -> Bone:
         share = np.clip((table["plate_below_z"] - points[:, 2]) / 4.0, 0.0, 1.0)
         return ((1 - share) * cortex(points[:, 2] * s) + share * plate) / s
 
-    marrow = settle(femur_shape.outer(), femur_shape.field, depth_mm=depth, steps=_INWARD_STEPS)
+    marrow = settle(femur_shape.outer(_INNER_MM), femur_shape.field, depth_mm=depth, steps=_INWARD_STEPS)
     canal_levels = _levels(table["canal_from_z_mm"] * s, SHAFT_END_MM - 4.0, 2.5)
     canal = _canal(sections, cortex, canal_levels, table["canal_full_z_mm"] * s, "femur canal")
 
@@ -187,7 +187,7 @@ def tibia(build: Build, grown: Grown) -> Bone:
         share = np.clip(1 + tibia_shape.above(points) / 3.0, 0.0, 1.0)
         return ((1 - share) * cortex(points[:, 2] * s) + share * plate) / s
 
-    marrow = settle(tibia_shape.outer(), tibia_shape.field, depth_mm=depth, steps=_INWARD_STEPS)
+    marrow = settle(tibia_shape.outer(_INNER_MM), tibia_shape.field, depth_mm=depth, steps=_INWARD_STEPS)
     canal_levels = _levels(-SHAFT_END_MM + 4.0, table["canal_from_z_mm"] * s, 2.5)
     canal = _canal(sections, cortex, canal_levels, table["canal_full_z_mm"] * s, "tibia canal")
     return Bone(

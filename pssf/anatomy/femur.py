@@ -10,7 +10,7 @@ from manifold3d import Manifold
 
 from ..checks import Array
 from ..files import tables
-from .implicit import Column, blend, carve, ellipsoid, meet, shaped
+from .implicit import Column, blend, carve, ellipsoid, lengths, meet, shaped
 from .solids import checked, column, hull, loft
 
 _POWER = 2.3
@@ -49,7 +49,7 @@ def condyle_field(points: Array, side: str) -> Array:
     centre = _centre(side)
     offset = points - centre
     norm = _condyle_norm(offset, side)
-    away = np.sqrt((offset**2).sum(axis=1))
+    away = lengths(offset)
     return (norm - 1) * np.where(norm > 0.05, away / np.maximum(norm, 0.05), 15.0)
 
 
