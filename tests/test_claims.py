@@ -3,10 +3,11 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+import scipy.stats
 
 from pssf.study import StudySettings
 from pssf.study.checklist import STATUSES, checklist
-from pssf.study.claims import COLUMNS, claims, verdict
+from pssf.study.claims import COLUMNS, claims, spearman, verdict
 
 SETTINGS = StudySettings(replicates=200, models=("lr",), selections=("l1",))
 
@@ -80,6 +81,15 @@ def test_claims_follow_what_is_in_the_tables():
     assert verdicts(found, "Logistic regression is strong") == {"holds"}
     assert verdicts(found, "Another protocol") == {"holds"}
     assert verdicts(found, "Training on all") == {"not decidable"}
+
+
+def test_weighted_ranks_give_the_correlation_of_the_rows_written_out():
+    rng = np.random.default_rng(5)
+    grade, value = rng.integers(0, 3, 40).astype(float), np.round(rng.standard_normal(40), 1)
+    weights = rng.integers(0, 4, (20, 40)).astype(float)
+    for found, times in zip(spearman(grade, value, weights), weights.astype(int), strict=True):
+        expected = scipy.stats.spearmanr(np.repeat(grade, times), np.repeat(value, times)).statistic
+        assert found == pytest.approx(expected, abs=1e-12)
 
 
 def test_where_grades_do_not_differ_nothing_is_claimed():

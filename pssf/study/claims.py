@@ -4,12 +4,10 @@ Alzubaidi and Al-Bayaty, arXiv 2601.11642, sections 3.2 to 3.4. A claim holds wh
 number lies on the claimed side of the bound, does not hold when all of it lies on the other, and is not decidable else.
 """
 
-from collections.abc import Callable, Iterator
-
 import numpy as np
 import pandas as pd
-from scipy.stats import spearmanr
 
+from ..checks import Array
 from . import StudySettings
 from .reliability import ICC_FORMS, THRESHOLD
 from .scenarios import TASKS
@@ -72,35 +70,52 @@ def _row(claim: str, measure: str, found: Found, bound: float, side: int = +1) -
 
 def _trends(usable: pd.DataFrame, settings: StudySettings) -> list[dict[str, object]]:
     part = usable[usable["protocol"] == settings.reference]
-    rows = []
+    if part["grade"].nunique() < 2:
+        return []
+    weights, rows = _weights(part, settings), []
     for claim, feature, side in _TRENDS:
-        if feature not in part or part["grade"].nunique() < 2:
-            continue
-
-        def rho(rows: pd.DataFrame, feature: str = feature) -> float:
-            return float(spearmanr(rows["grade"], rows[feature]).statistic)
-
-        measure = f"Spearman's ρ of grade and {feature}, {settings.reference}"
-        rows.append(_row(claim, measure, _bootstrap(part, rho, settings), 0.0, side))
+        if feature in part:
+            rho = spearman(part["grade"].to_numpy(float), part[feature].to_numpy(float), weights)
+            measure = f"Spearman's ρ of grade and {feature}, {settings.reference}"
+            rows.append(_row(claim, measure, _interval(rho), 0.0, side))
     return rows
 
 
-def _bootstrap(table: pd.DataFrame, statistic: Callable[[pd.DataFrame], float], settings: StudySettings) -> Found:
-    """A statistic of the rows, and its percentile interval when subjects are drawn anew within their grades."""
-    drawn = [statistic(rows) for rows in _drawn(table, settings)]
-    low, high = np.nanpercentile(drawn, (2.5, 97.5))
-    return statistic(table), float(low), float(high)
-
-
-def _drawn(table: pd.DataFrame, settings: StudySettings) -> Iterator[pd.DataFrame]:
-    """The rows of as many subjects of each grade, the highest of their knees, as there are, drawn with replacement."""
+def _weights(table: pd.DataFrame, settings: StudySettings) -> Array:
+    """(1 + replicates, rows)  how often each row is in a sample of as many subjects of each grade, the highest of their
+    knees, drawn with replacement; in the first each is once"""
     rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(_STREAM,)))
-    places = {subject: np.flatnonzero(table["subject"] == subject) for subject in table["subject"].unique()}
     worst = table.groupby("subject")["grade"].max()
-    groups = [worst.index[worst == grade] for grade in sorted(set(worst))]
-    for _ in range(settings.replicates):
-        chosen = [subject for members in groups for subject in rng.choice(members, len(members))]
-        yield table.iloc[np.concatenate([places[subject] for subject in chosen])]
+    drawn = np.ones((1 + settings.replicates, len(worst)))
+    for grade in sorted(set(worst)):
+        members = np.flatnonzero(worst == grade)
+        share = np.full(len(members), 1 / len(members))
+        drawn[1:, members] = rng.multinomial(len(members), share, settings.replicates)
+    return drawn[:, worst.index.get_indexer(table["subject"])]
+
+
+def _interval(replicates: Array) -> Found:
+    """The first of a statistic's replicates, and the 2.5th and 97.5th percentile of the others."""
+    known = replicates[1:][np.isfinite(replicates[1:])]
+    low, high = np.percentile(known, (2.5, 97.5)) if len(known) else (np.nan, np.nan)
+    return float(replicates[0]), float(low), float(high)
+
+
+def spearman(one: Array, other: Array, weights: Array) -> Array:
+    """(replicates,)  Spearman's rho of two variables (rows,) whose rows are taken so many times (replicates, rows)
+
+    Pearson's correlation of mid-ranks, as `scipy.stats.spearmanr` of the rows written out.
+    """
+    whole = weights.sum(axis=1, keepdims=True)
+    ranks = []
+    for values in (one, other):
+        place = np.unique(values, return_inverse=True)[1]
+        counts = weights @ (place[:, None] == np.arange(place.max() + 1))
+        middle = (np.cumsum(counts, axis=1) - counts / 2)[:, place]
+        ranks.append(middle - (weights * middle).sum(axis=1, keepdims=True) / whole)
+    products = [(weights * a * b).sum(axis=1) for a, b in ((ranks[0], ranks[1]), (ranks[0],) * 2, (ranks[1],) * 2)]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(products[0] / np.sqrt(products[1] * products[2]))
 
 
 def _stable(reliability: pd.DataFrame) -> list[dict[str, object]]:
@@ -136,25 +151,19 @@ def _between(predictions: pd.DataFrame, settings: StudySettings) -> list[dict[st
     part = part[(part["model"] == settings.models[0]) & (part["selection"] == settings.selections[0])]
     if part.empty:
         return []
-    scored = part.assign(grade=part["truth"], score=part["p1"] + 2 * part["p2"])
-    model = settings.models[0]
+    model, grade = settings.models[0], part["truth"].to_numpy(int)
+    weights = _weights(part.assign(grade=grade), settings)
+    score = (part["p1"] + 2 * part["p2"]).to_numpy(float)
+    with np.errstate(invalid="ignore"):
+        means = [(weights @ (score * (grade == k))) / (weights @ (grade == k)) for k in range(3)]
     rows = []
     for upper in (1, 2):
-
-        def step(rows: pd.DataFrame, upper: int = upper) -> float:
-            means = rows.groupby("grade")["score"].mean()
-            return float(means.get(upper, np.nan) - means.get(upper - 1, np.nan))
-
         measure = f"predicted grade of grade {upper} less that of {upper - 1}, {model}"
-        rows.append(_row("Grade 1 lies in between", measure, _bootstrap(scored, step, settings), 0.0))
-
-    def spared(rows: pd.DataFrame) -> float:
-        chosen = rows[["p0", "p1", "p2"]].to_numpy().argmax(axis=1)
-        off = np.abs(chosen - rows["grade"].to_numpy())
-        return float((off == 1).mean() - (off == 2).mean())
-
+        rows.append(_row("Grade 1 lies in between", measure, _interval(means[upper] - means[upper - 1]), 0.0))
+    off = np.abs(part[["p0", "p1", "p2"]].to_numpy().argmax(axis=1) - grade)
+    spared = (weights @ ((off == 1) * 1.0 - (off == 2))) / weights.sum(axis=1)
     measure = f"share confused by one grade less share confused by two, {model}"
-    rows.append(_row("The extreme grades are seldom confused", measure, _bootstrap(scored, spared, settings), 0.0))
+    rows.append(_row("The extreme grades are seldom confused", measure, _interval(spared), 0.0))
     return rows
 
 
