@@ -25,3 +25,16 @@ def test_scatter_behind_the_bone_of_a_limb_agrees_with_monte_carlo(physics, gaps
     found = [off for name, off in physics.items() if name.startswith("scatter") and any(g in name for g in wanted)]
     assert len(found) == count
     assert max(map(abs, found)) <= percent
+
+
+# kV, limb and gap in mm: of thicknesses and gaps that the kernel is made for, and one nearer.
+USUAL = (
+    *((60, 104, 15), (60, 120, 140), (70, 104, 140), (70, 120, 15)),
+    *((70, 120, 60), (70, 120, 140), (70, 140, 140), (80, 120, 140)),
+)
+
+
+@pytest.mark.parametrize(("what", "percent"), [("primary", 5.0), ("scatter", 15.0)])
+def test_usual_limbs_agree_with_monte_carlo_more_closely(physics, what, percent):
+    names = [f"{what} behind bone, {kv} kV, limb {thick} mm, gap {gap} mm, over open beam" for kv, thick, gap in USUAL]
+    assert max(abs(physics[name]) for name in names) <= percent

@@ -8,8 +8,7 @@ import numpy as np
 from ..anatomy import build
 from ..detector import primary_of
 from ..detector.blur import focal_spot_blur
-from ..detector.primary import transmit
-from ..detector.spectrum import beam_for, beam_of
+from ..detector.nodes import TOLERANCE
 from ..geometry import view_of
 from ..knee import Knee
 from ..protocol import Protocol, load_protocol
@@ -19,6 +18,7 @@ from ..scene import Scene
 from ..simulate import sampled_primary, simulate
 from .engines import Row
 from .scatter import Case, scatter_rows
+from .stages import spectrum_rows
 
 _RUNS = 3
 _LIMB: tuple[Case, ...] = (("knee", 70, 120, 82),)
@@ -55,17 +55,14 @@ def _seconds(knee: Knee, scene: Scene, protocol: Protocol, engine: str, workers:
 
 def _errors(scene: Scene, protocol: Protocol, workers: int) -> dict[str, tuple[str, Callable[[], float]]]:
     """Stage -> what its error is of, and how to measure it."""
-    view, joint = view_of(protocol), replace(protocol, rows=512, cols=512)
+    joint = replace(protocol, rows=512, cols=512)
 
     def rays() -> float:
         short, exact = (trace(scene, joint, precision=p, workers=workers).path_mm for p in ("float32", "float64"))
         return max(float(np.abs(short[name] - exact[name]).max()) for name in short)
 
     def attenuation() -> float:
-        paths = trace(scene, protocol, engine="scanline", workers=workers).path_mm
-        few = beam_for(protocol, {name: float(lengths.max()) for name, lengths in paths.items()})
-        folded, full = (transmit(paths, beam, view, workers).kev for beam in (few, beam_of(protocol)))
-        return float(np.abs(folded / full - 1).max())
+        return float(spectrum_rows((TOLERANCE,))[0]["max_relative_error"])
 
     def scatter() -> float:
         row = scatter_rows(photons=4_000_000, workers=workers, cases=_LIMB)[0]
