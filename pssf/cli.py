@@ -15,6 +15,8 @@ from .files import tables
 from .knee import Knee, draw_knee, knee_from
 from .parallel import WorkersLostError, cores
 from .progress import bar
+from .radiomics import FAMILIES
+from .study import MODELS, SELECTIONS
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help=__doc__)
 
@@ -180,14 +182,34 @@ def study(
     seed: Seed = 0,
     scheduler: Scheduler = None,
     engine: Engine = "scanline",
+    protocols: Annotated[
+        str, typer.Option(help="Names or TOML files, with commas, instead of the preset's; the first may be alone.")
+    ] = "",
+    families: Annotated[str, typer.Option(help="Families of features, with commas.")] = ",".join(FAMILIES),
+    selections: Annotated[str, typer.Option(help="Selections of features, with commas.")] = ",".join(SELECTIONS),
+    models: Annotated[str, typer.Option(help="Models, with commas.")] = ",".join(MODELS),
+    until: Annotated[str, typer.Option(help="report, or features: stop when they are measured.")] = "report",
 ) -> None:
-    """The whole study: cohort, regions, features, models, report; goes on where an earlier run stopped."""
-    from .experiment import run_experiment
+    """The whole study: cohort, regions, features, models, report; goes on where an earlier run stopped.
 
-    result = run_experiment(out, preset=preset, seed=seed, workers=workers, scheduler=scheduler, engine=engine, bar=bar)
+    What is left out costs nothing: protocols, families of features, selections, models.
+    """
+    from .experiment import Crew, make_experiment, measure_experiment, run_experiment
+
+    require_choice("until", until, ("features", "report"))
+    crew = Crew(workers=workers, bar=bar, scheduler=scheduler)
+    wanted = {"families": families, "selections": selections, "models": models}
+    settings = {name: tuple(listed.split(",")) for name, listed in wanted.items()}
+    cohort = {"protocols": protocols.split(",")} if protocols else None
+    made = make_experiment(out, crew, preset=preset, seed=seed, engine=engine, cohort=cohort, settings=settings)
+    if until == "features":
+        print(f"features  {measure_experiment(made, crew)}")
+        return
+    result = run_experiment(made, crew)
     print(f"report    {result.report}")
-    for path in result.pictures.values():
-        print(f"picture   {path}")
+    for what, paths in (("picture", result.pictures), ("model", result.models)):
+        for path in paths.values():
+            print(f"{what:<10}{path}")
 
 
 @app.command()

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from importlib.metadata import version
+from importlib.util import find_spec
 from typing import Any
 
 from distributed import Client, as_completed
@@ -24,7 +25,7 @@ _REACH_SECONDS = 5
 _ALONE = threading.Lock()
 
 
-def require_workers(address: str) -> None:
+def require_workers(address: str, modules: tuple[str, ...] = ()) -> None:
     """Refuse an address that is none or does not answer, and a scheduler without workers.
 
     raises  InputError
@@ -33,6 +34,7 @@ def require_workers(address: str) -> None:
         try:
             client.wait_for_workers(1, timeout=_REACH_SECONDS)
             found = set(client.run(_version).values())
+            lacking = sorted(set().union(*client.run(_lacking, modules).values()))
         except TimeoutError:
             raise InputError(f"scheduler = {address!r} has no workers; allowed: one or more") from None
         except ModuleNotFoundError as error:
@@ -40,6 +42,9 @@ def require_workers(address: str) -> None:
     if found != {_version()}:
         told = ", ".join(sorted(found))
         raise InputError(f"scheduler = {address!r}: workers have pssf {told}; allowed: {_version()}, as here")
+    if lacking:
+        told = ", ".join(lacking)
+        raise InputError(f"scheduler = {address!r}: a worker lacks {told}; allowed: the extra study on every worker")
 
 
 def spread(
@@ -85,6 +90,10 @@ def _connected(address: str) -> Iterator[Client]:
 
 def _version() -> str:
     return version("pssf")
+
+
+def _lacking(modules: tuple[str, ...]) -> list[str]:
+    return [name for name in modules if find_spec(name) is None]
 
 
 def _call(item: bytes, function: Callable[..., Any], shared: bytes) -> Any:

@@ -1,10 +1,10 @@
 """The whole experiment: a preset's cohort is made, then studied."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +18,8 @@ from .knee import Knee
 from .progress import Pace
 from .protocol import load_protocol
 from .simulate import simulate
-from .study import StudyResult, StudySettings, require_extra, run
+from .study import StudyResult, StudySettings, measure, require_extra, run
+from .study.cost import Meter
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -29,45 +30,100 @@ if TYPE_CHECKING:
 Bar = Callable[[str, int], AbstractContextManager[Pace]]
 
 
-def run_experiment(
-    out: Path, *, preset: str, seed: int, workers: int, engine: str, bar: Bar, scheduler: str | None = None
-) -> StudyResult:
-    """Cohort, repeats, regions, features, models, report; goes on where an earlier run in the same folder stopped.
+@dataclass(frozen=True, kw_only=True)
+class Crew:
+    """Who does the work, and what shows it; no result depends on them.
 
-    out        folder: the cohort goes into out/cohort, knees taken again into out/repeats, the rest beside them
-    workers    processes; no result depends on them
+    workers    processes
     bar        shows the progress of a stage
-    scheduler  address of a Dask scheduler whose workers make the radiographs; what follows is done here all the same
-    raises     InputError for an unknown preset, a missing library, a folder that holds something else or is unwritable,
-               a scheduler that cannot be used; WorkersLostError when workers keep being killed
+    scheduler  address of a Dask scheduler whose workers do it instead
     """
-    require_extra()
-    plan = plan_cohort(preset, seed=seed)
-    how = {"workers": workers, "scheduler": scheduler, "engine": engine}
-    start = perf_counter()
-    path = _made(plan, out / "cohort", "radiographs", bar, how)
+
+    workers: int
+    bar: Bar
+    scheduler: str | None = None
+    meter: Meter = field(default_factory=Meter)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A cohort that stands, and how it is to be studied."""
+
+    out: Path
+    engine: str
+    settings: StudySettings
+    manifest: "pd.DataFrame"
+    again: "pd.DataFrame | None"
+
+
+def make_experiment(
+    out: Path,
+    crew: Crew,
+    *,
+    preset: str,
+    seed: int,
+    engine: str,
+    cohort: Mapping[str, Any] | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> Experiment:
+    """Cohort and repeats; goes on where an earlier run in the same folder stopped.
+
+    out       folder: the cohort goes into out/cohort, knees taken again into out/repeats
+    cohort    entries that replace the preset's, as for `plan_cohort`
+    settings  fields of StudySettings that replace the defaults
+    raises    InputError for an unknown preset, a missing library, a folder that holds something else or is unwritable,
+              a scheduler that cannot be used; WorkersLostError when workers keep being killed
+    """
+    require_extra(crew.scheduler)
+    plan = plan_cohort(preset, seed=seed, overrides=cohort)
+    names = [shot.protocol.name for shot in plan.cases[0].shots]
+    known = {"repeats": plan.repeats, "seed": seed, "reference": "reference" if "reference" in names else names[0]}
+    chosen = StudySettings(**{**known, **(settings or {})})
+    with crew.meter.stage("cohort", "radiographs") as made:
+        manifest = _below("cohort", read_manifest(_made(plan, out / "cohort", "radiographs", engine, crew, made)))
+    repeats, again = plan_repeats(plan, reference=chosen.reference), None
+    if repeats is not None:
+        with crew.meter.stage("repeats", "radiographs") as made:
+            again = _again(read_manifest(_made(repeats, out / "repeats", "repeats", engine, crew, made)))
     for folder in (out, out / "pictures", out / "models"):
         sweep(folder)
-    seconds = {"cohort": perf_counter() - start}
-    start = perf_counter()
-    again = _taken_again(plan, out, bar, how)
-    if again is not None:
-        seconds["repeats"] = perf_counter() - start
-    start = perf_counter()
-    template = standard_template(engine)
-    seconds["template"] = perf_counter() - start
+    return Experiment(out, engine, chosen, manifest, again)
+
+
+def run_experiment(experiment: Experiment, crew: Crew) -> StudyResult:
+    """Regions, features, models, report, into the experiment's folder.
+
+    Where an earlier run ended, and neither cohort, settings nor code have changed since, and no file, its result is
+    given back.
+    """
+    from .study import finished  # needs the extra `study`
+
+    manifests = [table for table in (experiment.manifest, experiment.again) if table is not None]
+    key = finished.key_of(manifests, experiment.settings, experiment.engine)
+    result = finished.earlier(experiment.out, key)
+    if result is None:
+        with ExitStack() as stack:
+            result = run(*_given(experiment, crew), **_how(experiment, crew, stack))
+        finished.mark(result, experiment.out, key)
+    return result
+
+
+def measure_experiment(experiment: Experiment, crew: Crew) -> Path:
+    """Regions and features alone; returns the path of features.csv."""
     with ExitStack() as stack:
-        return run(
-            _below("cohort", read_manifest(path)),
-            partial(_pixels, out),
-            template,
-            StudySettings(repeats=plan.repeats, seed=seed),
-            out,
-            again=again,
-            seconds=seconds,
-            workers=workers,
-            progress=_stages(stack, bar),
-        )
+        return measure(*_given(experiment, crew), **_how(experiment, crew, stack))
+
+
+def _given(experiment: Experiment, crew: Crew) -> tuple[Any, ...]:
+    with crew.meter.stage("template"):
+        template = standard_template(experiment.engine)
+    load_pixels = partial(_pixels, experiment.out.absolute())
+    return experiment.manifest, load_pixels, template, experiment.settings, experiment.out
+
+
+def _how(experiment: Experiment, crew: Crew, stack: ExitStack) -> dict[str, Any]:
+    who = {"meter": crew.meter, "workers": crew.workers, "scheduler": crew.scheduler}
+    return {"again": experiment.again, "progress": _stages(stack, crew.bar), **who}
 
 
 def standard_template(engine: str = "embree") -> "Template":
@@ -81,21 +137,30 @@ def standard_template(engine: str = "embree") -> "Template":
     return Template(pixels=radiograph.kept["noise_free"], row=row, col=col, pixel_mm=protocol.pixel_mm)
 
 
-def _made(plan: Plan, folder: Path, what: str, bar: Bar, how: dict[str, Any]) -> Path:
+def _made(plan: Plan, folder: Path, what: str, engine: str, crew: Crew, made: Callable[[int], None]) -> Path:
     """Make what is missing of a plan, with a bar of its own; returns the manifest."""
-    with bar(what, sum(len(case.shots) for case in plan.cases)) as pace:
-        return make_cohort(plan, folder, progress=pace.made, found=pace.found, **how)
+    with crew.bar(what, sum(len(case.shots) for case in plan.cases)) as pace:
+
+        def progress(more: int) -> None:
+            made(more)
+            pace.made(more)
+
+        return make_cohort(
+            plan,
+            folder,
+            workers=crew.workers,
+            scheduler=crew.scheduler,
+            engine=engine,
+            progress=progress,
+            found=pace.found,
+        )
 
 
-def _taken_again(plan: Plan, out: Path, bar: Bar, how: dict[str, Any]) -> "pd.DataFrame | None":
-    """Make the repeats of a plan; their manifest with the knee that each is of, kind and turn."""
-    repeats = plan_repeats(plan)
-    if repeats is None:
-        return None
-    path = _made(repeats, out / "repeats", "repeats", bar, how)
-    table = _below("repeats", read_manifest(path))
-    told = table["radiograph"].str.extract(r"_k(?P<knee>\d+)_(?P<kind>[a-z]+)(?P<turn>\d+)$")
-    return table.assign(knee=told["knee"].astype(int), kind=told["kind"], turn=told["turn"])
+def _again(manifest: "pd.DataFrame") -> "pd.DataFrame":
+    """The manifest of repeats with the knee that each is of, kind and turn."""
+    told = manifest["radiograph"].str.extract(r"_k(?P<knee>\d+)_(?P<kind>[a-z]+)(?P<turn>\d+)$")
+    found = {"knee": told["knee"].astype(int), "kind": told["kind"], "turn": told["turn"]}
+    return _below("repeats", manifest).assign(**found)
 
 
 def _below(folder: str, manifest: "pd.DataFrame") -> "pd.DataFrame":

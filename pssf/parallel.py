@@ -72,10 +72,11 @@ def ordered_map(
     return [results[index] for index in range(len(items))]
 
 
-def require_scheduler(address: str) -> None:
+def require_scheduler(address: str, modules: tuple[str, ...] = ()) -> None:
     """Refuse a scheduler that cannot be used, before anything is written.
 
-    raises  InputError for an address that is none or does not answer, a scheduler without workers, a missing library
+    modules  that its workers must be able to import, beside this package
+    raises   InputError for an address that is none or does not answer, a scheduler without workers, a missing library
     """
     if find_spec("distributed") is None:
         raise InputError(
@@ -83,7 +84,7 @@ def require_scheduler(address: str) -> None:
         )
     from .cluster import require_workers
 
-    require_workers(address)
+    require_workers(address, modules)
 
 
 @contextmanager

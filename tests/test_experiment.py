@@ -1,17 +1,18 @@
-"""From a plan to what the study is given."""
+"""From a plan to what the study is given, and back to an earlier run."""
 
 import dataclasses
 import json
 from contextlib import contextmanager
 
 import pandas as pd
+import pytest
 
 import pssf
-from pssf import cohort
-from pssf.experiment import _below, _pixels, _taken_again
+from pssf import experiment
+from pssf.experiment import Crew, _below, _pixels, make_experiment, run_experiment
+from pssf.files import results
 from pssf.progress import Pace
-
-HOW = {"workers": 1, "scheduler": None, "engine": "scanline"}
+from pssf.study import StudyResult, StudySettings, finished
 
 
 @contextmanager
@@ -19,22 +20,105 @@ def bar(what, total):
     yield Pace(total)
 
 
-def test_knees_taken_again_are_told_by_knee_kind_and_turn_and_their_files_are_found(tmp_path):
+def tiny(folder):
+    """A cohort of two knees under one protocol of 64 x 64 pixels."""
     protocol = dataclasses.replace(pssf.load_protocol("reference"), rows=64, cols=64, pixel_mm=4.8)
     fields = {name: value for name, value in dataclasses.asdict(protocol).items() if value is not None}
-    path = tmp_path / "reference.toml"
+    path = folder / "reference.toml"
     path.write_text("".join(f"{name} = {json.dumps(value)}\n" for name, value in fields.items()))
-    wanted = {"knees": [0, 1, 1], "protocols": [str(path)], "retested": 1}
-    plan = cohort.plan_cohort("quick", seed=1, overrides=wanted)
-    again = _taken_again(plan, tmp_path, bar, HOW)
+    return {"knees": [0, 1, 1], "protocols": [str(path)], "retested": 1}
+
+
+def made(folder, cohort, **settings):
+    crew = Crew(workers=1, bar=bar)
+    how = {"preset": "quick", "seed": 1, "engine": "scanline", "cohort": cohort, "settings": settings}
+    return make_experiment(folder / "out", crew, **how), crew
+
+
+def test_knees_taken_again_are_told_by_knee_kind_and_turn_and_their_files_are_found(tmp_path):
+    found, crew = made(tmp_path, tiny(tmp_path))
+    first, again = found.manifest.iloc[0], found.again
     assert list(again["kind"]) == ["noise", "noise", "perturbation", "perturbation"]
     assert list(again["turn"]) == ["1", "2", "1", "2"]
-    assert (again["knee"] == plan.cases[0].index).all()
-    assert (again["subject"] == plan.cases[0].subject).all()
-    for file in again["file"]:
-        assert _pixels(tmp_path, file).shape == (64, 64)
-    assert _taken_again(dataclasses.replace(plan, retested=0), tmp_path, bar, HOW) is None
+    assert (again["knee"] == first["knee"]).all()
+    assert (again["subject"] == first["subject"]).all()
+    for file in [*again["file"], *found.manifest["file"]]:
+        assert _pixels(found.out, file).shape == (64, 64)
+    assert {name: spent.made for name, spent in crew.meter.stages.items()} == {"cohort": 2, "repeats": 4}
+    once_more, crew = made(tmp_path, tiny(tmp_path))
+    assert {name: spent.made for name, spent in crew.meter.stages.items()} == {"cohort": 0, "repeats": 0}
+    assert once_more.manifest.equals(found.manifest)
+
+
+def test_without_knees_to_retest_there_are_no_repeats(tmp_path):
+    assert made(tmp_path, tiny(tmp_path) | {"retested": 0})[0].again is None
+
+
+def test_settings_are_refused_before_a_radiograph_is_made(tmp_path):
+    with pytest.raises(pssf.InputError, match="families = 'glmc'"):
+        made(tmp_path, tiny(tmp_path), families=("glmc",))
+    assert not (tmp_path / "out").exists()
+
+
+def test_where_the_reference_is_left_out_the_first_protocol_stands_for_it(tmp_path):
+    cohort = tiny(tmp_path)
+    path = tmp_path / "reference.toml"
+    path.write_text(path.read_text().replace('name = "reference"', 'name = "mine"'))
+    found, _ = made(tmp_path, cohort)
+    assert found.settings.reference == "mine"
+    assert set(found.again["protocol"]) == {"mine"}
 
 
 def test_files_are_named_from_the_folder_above():
     assert list(_below("cohort", pd.DataFrame({"file": ["images/a.tif"]}))["file"]) == ["cohort/images/a.tif"]
+
+
+def result_in(out) -> StudyResult:
+    """What a study might have left."""
+    tables = {name: out / f"{name}.csv" for name in ("scores", "differences", "reliability", "localisation")}
+    value = pd.DataFrame({"name": ["a", "b"], "value": [0.1 + 0.2, float("nan")]})
+    for path in tables.values():
+        results.save_table(path, value)
+    for name in ("study.json", "environment.json", "checklist.json", "report.html"):
+        results.save_text(out / name, "{}")
+    return StudyResult(
+        report=out / "report.html", pictures={}, tables=tables, models={}, seconds={"cohort": 2.0},
+        **dict.fromkeys(tables, value),
+    )  # fmt: skip
+
+
+def test_a_finished_run_is_given_back_and_nothing_is_done_again(tmp_path, monkeypatch):
+    found, crew = made(tmp_path, tiny(tmp_path))
+    monkeypatch.setattr(experiment, "standard_template", lambda engine: None)
+    runs = []
+    monkeypatch.setattr(experiment, "run", lambda *given, **how: runs.append(1) or result_in(found.out))
+    first = run_experiment(found, crew)
+    again = run_experiment(found, crew)
+    assert runs == [1]
+    assert again.tables == first.tables
+    assert again.seconds == first.seconds
+    pd.testing.assert_frame_equal(again.scores, first.scores, check_exact=True)
+    run_experiment(dataclasses.replace(found, settings=dataclasses.replace(found.settings, bins=32)), crew)
+    assert runs == [1, 1]
+
+
+@pytest.mark.parametrize("harm", ["change", "delete"])
+def test_a_finished_run_with_a_file_changed_or_gone_is_done_again(tmp_path, harm):
+    key = finished.key_of([pd.DataFrame({"a": [1]})], StudySettings(), "scanline")
+    finished.mark(result_in(tmp_path), tmp_path, key)
+    assert finished.earlier(tmp_path, key) is not None
+    assert finished.earlier(tmp_path, "another key") is None
+    path = tmp_path / "scores.csv"
+    path.write_text("name\n") if harm == "change" else path.unlink()
+    assert finished.earlier(tmp_path, key) is None
+
+
+def test_the_key_of_a_run_changes_with_manifest_settings_engine_and_code(monkeypatch):
+    def key(value=1, engine="scanline", **settings):
+        return finished.key_of([pd.DataFrame({"a": [value]})], StudySettings(**settings), engine)
+
+    keys = {key(), key(2), key(engine="embree"), key(seed=3)}
+    assert len(keys) == 4
+    assert key() in keys
+    monkeypatch.setattr(results, "code_digest", lambda: "other")
+    assert key() not in keys

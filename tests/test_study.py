@@ -21,6 +21,7 @@ from pssf.checks import InputError
 from pssf.files.results import load_table
 from pssf.radiomics.region import Template
 from pssf.study import StudySettings, metrics
+from pssf.study.cost import Meter
 from pssf.study.localisation import errors, summarise
 from pssf.study.models import tune
 from pssf.study.reliability import count_stable, icc, reliability
@@ -371,7 +372,10 @@ def cohort() -> Cohort:
 def result(tmp_path_factory) -> study.StudyResult:
     out = tmp_path_factory.mktemp("study")
     again = cohort().again(3)
-    return study.run(cohort().manifest, cohort().load, TEMPLATE, SMALL, out, again=again, seconds={"cohort": 1.5})
+    meter = Meter()
+    with meter.stage("cohort", "radiographs") as made:
+        made(45)
+    return study.run(cohort().manifest, cohort().load, TEMPLATE, SMALL, out, again=again, meter=meter)
 
 
 def test_a_study_finds_the_regions_and_tells_the_grades_apart(result):
@@ -398,7 +402,7 @@ def test_the_report_is_one_page_with_everything_in_it(result):
         assert target.startswith(('"data:image/png;base64,', '"#')), target
     assert not re.search(r"<script|<link|@import|url\(|https?://", page)
     pictures = re.findall(r"<img[^>]*>", page)
-    assert len(pictures) == len(result.pictures) == 5
+    assert len(pictures) == len(result.pictures) == 7
     assert all(re.search(r'alt="[^"]{20,}"', picture) for picture in pictures)
     assert "43 of 107" in page
     for path in [*result.pictures.values(), *result.tables.values()]:

@@ -23,6 +23,8 @@ _STEP_MM = 0.01
 _MOST_MM, _NEAR_MM = 1.5, 0.05
 # Of a whole bone: rounds of evening out its mesh, halvings of edges where it bends, and where its shaft begins.
 _ROUNDS, _HALVINGS, _SHAFT_FROM_MM = 6, 4, 70.0
+# Shafts are cut off before this height. Rounds of unfolding, and of spreading evenly in each.
+_USED_MM, _UNFOLDINGS, _FLATTENINGS = 200.0, 10, 3
 
 
 def blend(one: Array, other: Array, radius_mm: float) -> Array:
@@ -75,8 +77,10 @@ class Column:
         half_x, half_y, y, x = self.at(np.clip(points[:, 2], *self.ends)).T
         u, v, power = np.abs(points[:, 0] - x) / half_x, np.abs(points[:, 1] - y) / half_y, self.power
         norm = (u**power + v**power) ** (1 / power)
-        slope = np.hypot(u ** (power - 1) / half_x, v ** (power - 1) / half_y)
-        return (norm - 1) * np.maximum(norm, 1e-6) ** (power - 1) / np.maximum(slope, 1e-3)
+        way = np.maximum(norm, 1e-9)
+        slope = np.hypot((u / way) ** (power - 1) / half_x, (v / way) ** (power - 1) / half_y)
+        # On the axis itself there is no direction; the nearest side is that of the smaller half.
+        return (norm - 1) / np.where(norm > 1e-9, slope, 1 / np.minimum(half_x, half_y))
 
 
 def gradient(field: Field, points: Array, value: Array) -> Array:
@@ -135,7 +139,35 @@ def evened(
     places[free] = onto(places[free], field, None, 5)
     for _ in range(rounds):
         places[free] = onto((places[free] + share * (beside @ places)) / 2, field, None, 2)
-    return solid_of(places, mesh.faces, "evened")
+    return solid_of(_unfolded(places, np.asarray(mesh.faces), free, field), mesh.faces, "evened")
+
+
+def _unfolded(places: Array, faces: Array, free: NDArray[np.bool_], field: Field) -> Array:
+    """The places with triangles that face inwards laid flat: what is around them is spread evenly once more."""
+    places = places.copy()
+    edges = edges_of(faces)
+    both = np.vstack((edges, edges[:, ::-1]))
+    used = faces[free[faces].any(axis=1) & (np.abs(places[faces, 2]) < _USED_MM).all(axis=1)]
+    for _ in range(_UNFOLDINGS):
+        one, two, three = (places[used[:, k]] for k in range(3))
+        middle = (one + two + three) / 3
+        outward = gradient(field, middle, field(middle))
+        inside_out = used[(np.cross(two - one, three - one) * outward).sum(axis=1) <= 0]
+        if not len(inside_out):
+            break
+        around = np.zeros(len(places), np.bool_)
+        around[inside_out] = True
+        for _ in range(2):
+            around[edges[around[edges].any(axis=1)]] = True
+        around &= free
+        ends = both[around[both[:, 0]]]
+        count = np.bincount(ends[:, 0], minlength=len(places))[around, None]
+        for _ in range(_FLATTENINGS):
+            sums = np.zeros_like(places)
+            np.add.at(sums, ends[:, 0], places[ends[:, 1]])
+            places[around] = sums[around] / count
+        places[around] = onto(places[around], field, None, 5)
+    return places
 
 
 def resolved(solid: Manifold, field: Field, tolerance_mm: float, rounds: int) -> Manifold:
@@ -151,6 +183,7 @@ def resolved(solid: Manifold, field: Field, tolerance_mm: float, rounds: int) ->
             break
         faces = halved(faces, edges[off], len(places))
         places = np.vstack((places, settled[off]))
+    places = _unfolded(places, faces, np.ones(len(places), np.bool_), field)
     return solid_of(places, faces, "resolved")
 
 

@@ -1,7 +1,10 @@
 """Results of a study on disk: tables, JSON, pages and pictures. Each file appears whole or not at all."""
 
 import csv
+import hashlib
 import json
+from functools import cache
+from importlib.metadata import distributions
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,6 +41,31 @@ def load_table(path: Path, text_columns: tuple[str, ...] = ()) -> "pd.DataFrame 
     except ValueError as error:  # of which pandas' own are kinds
         reason = str(error).splitlines()[0]
         raise InputError(f"file {path}: damaged ({reason}); delete it to have it made again") from None
+
+
+def load_typed_table(path: Path) -> "pd.DataFrame":
+    """A CSV of `save_table` with the kinds of its columns guessed, floats bit for bit."""
+    import pandas as pd
+
+    return pd.read_csv(path, float_precision="round_trip")
+
+
+def load_json(path: Path) -> Any:
+    """The content, or None where there is no such file or it is not JSON."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+
+
+@cache
+def code_digest() -> str:
+    """Hash of the code and data of this package and of the versions of all that is installed."""
+    digest, root = hashlib.sha256(), Path(__file__).parents[1]
+    for path in sorted(path for path in root.rglob("*") if path.suffix in (".py", ".toml", ".j2")):
+        digest.update(f"{path.relative_to(root).as_posix()}\n".encode() + path.read_bytes())
+    installed = sorted({(one.metadata["Name"], one.version) for one in distributions()})
+    return hashlib.sha256(digest.digest() + repr(installed).encode()).hexdigest()
 
 
 def save_json(path: Path, value: Any) -> None:

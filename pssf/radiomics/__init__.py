@@ -4,5 +4,8 @@ region.find_joint     pixels, template      -> where the medial joint line is, a
 region.cut_region     pixels, row, col      -> region (size, size)
 bone.bone_mask        region                -> mask (size, size)
 features.extract      region, pixel_mm      -> feature name -> value
+ibsi.tag_of           feature               -> which feature of the IBSI it is; departure_of: how it departs
 table.extract_all     jobs, how to load     -> one record a radiograph, in the order of the jobs
 """
+
+FAMILIES = ("firstorder", "shape2D", "glcm", "glrlm", "glszm", "ngtdm", "gldm")

@@ -5,6 +5,7 @@ StandardDeviation are not IBSI features; NGTDM counts pixels without neighbours.
 """
 
 import logging
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -12,11 +13,11 @@ import SimpleITK as sitk  # noqa: N813 (the library's own short name)
 from numpy.typing import NDArray
 from radiomics import firstorder, glcm, gldm, glrlm, glszm, ngtdm, shape2D
 
-from ..checks import Array, InputError
+from ..checks import Array, InputError, require_choice
+from . import FAMILIES
 from .bone import bone_mask
 
-FAMILIES = ("firstorder", "shape2D", "glcm", "glrlm", "glszm", "ngtdm", "gldm")
-_TEXTURES = {
+TEXTURES = {
     "glcm": glcm.RadiomicsGLCM,
     "glrlm": glrlm.RadiomicsGLRLM,
     "glszm": glszm.RadiomicsGLSZM,
@@ -28,8 +29,10 @@ _TEXTURES = {
 _AFFINE_INVARIANT = ("Entropy", "Uniformity", "Skewness", "Kurtosis")
 
 
-def extract(region: NDArray[np.generic], pixel_mm: float, bins: int = 64) -> dict[str, float]:
-    """All features of a region, by names such as `glcm_Contrast`; see `family`.
+def extract(
+    region: NDArray[np.generic], pixel_mm: float, bins: int = 64, families: Collection[str] = FAMILIES
+) -> dict[str, float]:
+    """The features of a region, by names such as `glcm_Contrast`; see `family`.
 
     First order is taken twice: of the linear signal (`firstorder_linear_*`) and of its z-score over the region
     (`firstorder_z_*`). Shape is that of the bone in the region. Texture is of the raw integers in `bins` equal bins
@@ -37,21 +40,25 @@ def extract(region: NDArray[np.generic], pixel_mm: float, bins: int = 64) -> dic
 
     region   (size, size) whole numbers, linear
     bins     a power of two keeps the edges of the bins exact
-    raises   InputError for grey values that are not integers
+    families  of FAMILIES; one that is not asked for costs nothing
+    raises   InputError for grey values that are not integers, or an unknown family
     """
     if not np.issubdtype(region.dtype, np.integer):
         raise InputError(f"region of {region.dtype}; allowed: integers, since bins of floats hang on their last bit")
-    logging.getLogger("radiomics").setLevel(logging.CRITICAL)  # it reports each family on stderr
-    square = _image(np.ones(region.shape, dtype=np.uint8), pixel_mm, 0)
-    raw = _image(region, pixel_mm, None)
-    z = _image(_z_score(region), pixel_mm, None)
-    bone = _image(bone_mask(region).astype(np.uint8), pixel_mm, 0)
-    found = _family("firstorder_linear", firstorder.RadiomicsFirstOrder, raw, square, bins)
-    standard = _family("firstorder_z", firstorder.RadiomicsFirstOrder, z, square, bins)
-    found |= {name: value for name, value in standard.items() if name.rsplit("_", 1)[1] not in _AFFINE_INVARIANT}
-    found |= _family("shape2D", shape2D.RadiomicsShape2D, raw, bone, bins)
-    for name, kind in _TEXTURES.items():
-        found |= _family(name, kind, raw, square, bins)
+    for name in families:
+        require_choice("family", name, FAMILIES)
+    square = np.ones(region.shape, dtype=np.uint8)
+    found: dict[str, float] = {}
+    if "firstorder" in families:
+        found |= measure(firstorder.RadiomicsFirstOrder, region, square, pixel_mm, "firstorder_linear", binCount=bins)
+        z = measure(firstorder.RadiomicsFirstOrder, _z_score(region), square, pixel_mm, "firstorder_z", binCount=bins)
+        found |= {name: value for name, value in z.items() if name.rsplit("_", 1)[1] not in _AFFINE_INVARIANT}
+    if "shape2D" in families:
+        bone = bone_mask(region).astype(np.uint8)
+        found |= measure(shape2D.RadiomicsShape2D, region, bone, pixel_mm, "shape2D", binCount=bins)
+    for name, kind in TEXTURES.items():
+        if name in families:
+            found |= measure(kind, region, square, pixel_mm, name, binCount=bins)
     return found
 
 
@@ -60,9 +67,19 @@ def family(name: str) -> str:
     return name.split("_", 1)[0]
 
 
-def _family(prefix: str, kind: Any, image: sitk.Image, mask: sitk.Image, bins: int) -> dict[str, float]:
+def measure(
+    kind: Any, values: NDArray[np.generic], mask: NDArray[np.uint8], pixel_mm: float, prefix: str, **discretisation: Any
+) -> dict[str, float]:
+    """All features of one family of pyradiomics, of one slice: `<prefix>_<name>`.
+
+    kind    class of the family, such as `radiomics.glcm.RadiomicsGLCM`
+    values  (rows, cols)
+    mask    (rows, cols) 1 where the region is
+    """
+    logging.getLogger("radiomics").setLevel(logging.CRITICAL)  # it reports each family on stderr
+    image, of = _image(values, pixel_mm, None), _image(mask, pixel_mm, 0)
     # A single slice of three dimensions, taken in its plane: a true 2D image with these settings is silently wrong.
-    features = kind(image, mask, binCount=bins, force2D=True, force2Ddimension=0)
+    features = kind(image, of, force2D=True, force2Ddimension=0, **discretisation)
     features.enableAllFeatures()
     return {f"{prefix}_{name}": float(value) for name, value in features.execute().items()}
 

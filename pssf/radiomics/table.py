@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..parallel import ordered_map
-from . import bone, features, region
+from . import FAMILIES, bone, features, region
 from .features import extract
 from .region import Template, cut_region, find_joint
 
@@ -41,6 +41,7 @@ class How:
     region_px: int = 512
     bins: int = 64
     min_score: float = 0.5
+    families: tuple[str, ...] = FAMILIES
 
 
 def extract_all(
@@ -50,6 +51,7 @@ def extract_all(
     template: Template,
     how: How,
     workers: int = 1,
+    scheduler: str | None = None,
     known: Mapping[str, Record] | None = None,
     save: Callable[[list[Record]], None] | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -57,6 +59,7 @@ def extract_all(
     """Records in the order of the jobs, the same on any number of workers, and the seconds of work in each step.
 
     load_pixels  file -> (rows, cols) integers; picklable if workers > 1
+    scheduler    address of a Dask scheduler whose workers do it instead; None: processes of this machine
     known        sha256 -> record of an earlier run; used where its settings are the same
     save         is given all records so far, now and then, so that a run that breaks off can go on from there
     progress     is told how many of how many are done
@@ -83,7 +86,8 @@ def extract_all(
             saved_at = perf_counter()
 
     shared = {"load_pixels": load_pixels, "template": template, "how": how}
-    ordered_map(measure, [jobs[index] for index in missing], shared=shared, workers=workers, arrived=arrived)
+    todo = [jobs[index] for index in missing]
+    ordered_map(measure, todo, shared=shared, workers=workers, scheduler=scheduler, arrived=arrived)
     in_order = [records[index] for index in range(len(jobs))]
     if save is not None:
         save(in_order)
@@ -111,7 +115,7 @@ def measure(job: Job, *, load_pixels: Load, template: Template, how: How) -> tup
         "scale": joint.scale,
     }
     if joint.status == "found":
-        record |= extract(cut_region(pixels, joint.row, joint.col, how.region_px), job.pixel_mm, how.bins)
+        record |= extract(cut_region(pixels, joint.row, joint.col, how.region_px), job.pixel_mm, how.bins, how.families)
     return record, {"localisation": located - began, "features": perf_counter() - located}
 
 

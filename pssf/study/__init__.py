@@ -13,7 +13,11 @@ reliability               features of a cohort   -> ICC of every feature, its in
 importance                importances            -> share of each feature and family; permutation
 saving.dumps              fitted model           -> bytes without pickle
 evidence                  outcomes, features     -> all tables
+parameters                manifest, features     -> what the knees were built with; what each feature follows
 localisation.summarise    found and known places -> error by protocol and grade
+cost.Meter                stages                 -> seconds, seconds each, growth
+finished.earlier          folder, key            -> what an earlier run ended with, if nothing has changed
+training.train            features of a cohort   -> one outcome a split, in parallel
 figures                   tables                 -> PNG
 report.render             all of these           -> one HTML page
 pipeline.run_study        all of these, in order; what `run` calls
@@ -26,6 +30,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..checks import InputError, require, require_choice, require_whole
+from ..parallel import require_scheduler
+from ..radiomics import FAMILIES
+from .cost import Meter
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -33,7 +40,7 @@ if TYPE_CHECKING:
     from ..radiomics.region import Template
 
 Progress = Callable[[str, int, int], None]
-_SELECTIONS, _MODELS = ("l1", "mrmr"), ("lr", "rf", "xgb")
+SELECTIONS, MODELS = ("l1", "mrmr"), ("lr", "rf", "xgb")
 _NEEDED = {
     "radiomics": "pyradiomics",
     "sklearn": "scikit-learn",
@@ -58,6 +65,7 @@ class StudySettings:
     rho            |Spearman's rho| above which the later of two features is left out
     most_features  that a selection may keep
     replicates     of the bootstrap; the least p is 2 / (replicates + 1)
+    families       of features; one that is left out costs nothing
     reference      protocol of the within-protocol scenario, and that ICCs are paired with
     raises         InputError for a value out of range
     """
@@ -70,8 +78,9 @@ class StudySettings:
     rho: float = 0.9
     most_features: int = 10
     replicates: int = 2000
-    selections: tuple[str, ...] = _SELECTIONS
-    models: tuple[str, ...] = _MODELS
+    families: tuple[str, ...] = FAMILIES
+    selections: tuple[str, ...] = SELECTIONS
+    models: tuple[str, ...] = MODELS
     reference: str = "reference"
 
     def __post_init__(self) -> None:
@@ -83,11 +92,14 @@ class StudySettings:
         require("rho", self.rho, 0.1, 1, "(correlation)")
         require_whole("most_features", self.most_features, 1, 100, "features")
         require_whole("replicates", self.replicates, 100, 100_000, "samples")
-        for name, given, allowed in (("selections", self.selections, _SELECTIONS), ("models", self.models, _MODELS)):
+        for name, allowed in (("families", FAMILIES), ("selections", SELECTIONS), ("models", MODELS)):
+            given = getattr(self, name)
             if not given:
                 raise InputError(f"{name} = (); allowed: one or more of {', '.join(allowed)}")
             for choice in given:
                 require_choice(name, choice, allowed)
+            if len(set(given)) < len(given):
+                raise InputError(f"{name} = {', '.join(given)}; allowed: each once")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,10 +127,11 @@ class StudyResult:
     seconds: dict[str, float]
 
 
-def require_extra() -> None:
+def require_extra(scheduler: str | None = None) -> None:
     """Refuse to start without the libraries of the extra `study`, and say how to get them.
 
-    raises  InputError
+    scheduler  address of a Dask scheduler whose workers need them as well
+    raises     InputError
     """
     missing = [package for module, package in _NEEDED.items() if find_spec(module) is None]
     if missing:
@@ -126,6 +139,8 @@ def require_extra() -> None:
             f"the study needs {', '.join(missing)}; bring them, in the source folder, with: uv sync --extra study "
             "(plain pip cannot build pyradiomics)"
         )
+    if scheduler is not None:
+        require_scheduler(scheduler, tuple(_NEEDED))
 
 
 def run(
@@ -136,8 +151,9 @@ def run(
     out: Path,
     *,
     again: "pd.DataFrame | None" = None,
-    seconds: dict[str, float] | None = None,
+    meter: Meter | None = None,
     workers: int = 1,
+    scheduler: str | None = None,
     progress: Progress | None = None,
 ) -> StudyResult:
     """Find the regions, measure them, train and test, and write report, pictures and tables into `out`.
@@ -148,8 +164,9 @@ def run(
     load_pixels  entry of the column `file` -> (rows, cols) uint16, linear; picklable if workers > 1
     again        some knees taken again under the reference protocol: the manifest's columns, with the knee that it is
                  again, kind (noise | perturbation) and turn; only for the reliability of features
-    seconds      wall time of the stages before this one, for the report
+    meter        of the stages before this one, for the report; those of the study are added to it
     workers      processes; no result depends on them
+    scheduler    address of a Dask scheduler whose workers measure, train and test instead
     progress     is told stage, done, of how many
     raises       InputError for a manifest that lacks a column or has too few subjects, or a missing library
     """
@@ -163,7 +180,34 @@ def run(
         settings,
         out,
         again=again,
-        seconds=seconds or {},
+        meter=meter or Meter(),
         workers=workers,
-        progress=progress,
+        scheduler=scheduler,
+        progress=progress or _silent,
     )
+
+
+def measure(
+    manifest: "pd.DataFrame",
+    load_pixels: Callable[[str], Any],
+    template: "Template",
+    settings: StudySettings,
+    out: Path,
+    *,
+    again: "pd.DataFrame | None" = None,
+    meter: Meter | None = None,
+    workers: int = 1,
+    scheduler: str | None = None,
+    progress: Progress | None = None,
+) -> Path:
+    """The first stage of `run` alone: find the regions and measure them; returns the path of features.csv."""
+    require_extra()
+    from .pipeline import Run, measured
+
+    run_of = Run(load_pixels, template, settings, out, meter or Meter(), workers, scheduler, progress or _silent)
+    measured(run_of, manifest, again)
+    return out / "features.csv"
+
+
+def _silent(stage: str, done: int, of: int) -> None:
+    """Progress that nobody wants to see."""

@@ -2,18 +2,23 @@
 
 import pandas as pd
 
+from ..radiomics.features import family
+from ..radiomics.ibsi import departure_of, tag_of
 from . import StudySettings, localisation
 from .calibration import calibration, confusions, reliability_curve
 from .importance import by_feature
 from .intervals import differences, intervals, resample
+from .parameters import follows, morphology, parameters_of
 from .reliability import reliability, repeatability
 from .scenarios import ARM, Outcome, score_splits, summarise
+from .selection import is_degenerate
 
 Tables = dict[str, pd.DataFrame]
 
 
 def tables_of_models(outcomes: list[Outcome], settings: StudySettings) -> Tables:
-    """splits, scores (with intervals), differences, confusion, calibration, calibration_curve, importance, permutation.
+    """subjects (part of each in each split), splits, scores (with intervals), differences, confusion, calibration,
+    calibration_curve, importance, permutation.
 
     outcomes  one a split, of `scenarios.one_split`
     """
@@ -24,6 +29,7 @@ def tables_of_models(outcomes: list[Outcome], settings: StudySettings) -> Tables
     replicates = resample(predictions, replicates=settings.replicates, seed=settings.seed)
     within = importances[(importances["task"] == "0 vs 2") & (importances["trained_on"] == settings.reference)]
     return {
+        "subjects": joined([outcome.subjects for outcome in outcomes]),
         "splits": splits,
         "scores": summarise(splits).merge(intervals(replicates), on=ARM, how="left", validate="one_to_one"),
         "differences": differences(replicates),
@@ -36,7 +42,7 @@ def tables_of_models(outcomes: list[Outcome], settings: StudySettings) -> Tables
 
 
 def tables_of_features(located: pd.DataFrame, repeated: pd.DataFrame, names: list[str], reference: str) -> Tables:
-    """localisation, reliability (across protocols, and across repeats where there are any).
+    """localisation, dictionary, reliability (across protocols, and across repeats where there are any).
 
     located   of `localisation.errors`
     repeated  radiographs taken again, with a region found: kind, turn, knee, features
@@ -46,7 +52,26 @@ def tables_of_features(located: pd.DataFrame, repeated: pd.DataFrame, names: lis
     if len(repeated):
         again = repeatability(usable, repeated, names, reference)
         across = pd.concat([across, again], ignore_index=True) if len(across) else again
-    return {"localisation": localisation.summarise(located), "reliability": across}
+    told = {"localisation": localisation.summarise(located), "dictionary": dictionary(usable, names)}
+    return {**told, "reliability": across}
+
+
+def dictionary(usable: pd.DataFrame, names: list[str]) -> pd.DataFrame:
+    """feature, family, ibsi (its tag there), departure, degenerate (yes | no), least, median, most of each feature"""
+    rows = []
+    for name in names:
+        values = usable[name]
+        named = {"feature": name, "family": family(name), "ibsi": tag_of(name), "departure": departure_of(name)}
+        constant = "yes" if is_degenerate(values.to_numpy()) else "no"
+        spread = {"least": values.min(), "median": values.median(), "most": values.max()}
+        rows.append({**named, "degenerate": constant, **spread})
+    return pd.DataFrame(rows)
+
+
+def tables_of_truth(manifest: pd.DataFrame, usable: pd.DataFrame, names: list[str], reference: str) -> Tables:
+    """morphology (what was drawn, by grade), follows (features against what the knees were built with)."""
+    parameters = parameters_of(manifest)
+    return {"morphology": morphology(parameters), "follows": follows(usable, names, parameters, reference)}
 
 
 def joined(parts: list[pd.DataFrame]) -> pd.DataFrame:

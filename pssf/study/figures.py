@@ -7,20 +7,19 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 from sklearn.metrics import roc_curve
 
-from ..radiomics.features import FAMILIES, family
-from .metrics import auc, confusion
+from .metrics import confusion
 from .models import MODELS
-from .reliability import ICC_FORMS
 from .scenarios import TASKS, truth_and_probability
 
 # Okabe & Ito 2008: told apart with any colour vision.
-_COLOURS = {"lr": "#0072B2", "rf": "#D55E00", "xgb": "#009E73"}
+COLOURS = {"lr": "#0072B2", "rf": "#D55E00", "xgb": "#009E73"}
 _DASHES = ("-", "--", ":", "-.")
-FAMILY_NAMES = dict(zip(FAMILIES, ("First order", "Shape", "GLCM", "GLRLM", "GLSZM", "NGTDM", "GLDM"), strict=True))
+SCENARIOS = {"within": "Within protocol", "cross": "Cross-protocol", "multi": "Multi-protocol"}
 _DPI = 110
 
 
@@ -36,8 +35,8 @@ class Shot:
     status: str
 
 
-def panel(shots: list[list[Shot]], row_labels: list[str]) -> bytes:
-    """Radiographs with the found region and the known joint line; rows are grades, columns protocols."""
+def panel(shots: list[list[Shot | None]], row_labels: list[str]) -> bytes:
+    """Radiographs with the found region and the known joint line; rows are protocols, columns grades."""
     cols = max(len(row) for row in shots)
     figure = Figure(figsize=(3.2 * cols, 3.25 * len(shots) + 0.3), layout="constrained")
     axes = figure.subplots(len(shots), cols, squeeze=False)
@@ -47,43 +46,96 @@ def panel(shots: list[list[Shot]], row_labels: list[str]) -> bytes:
     for row, line in enumerate(shots):
         axes[row, 0].set_ylabel(row_labels[row], fontsize=11)
         for axis, shot in zip(axes[row], line, strict=False):
+            if shot is None:
+                continue
             axis.imshow(shot.display, cmap="gray", vmin=0, vmax=255, interpolation="antialiased")
             top, left = (at - shot.region / 2 for at in shot.found)
             edge = "#F0E442" if shot.status == "found" else "#D55E00"
             axis.add_patch(Rectangle((left, top), shot.region, shot.region, fill=False, edgecolor=edge, linewidth=1.6))
             axis.plot(shot.known[1], shot.known[0], "+", color="#56B4E9", markersize=11, markeredgewidth=1.8)
             if row == 0:
-                axis.set_title(_plain(shot.title), fontsize=11)
-    return _png(figure)
+                axis.set_title(shot.title, fontsize=11)
+    return png(figure)
 
 
-def roc(predictions: pd.DataFrame, selection: str) -> bytes:
-    """ROC curves of 0 vs 2, predictions of all splits pooled; a panel a scenario, a curve a model and test protocol."""
-    part = predictions[(predictions["task"] == "0 vs 2") & (predictions["selection"] == selection)]
-    scenarios = [name for name in ("within", "cross", "multi") if (part["scenario"] == name).any()]
-    width, height, below = 3.6 * max(1, len(scenarios)), 5.4, 2.05  # inches; the legends stand below the panels
-    figure = Figure(figsize=(width, height))
-    axes = figure.subplots(1, max(1, len(scenarios)), squeeze=False)[0]
-    figure.subplots_adjust(left=0.6 / width, right=1 - 0.1 / width, bottom=below / height, top=1 - 0.3 / height)
-    for axis, scenario in zip(axes, scenarios, strict=False):
+def robustness(predictions: pd.DataFrame, scores: pd.DataFrame, selection: str, told: dict[str, str]) -> bytes:
+    """Grade 0 vs 2, a column a scenario: ROC curves of all splits pooled above, mean AUC with its interval below.
+
+    predictions, scores  of all arms; those of `selection` are drawn
+    told                 scenario -> the paper's AUC, to be read beside
+    """
+    part, scores = (of[(of["task"] == "0 vs 2") & (of["selection"] == selection)] for of in (predictions, scores))
+    scenarios = [name for name in SCENARIOS if (part["scenario"] == name).any()]
+    figure = Figure(figsize=(3.6 * max(1, len(scenarios)), 7.0), layout="constrained")
+    axes = figure.subplots(2, max(1, len(scenarios)), squeeze=False, height_ratios=(3.1, 2.2))
+    for column, scenario in enumerate(scenarios):
         of = part[part["scenario"] == scenario]
         tests = [name for name in dict.fromkeys(of["tested_on"]) if name != "all"]
-        axis.plot([0, 1], [0, 1], color="0.75", linewidth=1)
-        for model in dict.fromkeys(of["model"]):
-            for dash, tested_on in zip(_DASHES, tests, strict=False):
-                chosen = of[(of["model"] == model) & (of["tested_on"] == tested_on)]
-                truth, probability = truth_and_probability(chosen)
-                if len(set(truth)) < 2:
-                    continue
-                false, true, _ = roc_curve(truth, probability[:, 1])
-                label = f"{model.upper()}, {_plain(tested_on)}: {auc(truth == 1, probability[:, 1]):.2f}"
-                axis.plot(false, true, dash, color=_COLOURS[model], linewidth=1.6, label=label)
-        axis.set(xlim=(-0.01, 1), ylim=(0, 1.01), title=_title(scenario), xlabel="1 − specificity")
-        axis.set_box_aspect(1)
-        if axis.get_legend_handles_labels()[0]:
-            axis.legend(fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, -0.18), frameon=False)
-    axes[0].set_ylabel("sensitivity")
-    return _png(figure)
+        _curves(axes[0, column], of, tests)
+        axes[0, column].set_title(SCENARIOS[scenario], fontsize=11)
+        of_scores = scores[(scores["scenario"] == scenario) & scores["model"].isin(list(MODELS))]
+        _intervals(axes[1, column], of_scores, tests, told.get(scenario, ""))
+    axes[0, 0].set_ylabel("sensitivity")
+    axes[1, 0].set_ylabel("AUC, mean over the splits")
+    return png(figure)
+
+
+def _curves(axis: Any, of: pd.DataFrame, tests: list[str]) -> None:
+    axis.plot([0, 1], [0, 1], color="0.75", linewidth=1)
+    for model in dict.fromkeys(of["model"]):
+        for dash, tested_on in zip(_DASHES, tests, strict=False):
+            if model not in COLOURS:
+                continue
+            truth, probability = truth_and_probability(of[(of["model"] == model) & (of["tested_on"] == tested_on)])
+            if len(set(truth)) < 2:
+                continue
+            false, true, _ = roc_curve(truth, probability[:, 1])
+            axis.plot(false, true, dash, color=COLOURS[model], linewidth=1.6)
+    axis.set(xlim=(-0.01, 1), ylim=(0, 1.01), xlabel="1 − specificity")
+    axis.set_box_aspect(1)
+    lines = [Line2D([], [], color="0.3", ls=dash, label=plain(name)) for dash, name in _dashed(tests)]
+    axis.legend(handles=lines, fontsize=7.5, loc="lower right", frameon=False)
+
+
+def _intervals(axis: Any, scores: pd.DataFrame, tests: list[str], told: str) -> None:
+    models = list(dict.fromkeys(scores["model"]))
+    for place, tested_on in enumerate(tests):
+        rows = scores[scores["tested_on"] == tested_on].set_index("model")
+        for index, model in enumerate(name for name in models if name in rows.index):
+            value, low, high = rows.loc[model, ["auc", "auc_low", "auc_high"]].astype(float)
+            at = place + 0.22 * (index - (len(models) - 1) / 2)
+            axis.plot([at, at], [low, high], color=COLOURS[model], linewidth=2)
+            axis.plot(at, value, "o", color=COLOURS[model], markersize=5, label=MODELS[model] if not place else None)
+            axis.annotate(
+                f"{value:.2f}", (at, high), xytext=(0, 3), textcoords="offset points", ha="center", fontsize=7
+            )
+    axis.axhline(0.5, color="0.75", linewidth=1)
+    names = [plain(name) for name in tests]
+    axis.set(xlim=(-0.6, len(tests) - 0.4), ylim=(0.3, 1.06), xticks=range(len(tests)))
+    axis.set_xticklabels(names, fontsize=8)
+    axis.spines[["top", "right"]].set_visible(False)
+    if told:
+        axis.text(0.02, 0.03, f"the paper: {told}", transform=axis.transAxes, fontsize=8, color="0.4")
+    axis.legend(fontsize=7.5, loc="lower right", frameon=False)
+
+
+def calibration_curves(curve: pd.DataFrame, selection: str) -> bytes:
+    """Share of grade 2 against its mean predicted probability, in ten bins; the size of a point is its count."""
+    part = curve[curve["selection"] == selection]
+    figure = Figure(figsize=(4.6, 4.5), layout="constrained")
+    axis = figure.subplots()
+    axis.plot([0, 1], [0, 1], color="0.75", linewidth=1)
+    for model, rows in part.groupby("model", sort=False):
+        if model in COLOURS:
+            x, y, count = (rows[name].to_numpy(float) for name in ("mean_probability", "observed_share", "predictions"))
+            axis.plot(x, y, color=COLOURS[model], linewidth=1.2, label=MODELS[str(model)])
+            axis.scatter(x, y, s=8 + 140 * count / count.sum(), color=COLOURS[model])
+    axis.set(
+        xlim=(-0.02, 1.02), ylim=(-0.02, 1.02), xlabel="predicted probability of grade 2", ylabel="share of grade 2"
+    )
+    axis.set_box_aspect(1)
+    axis.legend(fontsize=8, frameon=False, loc="upper left")
+    return png(figure)
 
 
 def confusions(predictions: pd.DataFrame, selection: str) -> bytes:
@@ -98,55 +150,12 @@ def confusions(predictions: pd.DataFrame, selection: str) -> bytes:
             axis = axes[row, col]
             chosen = part[(part["scenario"] == scenario) & (part["tested_on"] == tested_on) & (part["model"] == model)]
             _matrix(axis, confusion(*truth_and_probability(chosen)))
-            axis.set_title(f"{MODELS[model]}\n{_title(scenario)}: {_plain(tested_on)}", fontsize=9)
+            axis.set_title(f"{MODELS[model]}\n{SCENARIOS[scenario]}: {plain(tested_on)}", fontsize=9)
     for axis in axes[:, 0]:
         axis.set_ylabel("true grade")
     for axis in axes[-1, :]:
         axis.set_xlabel("predicted grade")
-    return _png(figure)
-
-
-def heat_map(reliability: pd.DataFrame) -> bytes:
-    """ICC of every feature: columns are the forms and sets of protocols, features sorted by family, in two blocks."""
-    table = reliability.pivot(index="feature", columns="across", values=list(ICC_FORMS))
-    sets = list(dict.fromkeys(reliability["across"]))
-    columns = [(form, label) for form in ICC_FORMS for label in sets]
-    order = sorted(table.index, key=lambda name: (FAMILIES.index(family(name)), name))
-    values = table.loc[order, columns].to_numpy(dtype=float)
-    half = -(-len(order) // 2)
-    figure = Figure(figsize=(10.2, 0.148 * half + 1.9), layout="constrained")
-    axes = figure.subplots(1, 2)
-    shown: Any = None
-    for axis, start in zip(axes, (0, half), strict=True):
-        block = values[start : start + half]
-        axis.set_facecolor("0.82")  # what shows through where an ICC is undefined
-        shown = axis.imshow(block, cmap="viridis", vmin=0, vmax=1, aspect="auto", interpolation="nearest")
-        axis.set_xticks(range(len(columns)), [f"{form}, {_plain(label)}" for form, label in columns], fontsize=6.5)
-        axis.tick_params(axis="x", rotation=90)
-        axis.set_yticks(range(len(block)), order[start : start + half], fontsize=6)
-        for row, name in enumerate(order[start : start + half]):
-            if row and family(name) != family(order[start + row - 1]):
-                axis.axhline(row - 0.5, color="white", linewidth=1.5)
-        axis.axvline(len(sets) - 0.5, color="white", linewidth=1.5)
-    bar = figure.colorbar(shown, ax=axes, shrink=0.5, pad=0.01, extend="min")
-    bar.ax.axhline(0.9, color="white", linewidth=1.5)
-    bar.set_label("ICC (line: 0.90; grey: undefined)", fontsize=8)
-    return _png(figure)
-
-
-def family_bars(families: pd.DataFrame) -> bytes:
-    """Share of each family in what the models lean on; a bar a model."""
-    figure = Figure(figsize=(8.6, 3.4), layout="constrained")
-    axis = figure.subplots()
-    width = 0.8 / max(1, families.shape[1])
-    for index, model in enumerate(families.columns):
-        at = np.arange(len(families)) + (index - (families.shape[1] - 1) / 2) * width
-        axis.bar(at, families[model], width * 0.92, color=_COLOURS[model], label=MODELS[model])
-    axis.set_xticks(range(len(families)), [FAMILY_NAMES[name] for name in families.index])
-    axis.set_ylabel("mean share of importance")
-    axis.spines[["top", "right"]].set_visible(False)
-    axis.legend(frameon=False, fontsize=9)
-    return _png(figure)
+    return png(figure)
 
 
 def _matrix(axis: Any, counts: NDArray[np.int64]) -> None:
@@ -165,16 +174,18 @@ def _shown(arm: tuple[str, str]) -> bool:
     return scenario in ("within", "cross") or (scenario == "multi" and tested_on == "all")
 
 
-def _title(scenario: str) -> str:
-    return {"within": "Within protocol", "cross": "Cross-protocol", "multi": "Multi-protocol"}[scenario]
+def _dashed(tests: list[str]) -> list[tuple[Any, str]]:
+    return list(zip(_DASHES, tests, strict=False))
 
 
-def _plain(name: str) -> str:
+def plain(name: str) -> str:
+    """A protocol as it is written."""
     return "all protocols" if name == "all" else name.replace("_", " ")
 
 
-def _png(figure: Figure) -> bytes:
+def png(figure: Figure) -> bytes:
+    """The figure as a file; the same numbers give the same bytes."""
     buffer = BytesIO()
-    # Without the library's name and version in the file, the same numbers give the same bytes.
+    # The library would put its name and version in it.
     figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": None})
     return buffer.getvalue()

@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 
 from ..detector import present
 from ..radiomics.table import Load
-from . import StudySettings, figures
+from . import StudySettings, feature_figures, figures
 from .figures import Shot
 from .importance import by_family
+from .parameters import strongest
 from .reliability import protocols_of
-from .report import Picture
+from .report import PAPER, Picture
 from .selection import SELECTIONS
 
 _SHRINK = 4  # of the radiographs in the panel; the file stays small and the joint can be seen
@@ -25,20 +26,24 @@ def gallery(
     predictions: pd.DataFrame,
     tables: dict[str, pd.DataFrame],
 ) -> dict[str, Picture]:
-    """Name -> picture: panel, roc, confusion, icc, importance; without those that the cohort cannot give.
+    """Name -> picture: panel, robustness, confusion, calibration, stability, icc, importance; without those that the
+    cohort cannot give.
 
     located  of `localisation.errors`
-    tables   `reliability` and `importance`
+    tables   of `evidence`
     """
     # The first selection of the settings, whatever its result: a picture of the best would be a choice by test results.
     selection = settings.selections[0]
-    pictures = {"panel": _panel(located, load_pixels, settings), "roc": _roc(predictions, selection)}
+    pictures = {"panel": _panel(located, load_pixels, settings)}
+    pictures["robustness"] = _robustness(predictions, tables["scores"], selection)
     if (predictions["task"] == "0/1/2").any():
         pictures["confusion"] = _confusion(predictions, selection)
+    pictures["calibration"] = _calibration(tables["calibration_curve"], selection)
     if len(tables["reliability"]):
+        pictures["stability"] = _stability(tables, settings, selection)
         pictures["icc"] = Picture(
             name="icc",
-            png=figures.heat_map(tables["reliability"]),
+            png=feature_figures.heat_map(tables["reliability"]),
             alt="Heat map of the intraclass correlation of every feature, by form of ICC and set of protocols",
             caption="ICC of every feature. Features are sorted by family (white lines), columns by form of ICC and the "
             "protocols compared. Grey: the feature is the same in every radiograph.",
@@ -49,21 +54,18 @@ def gallery(
 
 def _panel(located: pd.DataFrame, load_pixels: Load, settings: StudySettings) -> Picture:
     protocols = protocols_of(located, settings.reference)
-    lines, labels = [], []
-    for grade, part in located.groupby("grade", sort=True):
-        knee = part["knee"].iloc[0]
-        line = [
-            _shot(row, load_pixels(row["file"]), settings.region_px)
-            for row in part[part["knee"] == knee].to_dict("records")
-        ]
-        line.sort(key=lambda shot: protocols.index(shot.title))
-        lines.append(line)
-        labels.append(f"grade {grade}, knee {knee}")
+    first = located.drop_duplicates("grade").sort_values("grade")["knee"].tolist()
+    rows = []
+    for protocol in protocols:
+        part = located[(located["protocol"] == protocol) & located["knee"].isin(first)].set_index("knee")
+        of = [part.loc[knee].to_dict() if knee in part.index else None for knee in first]
+        rows.append([None if row is None else _shot(row, load_pixels(row["file"]), settings.region_px) for row in of])
     return Picture(
         name="panel",
-        png=figures.panel(lines, labels),
-        alt="Simulated knee radiographs with the region and the joint line; rows are KL-like grades, columns protocols",
-        caption="The first knee of each KL-like grade under every protocol, rendered for the eye (bone bright). "
+        png=figures.panel(rows, [figures.plain(name) for name in protocols]),
+        alt="Simulated knee radiographs with the region and the joint line; columns are KL-like grades, rows protocols",
+        caption="After the paper’s figure 3: the first knee of each KL-like grade under every protocol, rendered for "
+        "the eye (bone bright). "
         f"Yellow: the region of {settings.region_px} × {settings.region_px} pixels about the found joint line, orange "
         "where the match was refused. Blue cross: the known medial joint line.",
     )
@@ -75,7 +77,7 @@ def _shot(row: dict[str, Any], pixels: NDArray[np.uint16], region_px: int) -> Sh
     small = shown.reshape(rows, _SHRINK, cols, _SHRINK).mean(axis=(1, 3))
     return Shot(
         display=np.round(small).astype(np.uint8),
-        title=row["protocol"],
+        title=f"grade {row['grade']}",
         found=(row["row_px"] / _SHRINK, row["col_px"] / _SHRINK),
         known=(row["truth_medial_row_px"] / _SHRINK, row["truth_medial_col_px"] / _SHRINK),
         region=region_px / _SHRINK,
@@ -83,13 +85,40 @@ def _shot(row: dict[str, Any], pixels: NDArray[np.uint16], region_px: int) -> Sh
     )
 
 
-def _roc(predictions: pd.DataFrame, selection: str) -> Picture:
+def _robustness(predictions: pd.DataFrame, scores: pd.DataFrame, selection: str) -> Picture:
+    told = {scenario: str(PAPER[scenario]) for scenario in figures.SCENARIOS}
     return Picture(
-        name="roc",
-        png=figures.roc(predictions, selection),
-        alt="ROC curves of grade 0 against 2 within, across and over protocols, for three models",
-        caption=f"Grade 0 against 2, {SELECTIONS[selection]} selection; test predictions of all splits pooled. The "
-        "number is the AUC of the pooled curve, which differs from the mean over splits in the table.",
+        name="robustness",
+        png=figures.robustness(predictions, scores, selection, told),
+        alt="ROC curves and AUC with intervals of grade 0 against 2, within, across and over protocols, by model",
+        caption=f"After the paper’s figure 5. Grade 0 against 2, {SELECTIONS[selection]} selection. Above: ROC curves "
+        "of the test predictions of all splits pooled, a colour a model (as below), a line style a test protocol. "
+        "Below: AUC, mean over the splits, with its 95 % interval; the paper’s own number is only printed beside.",
+    )
+
+
+def _calibration(curve: pd.DataFrame, selection: str) -> Picture:
+    return Picture(
+        name="calibration",
+        png=figures.calibration_curves(curve, selection),
+        alt="Observed share of grade 2 against predicted probability in ten bins, for each model",
+        caption=f"Grade 0 against 2 within protocol, {SELECTIONS[selection]} selection: test predictions of all splits "
+        "in ten bins of probability; a point is as large as its bin is full. On the line a probability means what it "
+        "says.",
+    )
+
+
+def _stability(tables: dict[str, pd.DataFrame], settings: StudySettings, selection: str) -> Picture:
+    part = tables["importance"][tables["importance"]["selection"] == selection]
+    mean = (part.groupby("feature")["share"].sum() / len(settings.models)).reset_index()
+    return Picture(
+        name="stability",
+        png=feature_figures.stability_and_importance(tables["reliability"], mean, strongest(tables["follows"])),
+        alt="Heat map of the ICC of every feature by condition, and bars of the most important features",
+        caption="After the paper’s figure 6. Left: ICC(2,1) of every feature, a row each, by family and from stable to "
+        "unstable. Right: the features that the models lean on most for grade 0 against 2 (mean share over the models, "
+        f"{SELECTIONS[selection]} selection), coloured by family; beside each bar the parameter of the knee that the "
+        "feature follows most, with Spearman’s ρ (follows.csv): where the paper interprets, the truth is known here.",
     )
 
 
@@ -108,7 +137,7 @@ def _importance(features: pd.DataFrame, settings: StudySettings, selection: str)
     families = by_family(features[features["selection"] == selection])
     return Picture(
         name="importance",
-        png=figures.family_bars(families[[model for model in settings.models if model in families]]),
+        png=feature_figures.family_bars(families[[model for model in settings.models if model in families]]),
         alt="Bar chart of the share of each feature family in the importance of each model",
         caption=f"Grade 0 against 2, trained on {settings.reference.replace('_', ' ')}, {SELECTIONS[selection]} "
         "selection: absolute coefficients of standardised features (logistic regression), decrease of "

@@ -6,7 +6,8 @@ from numpy.typing import NDArray
 from sklearn.inspection import permutation_importance
 from sklearn.pipeline import Pipeline
 
-from ..radiomics.features import FAMILIES, family
+from ..radiomics import FAMILIES
+from ..radiomics.features import family
 
 _TURNS = 5
 

@@ -1,33 +1,31 @@
-"""The stages of the study in order; the one module of it that knows the clock and, through `files`, the disk."""
+"""The stages of the study in order; the one module of it that knows, through `files`, the disk."""
 
 import platform
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import asdict
-from functools import partial
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
-from time import perf_counter
 
 import pandas as pd
 
 from ..checks import InputError, require_choice
 from ..files import results
-from ..parallel import ordered_map
 from ..radiomics.region import Template
 from ..radiomics.table import NOT_FEATURES, How, Job, Load, Record, extract_all
 from . import Progress, StudyResult, StudySettings, localisation
-from .baselines import SOURCES, measures_of, with_measures
+from .baselines import SOURCES, with_measures
 from .checklist import checklist
 from .claims import claims
+from .cost import Meter
 from .environment import environment
-from .evidence import Tables, joined, tables_of_features, tables_of_models
+from .evidence import Tables, joined, tables_of_features, tables_of_models, tables_of_truth
 from .gallery import gallery
 from .importance import by_family
+from .parameters import composition
 from .reliability import REPEATS, count_stable
 from .report import Findings, Picture, render
-from .scenarios import Outcome, one_split
+from .scenarios import Outcome
 from .selection import is_degenerate
+from .training import train
 
 _COLUMNS = (
     *("radiograph", "subject", "knee", "side", "grade", "protocol", "file", "sha256"),
@@ -41,6 +39,20 @@ _COUNTED = {"subjects": "subject", "knees": "knee", "protocols": "protocol", "ra
 _TEXT = ("radiograph", "sha256", "settings", "status")
 
 
+@dataclass(frozen=True)
+class Run:
+    """What all stages need."""
+
+    load_pixels: Load
+    template: Template
+    settings: StudySettings
+    out: Path
+    meter: Meter
+    workers: int
+    scheduler: str | None
+    tell: Progress
+
+
 def run_study(
     manifest: pd.DataFrame,
     load_pixels: Load,
@@ -49,35 +61,32 @@ def run_study(
     out: Path,
     *,
     again: pd.DataFrame | None,
-    seconds: dict[str, float],
+    meter: Meter,
     workers: int,
-    progress: Progress | None,
+    scheduler: str | None,
+    progress: Progress,
 ) -> StudyResult:
     """See `pssf.study.run`."""
-    check_manifest(manifest, settings)
-    everything, seconds = _everything(manifest, again), dict(seconds)
-    tell = progress or (lambda stage, done, of: None)
-    with _timed(seconds, "regions and features"):
-        table, work = _measured(everything, load_pixels, template, settings, out, workers, tell)
-    names = [name for name in table.columns if name not in (*NOT_FEATURES, *everything.columns)]
+    run = Run(load_pixels, template, settings, out, meter, workers, scheduler, progress)
+    table, names, work = measured(run, manifest, again)
     located = localisation.errors(with_measures(table[table["kind"] == ""]))
     repeated = table[(table["kind"] != "") & (table["status"] == "found")]
     usable = located[located["status"] == "found"]
     _require_enough(usable, settings)
-    with _timed(seconds, "training and testing"):
-        outcomes = _outcomes(usable, names, settings, workers, tell)
+    outcomes = _outcomes(run, usable, names)
     predictions = joined([outcome.predictions for outcome in outcomes])
     if predictions.empty:
         raise InputError("regions found = too few to train on; allowed: grades 0 and 2 found among training subjects")
-    with _timed(seconds, "intervals and differences"):
+    with meter.stage("intervals and differences"):
         tables = tables_of_models(outcomes, settings)
-    with _timed(seconds, "reliability and figures"):
+    with meter.stage("reliability and figures"):
         tables = tables_of_features(located, repeated, names, settings.reference) | tables
+        tables |= tables_of_truth(manifest, usable, names, settings.reference)
         pictures = gallery(located, load_pixels, settings, predictions, tables)
-    with _timed(seconds, "claims"):
+    with meter.stage("claims"):
         importances = joined([outcome.importances for outcome in outcomes])
         tables["claims"] = claims(usable, predictions, importances, tables, settings)
-    findings = _findings(located, names, settings, tables, outcomes, pictures, seconds, work, workers)
+    findings = _findings(run, located, names, tables, outcomes, pictures, work)
     return _write(out, findings, tables | {"predictions": predictions}, outcomes)
 
 
@@ -123,75 +132,81 @@ def _require_enough(usable: pd.DataFrame, settings: StudySettings) -> None:
         )
 
 
-def _measured(
-    manifest: pd.DataFrame,
-    load_pixels: Load,
-    template: Template,
-    settings: StudySettings,
-    out: Path,
-    workers: int,
-    tell: Progress,
-) -> tuple[pd.DataFrame, dict[str, float]]:
-    """The manifest with what was found in each radiograph; kept in features.csv, from which a later run goes on."""
-    path = out / "features.csv"
+def measured(
+    run: Run, manifest: pd.DataFrame, again: pd.DataFrame | None
+) -> tuple[pd.DataFrame, list[str], dict[str, float]]:
+    """The manifest with what was found in each radiograph; names of the features; seconds of work by step.
+
+    Kept in features.csv, from which a later run goes on.
+    """
+    check_manifest(manifest, run.settings)
+    everything, path, settings = _everything(manifest, again), run.out / "features.csv", run.settings
     earlier = results.load_table(path, _TEXT)
     known: dict[str, Record] = {}
     if earlier is not None and {"sha256", "settings"} <= set(earlier.columns):
         known = {row["sha256"]: row for row in earlier.to_dict("records")}
     columns = ("radiograph", "file", "sha256", "side", "pixel_mm")
-    jobs = [Job(**{name: row[name] for name in columns}) for row in manifest[list(columns)].to_dict("records")]
-    records, work = extract_all(
-        jobs,
-        load_pixels=load_pixels,
-        template=template,
-        how=How(region_px=settings.region_px, bins=settings.bins, min_score=settings.min_score),
-        workers=workers,
-        known=known,
-        save=lambda records: results.save_table(path, pd.DataFrame(records)),
-        progress=partial(tell, "regions and features"),
-    )
+    jobs = [Job(**{name: row[name] for name in columns}) for row in everything[list(columns)].to_dict("records")]
+    how = {name: getattr(settings, name) for name in ("region_px", "bins", "min_score", "families")}
+    with run.meter.stage("regions and features", "radiographs") as made:
+
+        def progress(done: int, of: int) -> None:
+            made(1)
+            run.tell("regions and features", done, of)
+
+        records, work = extract_all(
+            jobs,
+            load_pixels=run.load_pixels,
+            template=run.template,
+            how=How(**how),
+            workers=run.workers,
+            scheduler=run.scheduler,
+            known=known,
+            save=lambda records: results.save_table(path, pd.DataFrame(records)),
+            progress=progress,
+        )
     found = pd.DataFrame(records).drop(columns="sha256")
-    return manifest.merge(found, on="radiograph", how="left", validate="one_to_one").copy(), work
+    names = [name for name in found.columns if name not in NOT_FEATURES]
+    return everything.merge(found, on="radiograph", how="left", validate="one_to_one").copy(), names, work
 
 
-def _outcomes(
-    usable: pd.DataFrame, names: list[str], settings: StudySettings, workers: int, tell: Progress
-) -> list[Outcome]:
-    done = 0
+def _outcomes(run: Run, usable: pd.DataFrame, names: list[str]) -> list[Outcome]:
+    stage, done, of = "training and testing", 0, run.settings.repeats
+    with run.meter.stage(stage, "splits") as made:
 
-    def arrived(_: int, __: Outcome) -> None:
-        nonlocal done
-        done += 1
-        tell("training and testing", done, settings.repeats)
+        def arrived(more: int) -> None:
+            nonlocal done
+            done += more
+            made(more)
+            run.tell(stage, done, of)
 
-    table = usable[["radiograph", "knee", "subject", "grade", "protocol", *measures_of(usable), *names]]
-    shared = {"table": table, "names": names, "settings": settings}
-    return ordered_map(one_split, range(settings.repeats), shared=shared, workers=workers, arrived=arrived)
+        outcomes, growth = train(
+            usable, names, run.settings, workers=run.workers, scheduler=run.scheduler, made=arrived
+        )
+    run.meter.stages[stage].growth = growth
+    return outcomes
 
 
 def _findings(
+    run: Run,
     located: pd.DataFrame,
     names: list[str],
-    settings: StudySettings,
     tables: Tables,
     outcomes: list[Outcome],
     pictures: dict[str, Picture],
-    seconds: dict[str, float],
     work_seconds: dict[str, float],
-    workers: int,
 ) -> Findings:
-    usable = located[located["status"] == "found"]
+    usable, settings = located[located["status"] == "found"], run.settings
     keys = ["model", "selection", "feature"]
     importance = tables["importance"].merge(tables["permutation"][[*keys, "drop"]], on=keys, how="left")
     shown = importance[importance["selection"] == settings.selections[0]]
-    grouped = located.groupby("grade")
-    composition = grouped.agg(subjects=("subject", "nunique"), knees=("knee", "nunique"), radiographs=("knee", "size"))
     counts = {name: int(located[column].nunique()) for name, column in _COUNTED.items()}
     tested = tables["splits"]["test_subjects"]
     return Findings(
         counts=counts | {"regions refused": len(located) - len(usable)},
-        composition=composition.reset_index(),
+        composition=composition(located),
         localisation=tables["localisation"],
+        morphology=tables["morphology"],
         scores=tables["scores"],
         differences=tables["differences"],
         claims=tables["claims"],
@@ -205,9 +220,9 @@ def _findings(
         pictures=pictures,
         settings=asdict(settings),
         versions={"python": platform.python_version()} | {name: version(name) for name in _PACKAGES},
-        seconds=seconds,
+        cost=run.meter.rows(),
         work_seconds=work_seconds,
-        workers=workers,
+        workers=run.workers,
         features=len(names),
         test_subjects=(int(tested.min()), int(tested.max())),
     )
@@ -225,7 +240,7 @@ def _write(out: Path, findings: Findings, tables: Tables, outcomes: list[Outcome
     models = {name: out / "models" / f"{name}.skops" for name in sorted(outcomes[0].models)}
     for name, path in models.items():
         results.save_bytes(path, outcomes[0].models[name])
-    facts = ("counts", "features", "degenerate", "settings", "versions", "seconds", "workers")
+    facts = ("counts", "features", "degenerate", "settings", "versions", "cost", "workers")
     results.save_json(out / "study.json", {name: getattr(findings, name) for name in facts})
     results.save_json(out / "environment.json", environment())
     results.save_text(out / "report.html", render(findings))
@@ -239,12 +254,5 @@ def _write(out: Path, findings: Findings, tables: Tables, outcomes: list[Outcome
         differences=tables["differences"],
         reliability=tables["reliability"],
         localisation=tables["localisation"],
-        seconds=findings.seconds,
+        seconds={row["stage"]: row["seconds"] for row in findings.cost},
     )
-
-
-@contextmanager
-def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
-    began = perf_counter()
-    yield
-    seconds[stage] = perf_counter() - began

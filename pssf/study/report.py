@@ -8,7 +8,8 @@ import jinja2
 import pandas as pd
 
 from .baselines import BASELINES
-from .figures import FAMILY_NAMES
+from .feature_figures import FAMILY_NAMES
+from .figures import SCENARIOS
 from .intervals import MINUS_JSW
 from .localisation import GROSS_MM
 from .metrics import METRICS
@@ -17,8 +18,8 @@ from .reliability import ICC_FORMS
 from .scenarios import TASKS
 from .selection import NONE, SELECTIONS
 
-SCENARIOS = {"within": "Within protocol", "cross": "Cross-protocol", "multi": "Multi-protocol"}
 _SHORT = {"lr": "Logistic", "rf": "Forest", "xgb": "XGBoost"} | BASELINES
+GRADES = {"0": "normal", "1": "doubtful OA", "2": "mild OA"}
 # Alzubaidi & Al-Bayaty, arXiv 2601.11642: what is printed beside, never aimed at.
 PAPER = {"stable": 43, "features": 107, "within": 0.92, "cross": 0.78, "multi": "0.88–0.90"}
 
@@ -43,7 +44,8 @@ class Findings:
     """All that the page tells.
 
     counts        label -> number, of the cohort
-    composition   grade, subjects, knees, radiographs
+    composition   grade, subjects, knees, protocols, radiographs; the last row is of all
+    morphology    of `parameters.morphology`
     localisation  of `localisation.summarise`
     scores        of `scenarios.summarise`
     differences   of `intervals.differences`
@@ -55,13 +57,14 @@ class Findings:
     stable        of `reliability.count_stable`
     leading       model, feature, share, chosen, drop: the features that count most
     degenerate    names of features that are the same in every radiograph
-    seconds       stage -> wall time; work_seconds: step -> sum over the processes
+    cost          of `cost.Meter.rows`; work_seconds: step -> sum over the processes
     test_subjects least and most of a split
     """
 
     counts: dict[str, int]
     composition: pd.DataFrame
     localisation: pd.DataFrame
+    morphology: pd.DataFrame
     scores: pd.DataFrame
     differences: pd.DataFrame
     claims: pd.DataFrame
@@ -75,7 +78,7 @@ class Findings:
     pictures: dict[str, Picture]
     settings: dict[str, Any]
     versions: dict[str, str]
-    seconds: dict[str, float]
+    cost: list[dict[str, Any]]
     work_seconds: dict[str, float]
     workers: int
     features: int
@@ -92,6 +95,7 @@ def render(findings: Findings) -> str:
         lstrip_blocks=True,
     )
     environment.filters["fixed"] = _fixed
+    environment.filters["short"] = _short
     environment.filters["signed"] = lambda value: ("+" if value > 0 else "") + _fixed(value)
     environment.filters["plain"] = lambda name: str(name).replace("_", " ")
     return environment.get_template("report.html.j2").render(
@@ -106,6 +110,7 @@ def render(findings: Findings) -> str:
         forms=ICC_FORMS,
         families=FAMILY_NAMES,
         paper=PAPER,
+        grades=GRADES,
         gross_mm=GROSS_MM,
     )
 
@@ -175,6 +180,11 @@ def _cell(line: dict[str, Any], metric: str) -> tuple[str, str]:
         return "n/a", ""
     low, high = line[f"{metric}_low"], line[f"{metric}_high"]
     return _fixed(line[metric]), "" if pd.isna(low) else f"{_fixed(low)}–{_fixed(high)}"
+
+
+def _short(value: float) -> str:
+    """Three digits, without a fraction that says nothing."""
+    return f"{value + 0.0:.0f}" if abs(value) >= 100 or value == int(value) else f"{value:.3g}".replace("-", "−")
 
 
 def _fixed(value: Any, digits: int = 2) -> str:

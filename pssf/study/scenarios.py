@@ -33,6 +33,7 @@ class Outcome:
     permutation  model, selection, repeat, feature, drop: within protocol, 0 vs 2
     stable       how many features were stable across protocols in the training subjects; None with one protocol
     models       name -> bytes of a fitted pipeline: of the first split, within protocol, 0 vs 2
+    subjects     repeat, subject, part
     """
 
     predictions: pd.DataFrame
@@ -40,6 +41,7 @@ class Outcome:
     permutation: pd.DataFrame
     stable: int | None
     models: dict[str, bytes]
+    subjects: pd.DataFrame
 
 
 @dataclass(frozen=True)
@@ -100,6 +102,7 @@ def one_split(repeat: int, *, table: pd.DataFrame, names: list[str], settings: S
         permutation=pd.DataFrame(gathered.permutation),
         stable=None if stable is None else len(stable),
         models=gathered.models,
+        subjects=split.table().assign(repeat=repeat),
     )
 
 

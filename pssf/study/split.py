@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from ..checks import InputError
@@ -19,6 +20,11 @@ class Split:
     training: NDArray[np.int64]
     validation: NDArray[np.int64]
     test: NDArray[np.int64]
+
+    def table(self) -> pd.DataFrame:
+        """subject, part: one row a subject, sorted"""
+        rows = [(int(subject), part) for part in PARTS for subject in getattr(self, part)]
+        return pd.DataFrame(sorted(rows), columns=["subject", "part"])
 
 
 def split_subjects(subjects: Sequence[int], grades: Sequence[int], *, seed: int, repeat: int = 0) -> Split:

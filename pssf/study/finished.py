@@ -1,0 +1,50 @@
+"""What an earlier run ended with, so that asking for the same again costs seconds."""
+
+import hashlib
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from ..files import records, results
+from . import StudyResult, StudySettings
+
+_FILE = "finished.json"
+_KINDS = ("pictures", "tables", "models")
+_LOADED = ("scores", "differences", "reliability", "localisation")
+
+
+def key_of(manifests: list[pd.DataFrame], settings: StudySettings, engine: str) -> str:
+    """Hash of all that the results of a study depend on, the code of the package and its libraries included."""
+    facts = {"settings": asdict(settings), "engine": engine, "code": results.code_digest()}
+    digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
+    for manifest in manifests:
+        digest.update(manifest.to_csv(index=False).encode())
+    return digest.hexdigest()
+
+
+def mark(result: StudyResult, out: Path, key: str) -> None:
+    """Write down which files a run ended with, and their hashes."""
+    found = {
+        kind: {name: str(path.relative_to(out)) for name, path in getattr(result, kind).items()} for kind in _KINDS
+    }
+    loose = [result.report, out / "study.json", out / "environment.json", out / "checklist.json"]
+    paths = [*loose, *(out / name for kind in found.values() for name in kind.values())]
+    digests = {str(path.relative_to(out)): records.sha256(path) for path in paths}
+    told: dict[str, Any] = {"key": key, **found, "seconds": result.seconds, "sha256": digests}
+    results.save_json(out / _FILE, told)
+
+
+def earlier(out: Path, key: str) -> StudyResult | None:
+    """The result of an earlier run with the same key, or None where a file of it is missing or changed."""
+    told = results.load_json(out / _FILE)
+    if told is None or told.get("key") != key:
+        return None
+    for name, digest in told["sha256"].items():
+        if not (out / name).exists() or records.sha256(out / name) != digest:
+            return None
+    paths = {kind: {name: out / file for name, file in told[kind].items()} for kind in _KINDS}
+    tables = {name: results.load_typed_table(paths["tables"][name]) for name in _LOADED}
+    return StudyResult(report=out / "report.html", seconds=told["seconds"], **paths, **tables)

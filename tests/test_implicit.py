@@ -1,0 +1,76 @@
+"""Fields, and solids settled onto them."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+import pssf
+from pssf import anatomy, raycast
+from pssf.anatomy import femur, implicit, tibia
+from pssf.anatomy.solids import mesh_of
+
+
+@given(x=st.floats(-25, 25), y=st.floats(-18, 18))
+def test_a_column_falls_from_its_side_to_its_axis_without_a_spike(x, y):
+    # What is left of the way to the side, times a half between the smaller and the larger.
+    shaft = implicit.Column(np.array([[-10.0, 30.0, 20.0, 0.0, 0.0], [10.0, 30.0, 20.0, 0.0, 0.0]]), 2.3)
+    norm = ((abs(x) / 30) ** 2.3 + (abs(y) / 20) ** 2.3) ** (1 / 2.3)
+    value = shaft(np.array([[x, y, 0.0]]))[0]
+    low, high = sorted(((norm - 1) * 20 * 0.8, (norm - 1) * 30 * 1.1))
+    assert low - 1e-9 <= value <= high + 1e-9
+
+
+def test_a_column_is_as_deep_as_its_smaller_half_on_its_axis():
+    shaft = implicit.Column(np.array([[-10.0, 30.0, 20.0, 1.0, 2.0], [10.0, 30.0, 20.0, 1.0, 2.0]]), 2.3)
+    assert_allclose(shaft(np.array([[2.0, 1.0, 0.0]])), -20.0)
+
+
+def outwardness(solid, field) -> np.ndarray:
+    """(triangles,) cosine between a triangle's normal and the field's gradient, where shafts are not cut off"""
+    mesh = mesh_of(solid)
+    middle = np.asarray(mesh.triangles_center)
+    slope = implicit.gradient(field, middle, field(middle))
+    cosine = (np.asarray(mesh.face_normals) * slope).sum(axis=1) / np.maximum(np.linalg.norm(slope, axis=1), 1e-9)
+    return cosine[(np.abs(middle[:, 2]) < 190.0) & (np.asarray(mesh.area_faces) > 1e-9)]
+
+
+@pytest.mark.parametrize("bone", [femur, tibia], ids=["femur", "tibia"])
+@pytest.mark.parametrize("tolerance_mm", [None, 0.03])
+def test_no_triangle_of_a_bone_faces_inwards(bone, tolerance_mm):
+    assert outwardness(bone.outer(tolerance_mm), bone.field).min() > 0
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_no_material_of_a_knee_with_every_osteophyte_is_crossed_by_less_than_nothing(number):
+    rng = np.random.default_rng(number)
+    sites = rng.permutation(pssf.knee.SITES)[: 2 + number]
+    beaks = tuple(pssf.Osteophyte(site=str(site), size_mm=float(rng.uniform(0.3, 3.0))) for site in sites)
+    knee = pssf.Knee(jsw_medial_mm=2.8, osteophytes=beaks, flexion_deg=3.0 * number, rotation_deg=-2.0 * number)
+    for name in ("reference", "geometry_shift"):
+        paths = raycast.trace(
+            anatomy.build(knee), pssf.load_protocol(name), engine="scanline", precision="float64", texture=False
+        )
+        for material, lengths in paths.path_mm.items():
+            assert lengths.min() > -1e-6, material
+
+
+def test_folds_are_laid_flat():
+    # A fine ball with three of its vertices pulled across their neighbours.
+    ball = femur._rough_condyle("medial").refine_to_length(2.0)
+
+    def field(points):
+        return femur.condyle_field(points, "medial")
+
+    def pull(points):
+        places = np.array(points)
+        for at in (100, 900, 1300):
+            places[at] = places[at] + 1.2 * (
+                places[np.argsort(((places - places[at]) ** 2).sum(axis=1))[8]] - places[at]
+            )
+        return places
+
+    settled = implicit.settle(ball, field).warp_batch(pull)
+    assert outwardness(settled, field).min() < 0
+    assert outwardness(implicit.evened(settled, field, 0), field).min() > 0

@@ -1,0 +1,65 @@
+"""What the knees were built with, beside what was measured."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.stats import spearmanr
+
+from pssf.study.parameters import composition, follows, morphology, parameters_of, strongest
+
+
+def manifest() -> pd.DataFrame:
+    rows = []
+    for knee in range(12):
+        beaks = [{"site": "medial_tibia", "size_mm": 0.5 * k} for k in range(knee % 4)]
+        for protocol in ("reference", "low_dose"):
+            row = {"radiograph": f"{knee}_{protocol}", "subject": knee // 2, "knee": knee, "grade": knee // 4}
+            row |= {"protocol": protocol, "sex": "female" if knee % 3 else "male", "jsw_medial_mm": 5.5 - 0.1 * knee}
+            rows.append(row | {"osteophytes": json.dumps(beaks), "age_years": 50.0 + knee})
+    return pd.DataFrame(rows)
+
+
+def test_parameters_are_one_row_a_knee_with_the_largest_osteophyte_and_their_count():
+    found = parameters_of(manifest())
+    assert len(found) == 12
+    assert found["osteophyte_count"].tolist() == [0, 1, 2, 3] * 3
+    assert found["largest_osteophyte_mm"].tolist() == [0.0, 0.0, 0.5, 1.0] * 3
+    assert found["female"].sum() == 8
+    assert "varus_deg" not in found
+
+
+def test_what_was_drawn_stands_beside_the_range_of_its_grade():
+    table = morphology(parameters_of(manifest())).set_index(["parameter", "grade"])
+    space = table.loc[("JSW medial, mm", 1)]
+    assert (space["low"], space["high"]) == (3.5, 5.0)
+    assert (space["least"], space["mean"], space["most"]) == pytest.approx((4.8, 4.95, 5.1))
+    assert np.isnan(table.loc[("age, years", 0), "low"])
+
+
+def test_a_feature_follows_what_it_was_made_of():
+    told, rng = manifest(), np.random.default_rng(0)
+    features = {"glcm_a": -told["jsw_medial_mm"], "glcm_b": rng.normal(size=len(told)), "glcm_c": 1.0}
+    usable = told[["knee", "grade", "protocol"]].assign(**features)
+    table = follows(usable, list(features), parameters_of(told), "reference")
+    first = usable[usable["protocol"] == "reference"]
+    for name in ("glcm_a", "glcm_b"):
+        for column, label in (("age_years", "age, years"), ("jsw_medial_mm", "JSW medial, mm")):
+            known = parameters_of(told)[column]
+            rho = table[(table["feature"] == name) & (table["parameter"] == label)]["rho"].item()
+            assert rho == pytest.approx(spearmanr(first[name], known).statistic, abs=1e-12)
+    assert table.query("feature == 'glcm_c'")["rho"].isna().all()
+    best = strongest(table).set_index("feature")
+    assert best.loc["glcm_a", "parameter"] == "JSW medial, mm"
+    assert best.loc["glcm_a", "rho"] == pytest.approx(-1)
+    assert "glcm_c" not in best.index
+
+
+def test_the_cohort_is_counted_by_grade_and_in_all():
+    found = composition(manifest())
+    assert found["grade"].tolist() == ["0", "1", "2", "Total"]
+    assert found["knees"].tolist() == [4, 4, 4, 12]
+    assert found["subjects"].tolist() == [2, 2, 2, 6]
+    assert found["radiographs"].tolist() == [8, 8, 8, 24]
+    assert set(found["protocols"]) == {"2 (reference, low dose)"}

@@ -1,0 +1,107 @@
+"""Ways in which a feature extractor is silently wrong, each shown, and that regions are measured without it."""
+
+import numpy as np
+import pandas as pd
+import pytest
+import SimpleITK as sitk  # noqa: N813
+from numpy.testing import assert_allclose
+from radiomics import glcm
+from radiomics.featureextractor import RadiomicsFeatureExtractor
+from test_radiomics import texture
+
+from pssf.radiomics import FAMILIES, features
+from pssf.radiomics.features import TEXTURES, extract, family, measure
+from pssf.radiomics.ibsi import departure_of, tag_of
+from pssf.study.selection import Prune
+
+
+def flat(values: np.ndarray) -> sitk.Image:
+    """A true two-dimensional image."""
+    image = sitk.GetImageFromArray(values)
+    image.SetSpacing((0.15, 0.15))
+    return image
+
+
+def glcm_of(region: np.ndarray, **how) -> dict[str, float]:
+    mask = np.zeros(region.shape, np.uint8)
+    mask[1:-1, 1:-1] = 1
+    found = glcm.RadiomicsGLCM(flat(region), flat(mask), binCount=64, **how)
+    found.enableAllFeatures()
+    return {f"glcm_{name}": float(value) for name, value in found.execute().items()}
+
+
+def test_a_true_2d_image_taken_as_a_slice_is_wrong_and_regions_are_slices():
+    region = np.pad(texture(48, 2), 1, mode="edge")
+    ours = extract(region[1:-1, 1:-1], 0.15)
+    right, wrong = glcm_of(region), glcm_of(region, force2D=True, force2Ddimension=0)
+    for name, value in right.items():
+        assert_allclose(ours[name], value, rtol=1e-9, err_msg=name)
+    assert sum(abs(wrong[name] / right[name] - 1) > 0.01 for name in right) > 5
+
+
+def test_normalising_takes_the_whole_image_and_regions_are_normalised_by_themselves():
+    region = texture(40, 4)
+    around = np.pad(region, 20, constant_values=60000)
+    mask = np.pad(np.ones(region.shape, np.uint8), 20)
+    image, of = (sitk.GetImageFromArray(values[None]) for values in (around, mask))
+    extractor = RadiomicsFeatureExtractor(force2D=True, normalize=True, binCount=64, additionalInfo=False)
+    assert abs(float(extractor.execute(image, of)["original_firstorder_Mean"])) > 0.5
+    assert abs(extract(region, 0.15)["firstorder_z_Mean"]) < 1e-12
+
+
+@pytest.mark.parametrize("name", list(TEXTURES))
+def test_grey_values_on_the_edge_of_a_bin_fall_as_whole_numbers_have_it(name):
+    # A range of 64 x 50 grey values: every fiftieth of them lies on an edge.
+    rng = np.random.default_rng(5)
+    region = (3000 + np.minimum(rng.integers(0, 66, (48, 48)) * 50, 3200)).astype(np.uint16)
+    on_edges = (region - region.min()) % 50 == 0
+    assert on_edges.all()
+    levels = np.minimum((region.astype(np.int64) - region.min()) * 64 // int(np.ptp(region)), 63) + 1
+    exact = measure(TEXTURES[name], levels, np.ones(region.shape, np.uint8), 0.15, name, binWidth=1)
+    found = extract(region, 0.15, families=(name,))
+    for feature, value in exact.items():
+        assert_allclose(found[feature], value, rtol=1e-12, err_msg=feature)
+    # By floats the last bit decides: a z-score puts some of them into the bin below.
+    z = (region - region.mean()) / region.std()
+    places = np.digitize(z, np.linspace(z.min(), z.max(), 65)[:-1])
+    assert (places != levels).any()
+
+
+def test_features_that_are_others_in_disguise_are_left_out_before_a_model_sees_them():
+    table = pd.DataFrame([extract(texture(32, seed, 0.5 + 0.1 * seed), 0.15) for seed in range(14)])
+    twice = (
+        ("glcm_SumAverage", 2 * table["glcm_JointAverage"]),
+        ("gldm_GrayLevelNonUniformity", 32 * 32 * table["firstorder_linear_Uniformity"]),
+        ("firstorder_linear_TotalEnergy", 0.15**2 * table["firstorder_linear_Energy"]),  # a slice is 1 mm high
+    )
+    for name, other in twice:
+        assert_allclose(table[name], other, rtol=1e-9, err_msg=name)
+    kept = Prune(0.9).fit(table).kept_
+    for pair in (
+        {"glcm_SumAverage", "glcm_JointAverage"},
+        {"gldm_GrayLevelNonUniformity", "firstorder_linear_Uniformity"},
+        {"firstorder_linear_TotalEnergy", "firstorder_linear_Energy"},
+    ):
+        assert len(pair & set(kept)) < 2
+
+
+def test_a_family_that_is_left_out_costs_nothing_and_changes_no_other(monkeypatch):
+    region = texture(32, 1)
+    whole = extract(region, 0.15)
+    assert {family(name) for name in whole} == set(FAMILIES)
+    asked = []
+    monkeypatch.setattr(features, "measure", lambda kind, *a, **k: asked.append(kind) or measure(kind, *a, **k))
+    for name in FAMILIES:
+        asked.clear()
+        part = extract(region, 0.15, families=(name,))
+        assert part == {feature: value for feature, value in whole.items() if family(feature) == name}
+        assert len(asked) == (2 if name == "firstorder" else 1)
+
+
+def test_every_feature_has_a_tag_or_says_how_it_departs():
+    names = list(extract(texture(32, 1), 0.15))
+    assert all(tag_of(name) or departure_of(name) for name in names)
+    assert tag_of("firstorder_z_Mean") == "stat_mean"
+    assert tag_of("glcm_Idmn") == "cm_inv_diff_mom_norm"
+    assert "IBSI + 3" in departure_of("firstorder_linear_Kurtosis")
+    assert sum(bool(tag_of(name)) for name in names if family(name) not in ("firstorder", "shape2D")) == 74
