@@ -1,12 +1,11 @@
 """simulate: a knee, or any scene, and a protocol -> a radiograph."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import replace
 from functools import cache
 from importlib.metadata import version
 
 import numpy as np
-from numpy.typing import NDArray
 
 from . import anatomy, detector, raycast
 from .checks import InputError, require_choice, require_whole
@@ -33,6 +32,7 @@ def simulate(
     engine: str = "embree",
     workers: int = 2,
     scene: Scene | None = None,
+    paths: raycast.Paths | None = None,
 ) -> Radiograph:
     """A radiograph of a knee, or of a scene of one's own.
 
@@ -41,7 +41,9 @@ def simulate(
     engine   "embree" or "scanline"
     workers  threads
     scene    what `build(knee)` gave, where several protocols see the same knee
-    raises   InputError for an unknown name in keep, an unknown engine or material, a scene that cannot be traced
+    paths    what `trace` gave for this knee, where several protocols see it from the same place
+    raises   InputError for an unknown name in keep, an unknown engine or material, a scene that cannot be traced, paths
+             of another view
     """
     _check(knee, protocol, seed, keep)
     clock = Clock()
@@ -49,9 +51,10 @@ def simulate(
     scene = knee if isinstance(knee, Scene) else scene or anatomy.build(knee)
     clock.lap("anatomy")
     detector.check_materials(scene.materials)
-    paths = raycast.trace(scene, protocol, engine=engine, workers=workers)
-    _refuse_negative(paths.path_mm)
-    gap_mm = exit_gap_mm(scene, view_of(protocol))
+    if paths is None:
+        paths = raycast.trace(scene, protocol, engine=engine, workers=workers)
+    _check_paths(paths, protocol)
+    gap_mm = exit_gap_mm(scene, view_of(protocol)) if detector.needs_gap(protocol) else 0.0
     clock.lap("rays")
     primary = scatter = error = None
     if protocol.focal_spot == "sampled":
@@ -116,9 +119,13 @@ def _truth(knee: Knee, scene: Scene, protocol: Protocol, masked: bool) -> Truth:
     return replace(truth, masks={name: raycast.shadow(mesh, protocol) for name, mesh in solids.items()})
 
 
-def _refuse_negative(path_mm: Mapping[str, NDArray[np.float32]]) -> None:
-    """No material is crossed by less than nothing: a surface then has an `outside` that does not surround it."""
-    for material, lengths in path_mm.items():
+def _check_paths(paths: raycast.Paths, protocol: Protocol) -> None:
+    """They are the protocol's; and no material is crossed by less than nothing, as where an `outside` is wrong."""
+    if paths.view != view_of(protocol):
+        raise InputError(f"paths of {paths.view}; allowed: of {view_of(protocol)}, as the protocol sees it")
+    if paths.texture != protocol.texture:
+        raise InputError(f"paths with texture = {paths.texture}; allowed: {protocol.texture}, as in the protocol")
+    for material, lengths in paths.path_mm.items():
         least = float(lengths.min())
         if least < -1e-3:
             why = "a surface has it outside where it is not, or two surfaces overlap"

@@ -225,3 +225,26 @@ def test_of_the_noise_more_passes_at_high_frequencies_than_of_the_signal(small):
     low, high = (power[abs(f - at) < 0.1].mean() for at in (0.4, 2.0))
     # DQE at 2/mm is less than half that at 0.4/mm: the squared MTF alone would fall by 10.5.
     assert 3.5 < low / high < 6
+
+
+def test_paths_of_one_geometry_serve_several_protocols_and_are_not_harmed(knee, scene, small):
+    paths = pssf.trace(scene, small, engine="scanline")
+    before = {name: lengths.copy() for name, lengths in paths.path_mm.items()}
+    for protocol in (
+        small,
+        dataclasses.replace(small, mas=0.5, grid_ratio=8.0),
+        dataclasses.replace(small, noise="none"),
+    ):
+        shared = pssf.simulate(knee, protocol, seed=3, engine="scanline", scene=scene, paths=paths)
+        alone = pssf.simulate(knee, protocol, seed=3, engine="scanline", scene=scene)
+        assert_array_equal(shared.pixels, alone.pixels)
+        assert shared.audit == alone.audit
+    for name, lengths in paths.path_mm.items():
+        assert_array_equal(lengths, before[name])
+
+
+@pytest.mark.parametrize("changed", [{"sdd_mm": 1300.0}, {"rows": 200}, {"texture": "none"}])
+def test_paths_of_another_view_or_texture_are_refused(knee, scene, small, changed):
+    paths = pssf.trace(scene, dataclasses.replace(small, **changed), engine="scanline")
+    with pytest.raises(pssf.InputError, match=r"^paths (of|with) "):
+        pssf.simulate(knee, small, scene=scene, paths=paths)

@@ -11,10 +11,12 @@ from .. import anatomy
 from ..checks import InputError, require_whole
 from ..files import atomic, records
 from ..files.images import save
+from ..geometry import view_of
 from ..knee import knee_table
 from ..parallel import cores, ordered_map, require_scheduler
 from ..protocol import protocol_table
 from ..radiograph import Radiograph
+from ..raycast import trace
 from ..simulate import simulate, versions
 from .plan import Case, Plan, Shot
 
@@ -91,10 +93,13 @@ def make_case(case: Case, site: Site, engine: str, threads: int) -> list[Row]:
     for name, here in versions().items():
         if here != site.versions[name]:
             raise InputError(f"on {node()}: {name} = {here}; allowed: {site.versions[name]}, as where the run started")
-    scene = anatomy.build(case.knee)
-    rows = []
+    scene, paths, rows = anatomy.build(case.knee), None, []
     for shot in case.shots:
-        radiograph = simulate(case.knee, shot.protocol, seed=shot.seed, engine=engine, workers=threads, scene=scene)
+        how: dict[str, Any] = {"seed": shot.seed, "engine": engine, "workers": threads, "scene": scene}
+        # Radiographs of one geometry, such as reference and low dose, have the same paths.
+        if paths is None or (paths.view, paths.texture) != (view_of(shot.protocol), shot.protocol.texture):
+            paths = trace(scene, shot.protocol, engine=engine, workers=threads)
+        radiograph = simulate(case.knee, shot.protocol, paths=paths, **how)
         path = save(radiograph, site.folder / "images" / f"{shot.name}.tif")
         rows.append(_row(case, shot, radiograph, path.relative_to(site.folder), records.sha256(path)))
     records.write_rows(site.folder, case.index, rows)

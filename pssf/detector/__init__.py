@@ -60,7 +60,8 @@ def expose(
         scatter = scatter_kev(kev, path_mm, gap_mm, protocol)
         clock.lap("scatter")
     if protocol.grid_ratio > 0:
-        primary, scatter = _behind_grid(primary, scatter, path_mm, protocol, gap_mm, workers)
+        before = primary_of(path_mm, protocol, workers) if protocol.focal_spot == "sampled" else primary
+        primary, scatter = _behind_grid(primary, before, scatter, path_mm, protocol, gap_mm, workers)
         kev = primary.kev
         clock.lap("grid")
     kept["primary"] = kev
@@ -116,18 +117,26 @@ def _seen(
     return (quiet if noise is None else noise), (quiet if both else None)
 
 
+def needs_gap(protocol: Protocol) -> bool:
+    """Whether `expose` asks how far the patient is from the panel: for the kernel of scatter, and for a grid."""
+    return protocol.scatter == "kernel" or protocol.grid_ratio > 0
+
+
 def _behind_grid(
     primary: Signal,
+    before: Signal,
     scatter: Map | None,
     path_mm: Mapping[str, NDArray[np.float32]],
     protocol: Protocol,
     gap_mm: float,
     workers: int,
 ) -> tuple[Signal, Map | None]:
-    """Primary and scatter that pass the protocol's grid; the primary by its energies in each pixel."""
+    """Primary and scatter that pass the protocol's grid; the primary by its energies in each pixel.
+
+    before  the primary without the grid along the paths, which `primary` is too where it is no mean over the focal spot
+    """
     kind = grid_of(protocol)
-    before, after = (primary_of(path_mm, protocol, workers, grid=passed) for passed in (None, kind))
-    # A ratio, for the primary may be a mean over the focal spot.
+    after = primary_of(path_mm, protocol, workers, grid=kind)
     share = np.divide(after.kev, before.kev, out=np.zeros_like(after.kev), where=before.kev > 0)
     if scatter is not None:
         scatter = scatter * np.float32(scatter_passing(kind, beam_of(protocol), gap_mm))

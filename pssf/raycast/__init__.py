@@ -83,7 +83,8 @@ def trace(
         smooth = not texture or (isinstance(protocol, Protocol) and protocol.texture == "none")
         layers = _layers(asked, view, engine, smooth, pool)
         audits = pool.map(partial(_band, scene, view, layers, path_mm), range(0, view.rows, BAND_ROWS))
-        return Paths(path_mm=path_mm, audit=total(audits))
+        told = "none" if smooth else "trabecular"
+        return Paths(path_mm=path_mm, audit=total(audits), view=view, texture=told)
 
 
 def shadow(mesh: trimesh.Trimesh, protocol: Protocol | View) -> NDArray[np.bool_]:

@@ -6,6 +6,8 @@ from dataclasses import astuple, dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from ..geometry import View
+
 
 @dataclass(frozen=True, kw_only=True)
 class Audit:
@@ -34,10 +36,14 @@ class Paths:
     """Path lengths of every ray from the source to a pixel centre.
 
     path_mm  material -> (rows, cols)  chord length inside the material
+    view     that the rays were cast by
+    texture  "none" where every material was taken at its own density, else "trabecular"
     """
 
     path_mm: dict[str, NDArray[np.floating]]
     audit: Audit
+    view: View
+    texture: str
 
 
 def total(audits: Iterable[Audit]) -> Audit:
