@@ -8,8 +8,22 @@ import trimesh
 from numpy.testing import assert_allclose
 
 from pssf import InputError, accuracy, load_protocol
-from pssf.accuracy import agreement, builds, chain, engines, figure, morphometry, solids, stages, tessellation, texture
+from pssf.accuracy import (
+    agreement,
+    builds,
+    chain,
+    engines,
+    figure,
+    left_out,
+    morphometry,
+    solids,
+    stages,
+    tessellation,
+    texture,
+)
+from pssf.cohort import plan_cohort
 from pssf.geometry import view_of
+from pssf.study import StudySettings
 
 
 def test_engines_meet_the_exact_polyhedron_and_leak_nothing():
@@ -178,3 +192,28 @@ def test_the_chain_tells_seconds_share_and_error_of_every_stage(monkeypatch, sma
     assert rows["attenuation"]["error"] < 1e-3
     assert rows["scatter"]["error"] < 0.08
     assert rows["detector blur"]["error"] < 0.02
+
+
+def test_what_may_be_left_out_of_the_study_is_taken_by_it(tmp_path):
+    for case in left_out.CASES:
+        plan_cohort("quick", seed=0, overrides={**left_out._COHORT, **case.cohort})
+        StudySettings(**case.settings)
+        if case.technique:
+            path = left_out._variant(tmp_path, "low_dose", case.technique)
+            plain, changed = load_protocol("low_dose"), load_protocol(path)
+            assert changed != plain
+            assert (changed.name, changed.mas) == ("low_dose", plain.mas)
+
+
+def test_times_of_what_is_left_out_are_shares_of_the_whole(monkeypatch):
+    seconds = iter([9.0, 60.0, 30.0, 15.0, 3.0])
+    asked = []
+
+    def timed(out, case, workers):
+        asked.append((out.name, case.what))
+        return 27, next(seconds)
+
+    monkeypatch.setattr(left_out, "_timed", timed)
+    rows = left_out.left_out_rows(2, left_out.CASES[:3])
+    assert [row["share"] for row in rows] == [1.0, 0.5, 0.25, 0.05]
+    assert [name for name, _ in asked] == ["warm", "0", "1", "2", "0"]

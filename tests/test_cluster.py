@@ -4,12 +4,17 @@ import subprocess
 import sys
 import time
 
+import pandas as pd
 import pytest
 from test_cohort import digests, tiny
+from test_extremes import LIGHT, NAMES, table
+from test_radiomics import TEMPLATE, jobs, load_phantom
 
 import pssf
 from pssf import cohort, parallel
 from pssf.parallel import WorkersLostError, ordered_map
+from pssf.radiomics.table import How, extract_all
+from pssf.study.training import train
 
 
 @pytest.fixture(scope="module")
@@ -107,3 +112,23 @@ def test_a_scheduler_that_does_not_answer_is_told_in_one_line_within_seconds_and
     assert done.stderr.count("\n") == 1
     assert not list(tmp_path.iterdir())
     assert time.monotonic() - began < 30
+
+
+def test_regions_are_measured_on_the_cluster_as_they_are_here(cluster):
+    how = {"load_pixels": load_phantom, "template": TEMPLATE, "how": How(region_px=96)}
+    there, _ = extract_all(jobs(3), scheduler=cluster.scheduler_address, **how)
+    here, _ = extract_all(jobs(3), **how)
+    assert there == here
+
+
+def test_splits_are_taken_on_the_cluster_as_they_are_here(cluster):
+    given = {"workers": 1, "made": lambda more: None}
+    there, _ = train(table(6), NAMES, LIGHT, scheduler=cluster.scheduler_address, **given)
+    here, _ = train(table(6), NAMES, LIGHT, scheduler=None, **given)
+    for one, other in zip(there, here, strict=True):
+        pd.testing.assert_frame_equal(one.predictions, other.predictions, check_exact=True)
+
+
+def test_a_worker_without_a_library_is_refused_by_name(cluster):
+    with pytest.raises(pssf.InputError, match=r"a worker lacks no_such_library; allowed: the extra study on every"):
+        parallel.require_scheduler(cluster.scheduler_address, ("json", "no_such_library"))

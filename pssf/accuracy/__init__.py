@@ -13,6 +13,7 @@ texture    trabeculae: integrals by step, and their look on radiographs beside r
 monte_carlo  the Monte Carlo of scatter beside an independent one
 scatter    the kernel of scatter beside the Monte Carlo (scatter_fit fits it once more)
 focal      blur of the focal spot against rays from points of it
+left_out   run time of the study against what is left out of it  (extra "study"; not among "all")
 figure     error against run time, drawn                      (extra "study")
 """
 
@@ -44,6 +45,8 @@ TABLES = (
     "engines", "growth", "nested", "stages", "chain", "agreement", "spectrum", "focal_spot", "physics",
     "monte_carlo", "scatter", "tessellation", "texture_steps", "texture", "builds", "knees",
 )  # fmt: skip
+# Only by name: minutes long, and about the study rather than about a radiograph.
+BY_NAME = ("left_out",)
 
 
 def measure(
@@ -56,13 +59,13 @@ def measure(
 ) -> list[Path]:
     """Measure what is asked for and write it as CSV, with machine.json and a figure; returns their paths.
 
-    tables    of TABLES; "growth" is worked out from "engines"
+    tables    of TABLES or BY_NAME; "growth" is worked out from "engines"
     knees     how many are drawn for "agreement", "texture", "builds" and "knees"
     progress  told what is being measured
     raises    InputError for an unknown table, or a disk that is full or cannot be written
     """
     for name in tables:
-        require_choice("table", name, TABLES)
+        require_choice("table", name, (*TABLES, *BY_NAME))
     engines: list[Row] = []
     if {"engines", "growth"} & set(tables):
         progress("ray casting")
@@ -84,9 +87,10 @@ def measure(
         "texture": lambda: spread_rows(knees, workers),
         "builds": lambda: build_rows(knees, workers),
         "knees": lambda: knee_rows(knees, workers),
+        "left_out": lambda: _left_out(workers),
     }
     paths = []
-    for name in (name for name in TABLES if name in tables):
+    for name in (name for name in (*TABLES, *BY_NAME) if name in tables):
         progress(name)
         paths.append(out / f"{name}.csv")
         write_csv(paths[-1], jobs[name]())
@@ -100,3 +104,12 @@ def measure(
         paths.append(out / "engines.png")
         write_bytes(paths[-1], draw(engines))
     return paths
+
+
+def _left_out(workers: int) -> list[Row]:
+    from ..study import require_extra
+
+    require_extra()
+    from .left_out import left_out_rows
+
+    return left_out_rows(workers)

@@ -6,10 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..anatomy import build
-from ..detector import primary_of
-from ..detector.blur import focal_spot_blur
 from ..detector.nodes import TOLERANCE
-from ..geometry import view_of
 from ..knee import Knee
 from ..protocol import Protocol, load_protocol
 from ..quality.detector import mtf, photon_transfer
@@ -17,6 +14,7 @@ from ..raycast import trace
 from ..scene import Scene
 from ..simulate import sampled_primary, simulate
 from .engines import Row
+from .focal import blurred_primary
 from .scatter import Case, scatter_rows
 from .stages import spectrum_rows
 
@@ -70,9 +68,7 @@ def _errors(scene: Scene, protocol: Protocol, workers: int) -> dict[str, tuple[s
 
     def focal_spot() -> float:
         exact = sampled_primary(scene, joint, "scanline", workers, 5).kev
-        paths = trace(scene, joint, engine="scanline", workers=workers).path_mm
-        blurred = focal_spot_blur(primary_of(paths, joint, workers).kev, joint.focal_spot_mm, view_of(joint), workers)
-        return float(np.sqrt(np.mean((blurred / exact - 1) ** 2)))
+        return float(np.sqrt(np.mean((blurred_primary(scene, joint, workers) / exact - 1) ** 2)))
 
     def noise() -> float:
         return float(np.mean([abs(found / meant - 1) for _, found, meant in photon_transfer(protocol)]))

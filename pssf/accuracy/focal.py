@@ -4,14 +4,16 @@ from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..anatomy import build
 from ..detector import primary_of
 from ..detector.blur import focal_spot_blur
 from ..geometry import view_of
 from ..knee import Knee
-from ..protocol import load_protocol
+from ..protocol import Protocol, load_protocol
 from ..raycast import trace
+from ..scene import Scene
 from ..simulate import sampled_primary
 from .engines import Row
 
@@ -32,8 +34,7 @@ def focal_rows(workers: int) -> list[Row]:
         for points in ("blur", 1, 2, 3, 4, 5):
             start = perf_counter()
             if points == "blur":
-                kev = primary_of(trace(scene, protocol, engine="scanline", workers=workers).path_mm, protocol).kev
-                kev = focal_spot_blur(kev, spot_mm, view_of(protocol), workers)
+                kev = blurred_primary(scene, protocol, workers)
             else:
                 kev = sampled_primary(scene, protocol, "scanline", workers, int(points)).kev
             error = np.abs(kev / exact - 1)
@@ -43,3 +44,9 @@ def focal_rows(workers: int) -> list[Row]:
                 "p99": float(f"{np.percentile(error, 99):.2g}"), "max": float(f"{error.max():.2g}"),
             })  # fmt: skip
     return rows
+
+
+def blurred_primary(scene: Scene, protocol: Protocol, workers: int) -> NDArray[np.float32]:
+    """(rows, cols)  keV a pixel, of one point, with the blur of the whole spot at the joint"""
+    paths = trace(scene, protocol, engine="scanline", workers=workers).path_mm
+    return focal_spot_blur(primary_of(paths, protocol, workers).kev, protocol.focal_spot_mm, view_of(protocol), workers)

@@ -171,6 +171,13 @@ def _place(frame: Array, centre: Array, at: float, x: float, y: float, z: float)
     return frame[0] - centre[0] + at * x, frame[1] - centre[1] + at * y, frame[2] - centre[2] + at * z
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _way(frame: Array, window: NDArray[np.int64], pixel: int) -> tuple[int, int, float, float, float]:
+    """Row and column of a pixel of a window, and the way of its ray from the source to it."""
+    row, col = window[0] + pixel // window[3], window[1] + pixel % window[3]
+    return row, col, frame[3] + col * frame[6], frame[4], frame[5] - row * frame[6]
+
+
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _holds(seen: Array, face: Ints, side: float, row: int, col: int) -> bool:
     """Whether a pixel lies strictly inside a projected triangle; side > 0: seen from behind, < 0: from the front."""
@@ -204,8 +211,7 @@ def _spread(
         off, cols = pixel % window[3] % stride, window[3] - pixel % window[3]
         if left[pixel] == 0 or off == 0:
             continue
-        row, col = window[0] + pixel // window[3], window[1] + pixel % window[3]
-        x, y, z = frame[3] + col * frame[6], frame[4], frame[5] - row * frame[6]
+        row, col, x, y, z = _way(frame, window, pixel)
         for other in (pixel - off, pixel + stride - off):
             if stride - off >= cols and other > pixel:
                 continue
@@ -256,8 +262,7 @@ def _advance(
         pixel, triangle = pixels[k], found[k]
         if triangle < 0:
             continue
-        row, col = window[0] + pixel // window[3], window[1] + pixel % window[3]
-        x, y, z = frame[3] + col * frame[6], frame[4], frame[5] - row * frame[6]
+        row, col, x, y, z = _way(frame, window, pixel)
         if triangle == triangles[k] and left[pixel] > 1:
             # Rounding put the new start before the triangle just left after all: go on from where Embree sees it.
             at, tries = depths[k], again[k] + 1

@@ -14,6 +14,7 @@ importance                importances            -> share of each feature and fa
 saving.dumps              fitted model           -> bytes without pickle
 evidence                  outcomes, features     -> all tables
 parameters                manifest, features     -> what the knees were built with; what each feature follows
+subgroups                 predictions            -> scores of women and men, of younger and older subjects
 localisation.summarise    found and known places -> error by protocol and grade
 cost.Meter                stages                 -> seconds, seconds each, growth
 finished.earlier          folder, key            -> what an earlier run ended with, if nothing has changed

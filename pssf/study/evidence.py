@@ -12,6 +12,7 @@ from .parameters import follows, morphology, parameters_of
 from .reliability import reliability, repeatability
 from .scenarios import ARM, Outcome, score_splits, summarise
 from .selection import is_degenerate
+from .subgroups import subgroups
 
 Tables = dict[str, pd.DataFrame]
 
@@ -41,16 +42,19 @@ def tables_of_models(outcomes: list[Outcome], settings: StudySettings) -> Tables
     }
 
 
-def tables_of_features(located: pd.DataFrame, repeated: pd.DataFrame, names: list[str], reference: str) -> Tables:
+def tables_of_features(
+    located: pd.DataFrame, repeated: pd.DataFrame, names: list[str], settings: StudySettings
+) -> Tables:
     """localisation, dictionary, reliability (across protocols, and across repeats where there are any).
 
     located   of `localisation.errors`
     repeated  radiographs taken again, with a region found: kind, turn, knee, features
     """
     usable = located[located["status"] == "found"]
-    across = reliability(usable, names, reference)
+    how = {"replicates": settings.replicates, "seed": settings.seed}
+    across = reliability(usable, names, settings.reference, **how)
     if len(repeated):
-        again = repeatability(usable, repeated, names, reference)
+        again = repeatability(usable, repeated, names, settings.reference)
         across = pd.concat([across, again], ignore_index=True) if len(across) else again
     told = {"localisation": localisation.summarise(located), "dictionary": dictionary(usable, names)}
     return {**told, "reliability": across}
@@ -68,10 +72,16 @@ def dictionary(usable: pd.DataFrame, names: list[str]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def tables_of_truth(manifest: pd.DataFrame, usable: pd.DataFrame, names: list[str], reference: str) -> Tables:
-    """morphology (what was drawn, by grade), follows (features against what the knees were built with)."""
+def tables_of_truth(
+    manifest: pd.DataFrame, usable: pd.DataFrame, names: list[str], predictions: pd.DataFrame, settings: StudySettings
+) -> Tables:
+    """morphology (what was drawn, by grade), follows (features against what the knees were built with), subgroups."""
     parameters = parameters_of(manifest)
-    return {"morphology": morphology(parameters), "follows": follows(usable, names, parameters, reference)}
+    return {
+        "morphology": morphology(parameters),
+        "follows": follows(usable, names, parameters, settings.reference),
+        "subgroups": subgroups(predictions, parameters, settings),
+    }
 
 
 def joined(parts: list[pd.DataFrame]) -> pd.DataFrame:

@@ -12,11 +12,10 @@ import numpy as np
 import pandas as pd
 
 from ..checks import Array
-from .metrics import METRICS, weighted_scores
+from .metrics import METRICS, percentiles, weighted_scores
 from .scenarios import ARM, TASKS, truth_and_probability
 
 _STREAM = 2**31  # keys below it are those of the splits
-_LEVELS = (2.5, 97.5)
 # Comparison -> a scenario, and the one that is taken from it.
 COMPARISONS = {
     "cross minus within": ("cross", "within"),
@@ -57,7 +56,7 @@ def resample(predictions: pd.DataFrame, *, replicates: int, seed: int) -> Replic
             of_splits.append(weighted_scores(*truth_and_probability(split), values[rows]))
         arms.append(tuple(arm))
         for metric in METRICS:
-            scores[metric].append(_mean(np.array([found[metric] for found in of_splits])))
+            scores[metric].append(mean_of_splits(np.array([found[metric] for found in of_splits])))
     return Replicates(arms, {metric: np.array(rows) for metric, rows in scores.items()})
 
 
@@ -85,7 +84,7 @@ def intervals(replicates: Replicates) -> pd.DataFrame:
     for index, arm in enumerate(replicates.arms):
         row: dict[str, object] = dict(zip(ARM, arm, strict=True))
         for metric in METRICS:
-            low, high = _percentiles(replicates.scores[metric][index, 1:])
+            low, high = percentiles(replicates.scores[metric][index, 1:])
             row |= {f"{metric}_low": low, f"{metric}_high": high}
         rows.append(row)
     return pd.DataFrame(rows)
@@ -103,7 +102,7 @@ def differences(replicates: Replicates) -> pd.DataFrame:
         label = dict(zip(ARM, replicates.arms[this], strict=True))
         for metric, scores in replicates.scores.items():
             difference = scores[this] - scores[other]
-            low, high = _percentiles(difference[1:])
+            low, high = percentiles(difference[1:])
             found = {"difference": difference[0], "low": low, "high": high, "p": p_value(difference[1:])}
             rows.append({"comparison": comparison, **label, "metric": metric, **found})
     table = pd.DataFrame(rows, columns=[*_LABELS, "difference", "low", "high", "p"])
@@ -150,15 +149,7 @@ def _pairs(arms: list[tuple[str, ...]]) -> Iterator[tuple[str, int, int]]:
             yield MINUS_JSW, index, partner
 
 
-def _percentiles(values: Array) -> tuple[float, float]:
-    known = values[np.isfinite(values)]
-    if not len(known):
-        return float("nan"), float("nan")
-    low, high = np.percentile(known, _LEVELS)
-    return float(low), float(high)
-
-
-def _mean(splits: Array) -> Array:
+def mean_of_splits(splits: Array) -> Array:
     """(samples,) mean over the (splits, samples) that have a score; NaN where none has."""
     known = np.isfinite(splits)
     with np.errstate(invalid="ignore"):

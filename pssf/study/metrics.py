@@ -6,6 +6,7 @@ from scipy.stats import rankdata
 
 from ..checks import Array
 
+_LEVELS = (2.5, 97.5)
 METRICS = {"auc": "AUC", "balanced_accuracy": "Balanced accuracy", "macro_f1": "Macro F1"}
 
 
@@ -80,3 +81,12 @@ def confusion(truth: NDArray[np.int64], probability: Array) -> NDArray[np.int64]
     counts = np.zeros((probability.shape[1], probability.shape[1]), dtype=np.int64)
     np.add.at(counts, (truth, probability.argmax(axis=1)), 1)
     return counts
+
+
+def percentiles(values: Array) -> tuple[float, float]:
+    """The 2.5th and 97.5th percentile of those that are finite; NaN without any."""
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return float("nan"), float("nan")
+    low, high = np.percentile(known, _LEVELS)
+    return float(low), float(high)

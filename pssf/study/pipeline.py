@@ -80,8 +80,8 @@ def run_study(
     with meter.stage("intervals and differences"):
         tables = tables_of_models(outcomes, settings)
     with meter.stage("reliability and figures"):
-        tables = tables_of_features(located, repeated, names, settings.reference) | tables
-        tables |= tables_of_truth(manifest, usable, names, settings.reference)
+        tables = tables_of_features(located, repeated, names, settings) | tables
+        tables |= tables_of_truth(manifest, usable, names, predictions, settings)
         pictures = gallery(located, load_pixels, settings, predictions, tables)
     with meter.stage("claims"):
         importances = joined([outcome.importances for outcome in outcomes])
@@ -207,6 +207,7 @@ def _findings(
         composition=composition(located),
         localisation=tables["localisation"],
         morphology=tables["morphology"],
+        subgroups=tables["subgroups"],
         scores=tables["scores"],
         differences=tables["differences"],
         claims=tables["claims"],

@@ -5,9 +5,11 @@ from itertools import combinations
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 from scipy.stats import f as f_distribution
 
 from ..checks import Array
+from .icc_by_subject import icc_intervals_by_weights, knee_weights
 from .selection import is_degenerate
 
 ICC_FORMS = ("ICC(2,1)", "ICC(3,1)")
@@ -102,18 +104,24 @@ def variance_shares(values: Array) -> tuple[float, float, float]:
     return of_knee / total, of_condition / total, s.rest / total
 
 
-def grid(table: pd.DataFrame, names: list[str], by: str, conditions: list[str]) -> Array:
-    """(knees, conditions, features) of the knees that have every condition; a knee is in it once."""
+def grid(table: pd.DataFrame, names: list[str], by: str, conditions: list[str]) -> tuple[Array, NDArray[np.int64]]:
+    """(knees, conditions, features) of the knees that have every condition, and (knees,) their subjects."""
     wide = table[table[by].isin(conditions)].pivot(index="knee", columns=by, values=names)
     found = np.stack([wide[name].reindex(columns=conditions).to_numpy(np.float64) for name in names], axis=2)
     counts = table[table[by].isin(conditions)].groupby("knee")[by].nunique().reindex(wide.index)
-    return found[(counts == len(conditions)).to_numpy()]
+    whole = (counts == len(conditions)).to_numpy()
+    subjects = table.groupby("knee")["subject"].first().reindex(wide.index)[whole]
+    return found[whole], subjects.to_numpy(np.int64)
 
 
-def reliability(table: pd.DataFrame, names: list[str], reference: str) -> pd.DataFrame:
+def reliability(
+    table: pd.DataFrame, names: list[str], reference: str, *, replicates: int = 2000, seed: int = 0
+) -> pd.DataFrame:
     """ICC of every feature across all protocols, and across the reference and each other one.
 
-    table    one row a radiograph: knee, protocol, features; knees that lack a protocol are left out
+    Intervals are by the F distribution, or, where a subject has two knees, by a bootstrap of subjects.
+
+    table    one row a radiograph: knee, subject, protocol, features; knees that lack a protocol are left out
     returns  a row a feature and set: feature, across, knees, each form with its interval, class (of Koo & Li 2016, by
              the lower bound of ICC(2,1)), share_knee, share_condition, share_residual
     """
@@ -123,14 +131,18 @@ def reliability(table: pd.DataFrame, names: list[str], reference: str) -> pd.Dat
     for chosen in sets:
         if len(chosen) >= 2 and reference in chosen:
             label = "all protocols" if chosen == protocols else f"{chosen[0]} and {chosen[1]}"
-            rows += _rows(grid(table, names, "protocol", chosen), names, label)
+            values, subjects = grid(table, names, "protocol", chosen)
+            weights = None
+            if len(set(subjects)) < len(subjects):
+                weights = knee_weights(subjects, replicates=replicates, seed=seed)
+            rows += _rows(values, names, label, weights)
     return pd.DataFrame(rows, columns=_COLUMNS)
 
 
 def repeatability(table: pd.DataFrame, again: pd.DataFrame, names: list[str], reference: str) -> pd.DataFrame:
     """`reliability` across repeats of the same knees under the reference protocol.
 
-    table  of `reliability`; it has the first radiograph of every knee
+    table  of `reliability`; it has the first radiograph of every knee, of which no two are one subject's
     again  radiographs of some knees taken again: knee (as in the table), kind (noise | perturbation), turn, features
     """
     rows = []
@@ -140,7 +152,7 @@ def repeatability(table: pd.DataFrame, again: pd.DataFrame, names: list[str], re
         both = pd.concat([first.assign(turn="first"), part.assign(turn=part["turn"].astype(str))])
         turns = ["first", *sorted(set(part["turn"].astype(str)))]
         if len(turns) > 1 and len(first):
-            rows += _rows(grid(both, names, "turn", turns), names, label)
+            rows += _rows(grid(both, names, "turn", turns)[0], names, label)
     return pd.DataFrame(rows, columns=_COLUMNS)
 
 
@@ -168,12 +180,14 @@ def protocols_of(table: pd.DataFrame, reference: str) -> list[str]:
     return sorted(table["protocol"].unique(), key=lambda name: name != reference)
 
 
-def _rows(values: Array, names: list[str], label: str) -> list[dict[str, object]]:
+def _rows(values: Array, names: list[str], label: str, weights: Array | None = None) -> list[dict[str, object]]:
     rows = []
     for index, name in enumerate(names):
-        one = values[:, :, index]
-        one = one[np.isfinite(one).all(axis=1)]
+        whole = np.isfinite(values[:, :, index]).all(axis=1)
+        one = values[whole, :, index]
         forms, bounds = icc(one), icc_intervals(one)
+        if weights is not None and np.isfinite(forms[0]):
+            bounds = icc_intervals_by_weights(one, weights[:, whole])
         row: dict[str, object] = {"feature": name, "across": label, "knees": len(one)}
         for form, value, (low, high) in zip(ICC_FORMS, forms, bounds, strict=True):
             row |= {form: value, f"{form} low": low, f"{form} high": high}

@@ -46,6 +46,7 @@ class Findings:
     counts        label -> number, of the cohort
     composition   grade, subjects, knees, protocols, radiographs; the last row is of all
     morphology    of `parameters.morphology`
+    subgroups     of `subgroups.subgroups`
     localisation  of `localisation.summarise`
     scores        of `scenarios.summarise`
     differences   of `intervals.differences`
@@ -65,6 +66,7 @@ class Findings:
     composition: pd.DataFrame
     localisation: pd.DataFrame
     morphology: pd.DataFrame
+    subgroups: pd.DataFrame
     scores: pd.DataFrame
     differences: pd.DataFrame
     claims: pd.DataFrame

@@ -13,7 +13,7 @@ from .selection import is_degenerate
 
 def stable_features(training: pd.DataFrame, names: list[str], protocols: list[str]) -> list[str]:
     """Names of the features whose ICC(2,1) across the protocols is 0.90 or more in the training subjects."""
-    values = grid(training, names, "protocol", protocols)
+    values, _ = grid(training, names, "protocol", protocols)
     return [name for index, name in enumerate(names) if icc(values[:, :, index])[0] >= THRESHOLD]
 
 
