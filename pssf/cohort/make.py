@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from platform import node
@@ -66,7 +67,7 @@ def make_cohort(
     folder = Path(folder)
     claim = records.claim(folder / "cohort.json", {**plan.table(), "engine": engine, "versions": versions()})
     _sweep(folder)
-    rows = _found(plan, folder, found)
+    rows = _found(plan, folder, workers, found)
     missing = [case for case in plan.cases if case.index not in rows]
 
     def stands(index: int, made: list[Row]) -> None:
@@ -111,14 +112,19 @@ def _sweep(folder: Path) -> None:
         atomic.sweep(folder / name)
 
 
-def _found(plan: Plan, folder: Path, found: Callable[[int], None]) -> dict[int, list[Row]]:
+def _found(plan: Plan, folder: Path, workers: int, found: Callable[[int], None]) -> dict[int, list[Row]]:
     """The rows of every knee that an earlier run finished, by index."""
+
+    def known(case: Case) -> list[Row] | None:
+        return records.read_rows(folder, case.index, [shot.name for shot in case.shots])
+
     rows: dict[int, list[Row]] = {}
-    for case in plan.cases:
-        known = records.read_rows(folder, case.index, [shot.name for shot in case.shots])
-        if known is not None:
-            rows[case.index] = known
-            found(len(case.shots))
+    # Threads, for hashing lets go of the lock.
+    with ThreadPoolExecutor(workers) as pool:
+        for case, of in zip(plan.cases, pool.map(known, plan.cases), strict=True):
+            if of is not None:
+                rows[case.index] = of
+                found(len(case.shots))
     return rows
 
 

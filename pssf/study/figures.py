@@ -107,11 +107,17 @@ def _intervals(axis: Any, scores: pd.DataFrame, tests: list[str], told: str) -> 
             axis.plot([at, at], [low, high], color=COLOURS[model], linewidth=2)
             axis.plot(at, value, "o", color=COLOURS[model], markersize=5, label=MODELS[model] if not place else None)
             axis.annotate(
-                f"{value:.2f}", (at, high), xytext=(0, 3), textcoords="offset points", ha="center", fontsize=7
+                f"{value:.2f}",
+                (at, high),
+                xytext=(0, 3),
+                textcoords="offset points",
+                ha="center",
+                fontsize=7,
+                rotation=90,
             )
     axis.axhline(0.5, color="0.75", linewidth=1)
     names = [plain(name) for name in tests]
-    axis.set(xlim=(-0.6, len(tests) - 0.4), ylim=(0.3, 1.06), xticks=range(len(tests)))
+    axis.set(xlim=(-0.6, len(tests) - 0.4), ylim=(0.3, 1.12), xticks=range(len(tests)))
     axis.set_xticklabels(names, fontsize=8)
     axis.spines[["top", "right"]].set_visible(False)
     if told:

@@ -30,7 +30,7 @@ BODY = {
     "tibial_slope_deg": "tibial slope, deg",
     "flexion_deg": "flexion, deg",
     "rotation_deg": "rotation, deg",
-    "female": "women",
+    "female": "women (share)",
 }
 PARAMETERS = GRADED | BODY
 
