@@ -39,11 +39,13 @@ def told(rise, score_step=0.0):
     scores = pd.DataFrame([{
         "task": "0 vs 2", "scenario": "within", "trained_on": "reference", "tested_on": "reference", "model": "lr",
         "selection": "l1", "auc": 0.9, "auc_low": 0.85, "auc_high": 0.95,
+        "balanced_accuracy": 0.7, "balanced_accuracy_low": 0.6, "balanced_accuracy_high": 0.78,
     }])  # fmt: skip
     differences = pd.DataFrame([
-        {"comparison": name, "task": "0 vs 2", "metric": "auc", "selection": "l1", "model": "lr",
+        {"comparison": name, "task": "0 vs 2", "metric": metric, "selection": "l1", "model": "lr",
          "tested_on": "low_dose", "difference": d, "low": low, "high": high}
         for name, d, low, high in (("cross minus within", -0.1, -0.2, -0.05), ("multi minus cross", 0.02, -0.1, 0.1))
+        for metric in ("auc", "balanced_accuracy", "macro_f1")
     ])  # fmt: skip
     reliability = pd.DataFrame({
         "feature": ["a", "b"], "across": "all protocols",
@@ -78,7 +80,12 @@ def test_claims_follow_what_is_in_the_tables():
     }
     assert verdicts(found, "A subset") == {"holds"}
     assert verdicts(found, "The most important") == {"holds"}
-    assert verdicts(found, "Logistic regression is strong") == {"holds"}
+    strong = found[found["claim"].str.startswith("Logistic regression is strong")].set_index("measure")["verdict"]
+    assert strong.to_dict() == {
+        "AUC of lr, 0 vs 2 (paper: 0.92)": "holds",
+        "Balanced accuracy of lr, 0 vs 2 (paper: 0.92)": "does not hold",
+    }
+    assert len(found[found["claim"].str.startswith("Another protocol")]) == 2
     assert verdicts(found, "Another protocol") == {"holds"}
     assert verdicts(found, "Training on all") == {"not decidable"}
 

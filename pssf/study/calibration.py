@@ -64,6 +64,7 @@ def confusions(predictions: pd.DataFrame) -> pd.DataFrame:
 
 def _arms(predictions: pd.DataFrame) -> list[tuple[dict[str, Any], NDArray[np.int64], Array]]:
     part = predictions[(predictions["task"] == "0 vs 2") & (predictions["scenario"] == "within")]
+    part = part[part["model"] != "chance"]  # which says the same of all in a split
     found = []
     for (model, selection), rows in part.groupby(["model", "selection"], sort=False):
         truth, probability = truth_and_probability(rows)

@@ -21,6 +21,7 @@ COLOURS = {"lr": "#0072B2", "rf": "#D55E00", "xgb": "#009E73"}
 _DASHES = ("-", "--", ":", "-.")
 SCENARIOS = {"within": "Within protocol", "cross": "Cross-protocol", "multi": "Multi-protocol"}
 _DPI = 110
+_AUCS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,7 +118,7 @@ def _intervals(axis: Any, scores: pd.DataFrame, tests: list[str], told: str) -> 
             )
     axis.axhline(0.5, color="0.75", linewidth=1)
     names = [plain(name) for name in tests]
-    axis.set(xlim=(-0.6, len(tests) - 0.4), ylim=(0.3, 1.12), xticks=range(len(tests)))
+    axis.set(xlim=(-0.6, len(tests) - 0.4), ylim=(0.3, 1.12), xticks=range(len(tests)), yticks=_AUCS)
     axis.set_xticklabels(names, fontsize=8)
     axis.spines[["top", "right"]].set_visible(False)
     if told:

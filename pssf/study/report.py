@@ -2,6 +2,7 @@
 
 from base64 import b64encode
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import jinja2
@@ -148,10 +149,10 @@ def _score_tables(scores: pd.DataFrame) -> dict[str, dict[str, Any]]:
 
 
 def _compared(differences: pd.DataFrame) -> dict[str, dict[str, Any]]:
-    """Task -> {groups: as above; rows: comparison, scenario, tested_on, cells: differences of AUC}."""
+    """Task and metric -> {groups: as above; rows: comparison, scenario, tested_on, cells: differences}."""
     tables = {}
-    for task in TASKS:
-        part = differences[(differences["task"] == task) & (differences["metric"] == "auc")]
+    for task, metric in product(TASKS, ("auc", "balanced_accuracy")):
+        part = differences[(differences["task"] == task) & (differences["metric"] == metric)]
         if part.empty:
             continue
         groups, rows = _groups(part), []
@@ -163,7 +164,7 @@ def _compared(differences: pd.DataFrame) -> dict[str, dict[str, Any]]:
             cells = {(line["model"], line["selection"]): line for line in block.to_dict("records")}
             found = [cells.get((model, selection), {}) for selection, models in groups.items() for model in models]
             rows.append({"comparison": comparison, "scenario": scenario, "tested_on": tested_on, "cells": found})
-        tables[task] = {"groups": groups, "rows": rows}
+        tables[f"{task}: {METRICS[metric]}"] = {"groups": groups, "rows": rows}
     return tables
 
 
@@ -186,7 +187,8 @@ def _cell(line: dict[str, Any], metric: str) -> tuple[str, str]:
 
 def _short(value: float) -> str:
     """Three digits, without a fraction that says nothing."""
-    return f"{value + 0.0:.0f}" if abs(value) >= 100 or value == int(value) else f"{value:.3g}".replace("-", "−")
+    digits = ".0f" if abs(value) >= 100 or value == int(value) else ".3g"
+    return f"{value + 0.0:{digits}}".replace("-", "−")
 
 
 def _fixed(value: Any, digits: int = 2) -> str:
