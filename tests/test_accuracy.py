@@ -153,6 +153,7 @@ def test_knees_measure_about_what_is_published():
 
 def test_random_knees_build():
     (row,) = builds.build_rows(6, 1)
+    assert -1e-6 < row["least_path_mm"] <= 0
     assert (row["built"], row["refused"], row["first_refusal"]) == (6, 0, "")
     assert row["jsw_error_mm"] < 1e-3
     assert 100_000 < row["least_triangles"] <= row["most_triangles"] < 260_000

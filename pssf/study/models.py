@@ -1,5 +1,6 @@
 """Three classifiers, and what they must do better than, each tuned on the validation subjects over a small grid."""
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.dummy import DummyClassifier
 from sklearn.ensemble import RandomForestClassifier
+from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LogisticRegression
 from sklearn.metrics import log_loss
 from sklearn.pipeline import Pipeline
@@ -65,7 +67,7 @@ def tune(
     weight = np.ones(len(y)) if model == "chance" else compute_sample_weight("balanced", y)
     best: tuple[float, Any, dict[str, Any]] | None = None
     for parameters in _GRIDS[model]:
-        candidate = _unfitted(model, parameters, seed).fit(X, y, sample_weight=weight)
+        candidate = _fit(_unfitted(model, parameters, seed), X, y, weight)
         loss = 0.0 if X_check is None else _loss(candidate, X_check, validation[1], np.unique(y))
         if best is None or loss < best[0]:
             best = loss, candidate, parameters
@@ -77,6 +79,13 @@ def tune(
         parameters=best[2],
         importance=dict(zip(names, shares.tolist(), strict=False)),
     )
+
+
+def _fit(model: Any, X: Array, y: NDArray[np.int64], weight: Array) -> Any:
+    with warnings.catch_warnings():
+        # Where Newton's search along a line ends early, the library goes on with L-BFGS by itself, and says so.
+        warnings.filterwarnings("ignore", "Line search of Newton solver", ConvergenceWarning)
+        return model.fit(X, y, sample_weight=weight)
 
 
 def _loss(model: Any, X: Array, y: NDArray[np.int64], classes: NDArray[np.int64]) -> float:
