@@ -133,18 +133,14 @@ def _stable(reliability: pd.DataFrame) -> list[dict[str, object]]:
 
 
 def _families(importances: pd.DataFrame, settings: StudySettings) -> list[dict[str, object]]:
-    part = importances[
-        (importances["task"] == "0 vs 2")
-        & (importances["trained_on"] == settings.reference)
-        & (importances["selection"] == settings.selections[0])
-    ]
+    part = importances[(importances["task"] == "0 vs 2") & (importances["trained_on"] == settings.reference)]
     rows = []
-    for model, of_model in part.groupby("model", sort=False):
+    for (model, selection), of_model in part.groupby(["model", "selection"], sort=False):
         ours = of_model["feature"].str.split("_").str[0].isin(_FAMILIES)
         shares = (of_model["share"] * ours).groupby(of_model["repeat"]).sum()
         low, high = np.percentile(shares, (2.5, 97.5))
         found = float(shares.mean()), float(low), float(high)
-        measure = f"share of GLCM and GLSZM in the importance of {model}; interval over the splits"
+        measure = f"share of GLCM and GLSZM in the importance of {_arm(model, selection)}; interval over the splits"
         rows.append(_row("The most important features are of GLCM and GLSZM", measure, found, 0.5))
     return rows
 
@@ -172,7 +168,7 @@ def _between(predictions: pd.DataFrame, settings: StudySettings) -> list[dict[st
 
 def _performance(scores: pd.DataFrame, settings: StudySettings) -> list[dict[str, object]]:
     part = scores[(scores["task"] == "0 vs 2") & (scores["scenario"] == "within")]
-    part = part[(part["selection"] == settings.selections[0]) & part["model"].isin(settings.models)]
+    part = part[part["selection"].isin(settings.selections) & part["model"].isin(settings.models)]
     rows = []
     for line in part.to_dict("records"):
         claim = "Within a protocol, grades 0 and 2 are told apart well"
@@ -180,7 +176,8 @@ def _performance(scores: pd.DataFrame, settings: StudySettings) -> list[dict[str
             claim = f"Logistic regression is strong with few features (at most {settings.most_features})"
         for metric in _ASKED:
             found = (line[metric], line[f"{metric}_low"], line[f"{metric}_high"])
-            rows.append(_row(claim, f"{METRICS[metric]} of {line['model']}, 0 vs 2 (paper: 0.92)", found, _HIGH))
+            arm = _arm(line["model"], line["selection"])
+            rows.append(_row(claim, f"{METRICS[metric]} of {arm}, 0 vs 2 (paper: 0.92)", found, _HIGH))
     return rows
 
 
@@ -195,10 +192,15 @@ def _changes(differences: pd.DataFrame, settings: StudySettings) -> list[dict[st
             (differences["comparison"] == comparison)
             & (differences["task"] == next(iter(TASKS)))
             & differences["metric"].isin(_ASKED)
-            & (differences["selection"] == settings.selections[0])
+            & differences["selection"].isin(settings.selections)
         ]
         for line in part.to_dict("records"):
             on = line["tested_on"].replace("_", " ")
-            measure = f"{METRICS[line['metric']]}, {comparison}, {line['model']}, {on}"
+            arm = _arm(line["model"], line["selection"])
+            measure = f"{METRICS[line['metric']]}, {comparison}, {arm}, {on}"
             rows.append(_row(claim, measure, (line["difference"], line["low"], line["high"]), 0.0, side))
     return rows
+
+
+def _arm(model: str, selection: str) -> str:
+    return f"{model} on {selection}"
