@@ -21,6 +21,8 @@ from .checks import InputError
 from .parallel import WorkersLostError, one_thread
 
 _REACH_SECONDS = 5
+# Workers that have been killed are back only when they have loaded everything again.
+_WORKERS_SECONDS = 30
 # A worker with several threads must not work on two knees at once: what limits threads is of the whole process.
 _ALONE = threading.Lock()
 
@@ -32,7 +34,7 @@ def require_workers(address: str, modules: tuple[str, ...] = ()) -> None:
     """
     with _connected(address) as client:
         try:
-            client.wait_for_workers(1, timeout=_REACH_SECONDS)
+            client.wait_for_workers(1, timeout=_WORKERS_SECONDS)
             found = set(client.run(_version).values())
             lacking = sorted(set().union(*client.run(_lacking, modules).values()))
         except TimeoutError:

@@ -82,8 +82,11 @@ def test_a_refusal_by_a_worker_arrives_as_it_is(cluster):
         ordered_map(refuse, [0], shared={}, scheduler=cluster.scheduler_address)
 
 
-def test_a_scheduler_without_workers_is_refused():
+def test_a_scheduler_without_workers_is_refused(monkeypatch):
     distributed = pytest.importorskip("distributed")
+    from pssf import cluster as module
+
+    monkeypatch.setattr(module, "_WORKERS_SECONDS", 2)
     with (
         distributed.LocalCluster(n_workers=0, dashboard_address=None) as empty,
         pytest.raises(pssf.InputError, match="has no workers; allowed: one or more"),

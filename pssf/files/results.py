@@ -44,10 +44,20 @@ def load_table(path: Path, text_columns: tuple[str, ...] = ()) -> "pd.DataFrame 
 
 
 def load_typed_table(path: Path) -> "pd.DataFrame":
-    """A CSV of `save_table` with the kinds of its columns guessed, floats bit for bit."""
+    """A CSV of `save_table`; a column is of whole numbers, else of floats, bit for bit, else of text."""
     import pandas as pd
 
-    return pd.read_csv(path, float_precision="round_trip")
+    table = pd.read_csv(path, dtype=str, keep_default_na=False)
+    return table.apply(_typed)
+
+
+def _typed(column: "pd.Series") -> "pd.Series":
+    for kind, empty in (("int64", ""), ("float64", "nan")):
+        try:
+            return column.replace("", empty).astype(kind)
+        except ValueError:
+            pass
+    return column
 
 
 def load_json(path: Path) -> Any:
