@@ -82,8 +82,8 @@ def test_claims_follow_what_is_in_the_tables():
     assert verdicts(found, "The most important") == {"holds"}
     strong = found[found["claim"].str.startswith("Logistic regression is strong")].set_index("measure")["verdict"]
     assert strong.to_dict() == {
-        "AUC of lr on l1, 0 vs 2 (paper: 0.92)": "holds",
-        "Balanced accuracy of lr on l1, 0 vs 2 (paper: 0.92)": "does not hold",
+        "AUC, 0 vs 2, Logistic regression, L1 (paper: 0.92)": "holds",
+        "Balanced accuracy, 0 vs 2, Logistic regression, L1 (paper: 0.92)": "does not hold",
     }
     assert len(found[found["claim"].str.startswith("Another protocol")]) == 2
     assert verdicts(found, "Another protocol") == {"holds"}

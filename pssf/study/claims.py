@@ -10,8 +10,10 @@ import pandas as pd
 from ..checks import Array
 from . import StudySettings
 from .metrics import METRICS
+from .models import MODELS
 from .reliability import ICC_FORMS, THRESHOLD
 from .scenarios import TASKS
+from .selection import SELECTIONS
 
 Found = tuple[float, float, float]  # value, and the ends of its interval
 COLUMNS = ["claim", "measure", "value", "low", "high", "bound", "verdict"]
@@ -54,7 +56,8 @@ def claims(
         *_performance(tables["scores"], settings),
         *_changes(tables["differences"], settings),
     ]
-    return pd.DataFrame(rows, columns=COLUMNS)
+    order = {claim: place for place, claim in enumerate(dict.fromkeys(str(row["claim"]) for row in rows))}
+    return pd.DataFrame(sorted(rows, key=lambda row: order[str(row["claim"])]), columns=COLUMNS)
 
 
 def verdict(low: float, high: float, bound: float, side: int = +1) -> str:
@@ -150,18 +153,18 @@ def _between(predictions: pd.DataFrame, settings: StudySettings) -> list[dict[st
     part = part[(part["model"] == settings.models[0]) & (part["selection"] == settings.selections[0])]
     if part.empty:
         return []
-    model, grade = settings.models[0], part["truth"].to_numpy(int)
+    arm, grade = _arm(settings.models[0], settings.selections[0]), part["truth"].to_numpy(int)
     weights = _weights(part.assign(grade=grade), settings)
     score = (part["p1"] + 2 * part["p2"]).to_numpy(float)
     with np.errstate(invalid="ignore"):
         means = [(weights @ (score * (grade == k))) / (weights @ (grade == k)) for k in range(3)]
     rows = []
     for upper in (1, 2):
-        measure = f"predicted grade of grade {upper} less that of {upper - 1}, {model}"
+        measure = f"predicted grade of grade {upper} less that of {upper - 1}, {arm}"
         rows.append(_row("Grade 1 lies in between", measure, _interval(means[upper] - means[upper - 1]), 0.0))
     off = np.abs(part[["p0", "p1", "p2"]].to_numpy().argmax(axis=1) - grade)
     spared = (weights @ ((off == 1) * 1.0 - (off == 2))) / weights.sum(axis=1)
-    measure = f"share confused by one grade less share confused by two, {model}"
+    measure = f"share confused by one grade less share confused by two, {arm}"
     rows.append(_row("The extreme grades are seldom confused", measure, _interval(spared), 0.0))
     return rows
 
@@ -177,7 +180,7 @@ def _performance(scores: pd.DataFrame, settings: StudySettings) -> list[dict[str
         for metric in _ASKED:
             found = (line[metric], line[f"{metric}_low"], line[f"{metric}_high"])
             arm = _arm(line["model"], line["selection"])
-            rows.append(_row(claim, f"{METRICS[metric]} of {arm}, 0 vs 2 (paper: 0.92)", found, _HIGH))
+            rows.append(_row(claim, f"{METRICS[metric]}, 0 vs 2, {arm} (paper: 0.92)", found, _HIGH))
     return rows
 
 
@@ -203,4 +206,4 @@ def _changes(differences: pd.DataFrame, settings: StudySettings) -> list[dict[st
 
 
 def _arm(model: str, selection: str) -> str:
-    return f"{model} on {selection}"
+    return f"{MODELS[model]}, {SELECTIONS[selection]}"
