@@ -9,6 +9,7 @@ from sklearn.linear_model import LogisticRegression
 
 from ..checks import Array
 from .metrics import confusion
+from .models import fitted
 from .scenarios import ARM, TASKS, truth_and_probability
 
 _BINS = 10
@@ -78,5 +79,5 @@ def _line(truth: NDArray[np.int64], probability: Array) -> tuple[float, float]:
     one, zero = logit[truth == 1], logit[truth == 0]
     if not len(one) or not len(zero) or np.ptp(logit) < 1e-9 or one.min() >= zero.max() or zero.min() >= one.max():
         return float("nan"), float("nan")
-    model = LogisticRegression(C=np.inf, solver="newton-cholesky", tol=1e-10).fit(logit[:, None], truth)
+    model = fitted(LogisticRegression(C=np.inf, solver="newton-cholesky", tol=1e-10), logit[:, None], truth)
     return float(model.coef_[0, 0]), float(model.intercept_[0])

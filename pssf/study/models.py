@@ -67,7 +67,7 @@ def tune(
     weight = np.ones(len(y)) if model == "chance" else compute_sample_weight("balanced", y)
     best: tuple[float, Any, dict[str, Any]] | None = None
     for parameters in _GRIDS[model]:
-        candidate = _fit(_unfitted(model, parameters, seed), X, y, weight)
+        candidate = fitted(_unfitted(model, parameters, seed), X, y, weight)
         loss = 0.0 if X_check is None else _loss(candidate, X_check, validation[1], np.unique(y))
         if best is None or loss < best[0]:
             best = loss, candidate, parameters
@@ -81,7 +81,8 @@ def tune(
     )
 
 
-def _fit(model: Any, X: Array, y: NDArray[np.int64], weight: Array) -> Any:
+def fitted(model: Any, X: Array, y: NDArray[np.int64], weight: Array | None = None) -> Any:
+    """The model, fitted, without a word about which of its solvers found the optimum."""
     with warnings.catch_warnings():
         # Where Newton's search along a line ends early, the library goes on with L-BFGS by itself, and says so.
         warnings.filterwarnings("ignore", "Line search of Newton solver", ConvergenceWarning)
