@@ -20,6 +20,7 @@ from numpy.testing import assert_allclose
 
 import pssf
 from pssf.accuracy.solids import polyhedron_chords
+from pssf.anatomy.solids import mesh_of, solid_of
 from pssf.detector.materials import _recipe, attenuation_per_mm
 from pssf.detector.spectrum import beam_for
 from pssf.geometry import view_of
@@ -187,7 +188,9 @@ def test_gvxr_sees_the_same_bone_but_for_the_bend_of_its_triangles(knee_scene, n
 
 
 def test_gvxr_draws_nearer_with_the_square_of_its_edges(knee_scene):
-    mesh = bone(knee_scene, "femur")
+    whole = bone(knee_scene, "femur")
+    # With triangles long enough for the bend to stand above rounding.
+    mesh = mesh_of(solid_of(np.array(whole.vertices), np.array(whole.faces), "femur").simplify(0.2))
     ours = ours_mm(mesh)
     off = [np.percentile(abs(theirs_mm(halved(mesh, times)) - ours)[ours > 0], 99.9) for times in range(4)]
     assert 0.1 < off[0] < bend_mm(mesh)
@@ -234,7 +237,8 @@ def test_gvxr_makes_the_same_polychromatic_image_of_the_knee(knee_scene):
         gvxr.addEnergyBinToSpectrum(float(energy), "keV", float(count))
     gvxr.disableArtefactFiltering()
     exponent = np.zeros((VIEW.rows, VIEW.cols, len(photons)))
-    for material, lengths in pssf.trace(knee_scene, VIEW, engine="scanline").path_mm.items():
+    # Without trabeculae, for gvxr has no density that varies.
+    for material, lengths in pssf.trace(knee_scene, VIEW, engine="scanline", texture=False).path_mm.items():
         # Edges halved twice: the bend of the largest triangles would be 1 % of the image.
         put(material, halved(part(knee_scene, material), 2), material)
         exponent -= lengths[..., None] * attenuation_per_mm(material, beam.energies_kev)
@@ -245,4 +249,8 @@ def test_gvxr_makes_the_same_polychromatic_image_of_the_knee(knee_scene):
     # On llvmpipe 6e-8 at half the pixels, 3e-5 at 99 %, 3e-4 at 99.9 %, and 5e-3 at the worst, which is a rim.
     assert np.percentile(difference, 50) < 1e-6
     assert np.percentile(difference, 99.9) < 1e-3
-    assert difference.max() < 0.02
+    # A rim is at most RIM_MM of the densest material off (see above); its energies are those that come through.
+    energy = float((photons * beam.energies_kev).sum())
+    rim = np.expm1(RIM_MM * attenuation_per_mm("cortical_bone", np.array([energy]))[0])
+    assert 0.02 < rim < 0.2
+    assert difference.max() < rim

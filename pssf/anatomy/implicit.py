@@ -160,6 +160,7 @@ def _unfolded(places: Array, faces: Array, free: NDArray[np.bool_], field: Field
         for _ in range(2):
             around[edges[around[edges].any(axis=1)]] = True
         around &= free
+        used = used[around[used].any(axis=1)]  # the others have been found to face outwards, and stay
         ends = both[around[both[:, 0]]]
         count = np.bincount(ends[:, 0], minlength=len(places))[around, None]
         for _ in range(_FLATTENINGS):
