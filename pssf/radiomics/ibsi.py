@@ -1,6 +1,7 @@
 """Which feature of the Image Biomarker Standardisation Initiative a feature is, and where it departs from it."""
 
 from ..files import tables
+from .features import family
 
 
 def tag_of(name: str) -> str:
@@ -8,17 +9,15 @@ def tag_of(name: str) -> str:
 
     name  as `features.extract` gives it
     """
-    family, short = _parts(name)
-    return str(tables.data("ibsi").get(family, {}).get(short, ""))
+    return str(tables.data("ibsi").get(family(name), {}).get(_short(name), ""))
 
 
 def departure_of(name: str) -> str:
     """How a feature departs from the initiative's definition, or that it is not theirs; "" where it does not."""
-    family, short = _parts(name)
     told = tables.data("ibsi")["departures"]
-    return str(told.get(f"{family}_{short}", told.get(family, "")))
+    return str(told.get(f"{family(name)}_{_short(name)}", told.get(family(name), "")))
 
 
-def _parts(name: str) -> tuple[str, str]:
-    """Family and the feature's own name, without the image that it is of."""
-    return name.split("_", 1)[0], name.rsplit("_", 1)[1]
+def _short(name: str) -> str:
+    """The feature's own name, without family and the image that it is of."""
+    return name.rsplit("_", 1)[1]

@@ -172,20 +172,10 @@ def run(
     raises       InputError for a manifest that lacks a column or has too few subjects, or a missing library
     """
     require_extra()
-    from .pipeline import run_study
+    from .pipeline import Run, run_study
 
-    return run_study(
-        manifest,
-        load_pixels,
-        template,
-        settings,
-        out,
-        again=again,
-        meter=meter or Meter(),
-        workers=workers,
-        scheduler=scheduler,
-        progress=progress or _silent,
-    )
+    how = Run(load_pixels, template, settings, out, meter or Meter(), workers, scheduler, progress or _silent)
+    return run_study(how, manifest, again)
 
 
 def measure(
@@ -205,8 +195,8 @@ def measure(
     require_extra()
     from .pipeline import Run, measured
 
-    run_of = Run(load_pixels, template, settings, out, meter or Meter(), workers, scheduler, progress or _silent)
-    measured(run_of, manifest, again)
+    how = Run(load_pixels, template, settings, out, meter or Meter(), workers, scheduler, progress or _silent)
+    measured(how, manifest, again)
     return out / "features.csv"
 
 

@@ -9,7 +9,8 @@ import pandas as pd
 
 from ..checks import Array
 from . import StudySettings
-from .metrics import METRICS
+from .intervals import draws
+from .metrics import METRICS, percentiles
 from .models import MODELS
 from .reliability import ICC_FORMS, THRESHOLD
 from .scenarios import TASKS
@@ -88,23 +89,15 @@ def _trends(usable: pd.DataFrame, settings: StudySettings) -> list[dict[str, obj
 
 
 def _weights(table: pd.DataFrame, settings: StudySettings) -> Array:
-    """(1 + replicates, rows)  how often each row is in a sample of as many subjects of each grade, the highest of their
-    knees, drawn with replacement; in the first each is once"""
-    rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(_STREAM,)))
+    """(1 + replicates, rows)  how often each row is in a sample of the subjects; in the first each is once"""
     worst = table.groupby("subject")["grade"].max()
-    drawn = np.ones((1 + settings.replicates, len(worst)))
-    for grade in sorted(set(worst)):
-        members = np.flatnonzero(worst == grade)
-        share = np.full(len(members), 1 / len(members))
-        drawn[1:, members] = rng.multinomial(len(members), share, settings.replicates)
-    return drawn[:, worst.index.get_indexer(table["subject"])]
+    drawn = draws(worst, replicates=settings.replicates, seed=settings.seed, stream=_STREAM)
+    return drawn[worst.index.get_indexer(table["subject"])].T
 
 
 def _interval(replicates: Array) -> Found:
     """The first of a statistic's replicates, and the 2.5th and 97.5th percentile of the others."""
-    known = replicates[1:][np.isfinite(replicates[1:])]
-    low, high = np.percentile(known, (2.5, 97.5)) if len(known) else (np.nan, np.nan)
-    return float(replicates[0]), float(low), float(high)
+    return float(replicates[0]), *percentiles(replicates[1:])
 
 
 def spearman(one: Array, other: Array, weights: Array) -> Array:

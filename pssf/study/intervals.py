@@ -65,17 +65,26 @@ def subject_weights(predictions: pd.DataFrame, *, replicates: int, seed: int) ->
 
     Drawn within the subject's grade, the highest of its knees, so that the share of each grade stays.
     """
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAM,)))
     grades = predictions["truth"].astype(int).copy()
     for task, of_task in TASKS.items():
         rows = predictions["task"] == task
         grades[rows] = np.array(of_task)[grades[rows]]
     worst = grades.groupby(predictions["subject"]).max()
+    return pd.DataFrame(draws(worst, replicates=replicates, seed=seed, stream=_STREAM), index=worst.index)
+
+
+def draws(worst: pd.Series, *, replicates: int, seed: int, stream: int) -> Array:
+    """(subjects, 1 + replicates)  how often each subject is in a sample drawn within grades; ones in the first column
+
+    worst   grade of each subject
+    stream  key of the chance, beside the others of a seed
+    """
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(stream,)))
     weights = np.ones((len(worst), 1 + replicates))
     for grade in sorted(set(worst)):
         members = np.flatnonzero(worst == grade)
         weights[members, 1:] = rng.multinomial(len(members), np.full(len(members), 1 / len(members)), replicates).T
-    return pd.DataFrame(weights, index=worst.index)
+    return weights
 
 
 def intervals(replicates: Replicates) -> pd.DataFrame:

@@ -53,21 +53,9 @@ class Run:
     tell: Progress
 
 
-def run_study(
-    manifest: pd.DataFrame,
-    load_pixels: Load,
-    template: Template,
-    settings: StudySettings,
-    out: Path,
-    *,
-    again: pd.DataFrame | None,
-    meter: Meter,
-    workers: int,
-    scheduler: str | None,
-    progress: Progress,
-) -> StudyResult:
+def run_study(run: Run, manifest: pd.DataFrame, again: pd.DataFrame | None) -> StudyResult:
     """See `pssf.study.run`."""
-    run = Run(load_pixels, template, settings, out, meter, workers, scheduler, progress)
+    settings, meter = run.settings, run.meter
     table, names, work = measured(run, manifest, again)
     located = localisation.errors(with_measures(table[table["kind"] == ""]))
     repeated = table[(table["kind"] != "") & (table["status"] == "found")]
@@ -82,12 +70,12 @@ def run_study(
     with meter.stage("reliability and figures"):
         tables = tables_of_features(located, repeated, names, settings) | tables
         tables |= tables_of_truth(manifest, usable, names, predictions, settings)
-        pictures = gallery(located, load_pixels, settings, predictions, tables)
+        pictures = gallery(located, run.load_pixels, settings, predictions, tables)
     with meter.stage("claims"):
         importances = joined([outcome.importances for outcome in outcomes])
         tables["claims"] = claims(usable, predictions, importances, tables, settings)
     findings = _findings(run, located, names, tables, outcomes, pictures, work)
-    return _write(out, findings, tables | {"predictions": predictions}, outcomes)
+    return _write(run.out, findings, tables | {"predictions": predictions}, outcomes)
 
 
 def check_manifest(manifest: pd.DataFrame, settings: StudySettings) -> None:

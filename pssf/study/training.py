@@ -70,11 +70,15 @@ def one_job(job: Job, *, table: pd.DataFrame, names: list[str], settings: StudyS
 
 def share_of(table: pd.DataFrame, share: float) -> list[int]:
     """The first subjects of each grade, the highest of their knees; a share of them, rounded down."""
-    worst = table.groupby("subject")["grade"].max()
+    worst = _worst(table)
     return [s for _, members in worst.groupby(worst) for s in members.index[: int(share * len(members))]]
 
 
 def fewest(table: pd.DataFrame, share: float) -> int:
     """Subjects of the rarest grade in a share of them."""
-    worst = table.groupby("subject")["grade"].max()
-    return int(share * worst.value_counts().min())
+    return int(share * _worst(table).value_counts().min())
+
+
+def _worst(table: pd.DataFrame) -> pd.Series:
+    """subject -> the highest grade of its knees"""
+    return table.groupby("subject")["grade"].max()
