@@ -6,6 +6,7 @@ What a killed worker had in hand, Dask gives to another; it gives up on work und
 import pickle
 import re
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
@@ -23,6 +24,7 @@ from .parallel import WorkersLostError, one_thread
 _REACH_SECONDS = 5
 # Workers that have been killed are back only when they have loaded everything again.
 _WORKERS_SECONDS = 30
+_AGAIN_SECONDS = 0.2
 # A worker with several threads must not work on two knees at once: what limits threads is of the whole process.
 _ALONE = threading.Lock()
 
@@ -33,19 +35,21 @@ def require_workers(address: str, modules: tuple[str, ...] = ()) -> None:
     raises  InputError
     """
     with _connected(address) as client:
-        try:
-            client.wait_for_workers(1, timeout=_WORKERS_SECONDS)
-            found = set(client.run(_version).values())
-            lacking = sorted(set().union(*client.run(_lacking, modules).values()))
-        except TimeoutError:
-            raise InputError(f"scheduler = {address!r} has no workers; allowed: one or more") from None
-        except ModuleNotFoundError as error:
-            raise InputError(f"scheduler = {address!r}: a worker has {error}; allowed: pssf on every worker") from None
-    if found != {_version()}:
+        answers = _answers(client, modules)
+    if not answers:
+        raise InputError(f"scheduler = {address!r} has no workers; allowed: one or more")
+    for answer in answers:
+        if isinstance(answer, ModuleNotFoundError):
+            raise InputError(f"scheduler = {address!r}: a worker has {answer}; allowed: pssf on every worker")
+        if isinstance(answer, Exception):
+            raise answer
+    here = version("pssf")
+    found, lacking = {found for found, _ in answers}, set().union(*(lacking for _, lacking in answers))
+    if found != {here}:
         told = ", ".join(sorted(found))
-        raise InputError(f"scheduler = {address!r}: workers have pssf {told}; allowed: {_version()}, as here")
+        raise InputError(f"scheduler = {address!r}: workers have pssf {told}; allowed: {here}, as here")
     if lacking:
-        told = ", ".join(lacking)
+        told = ", ".join(sorted(lacking))
         raise InputError(f"scheduler = {address!r}: a worker lacks {told}; allowed: the extra study on every worker")
 
 
@@ -90,12 +94,26 @@ def _connected(address: str) -> Iterator[Client]:
         yield client
 
 
-def _version() -> str:
-    return version("pssf")
+def _answers(client: Client, modules: tuple[str, ...]) -> list[Any]:
+    """What every worker says of itself; nothing when there has been none that answers for _WORKERS_SECONDS."""
+    ends = time.monotonic() + _WORKERS_SECONDS
+    while (left := ends - time.monotonic()) > 0:
+        try:
+            client.wait_for_workers(1, timeout=left)
+        except TimeoutError:
+            break
+        told = client.run(_about, modules, on_error="return").values()
+        # One that dies as it is asked is seldom the last: whatever started it starts another.
+        answers = [answer for answer in told if not isinstance(answer, CommClosedError)]
+        if answers:
+            return answers
+        time.sleep(_AGAIN_SECONDS)
+    return []
 
 
-def _lacking(modules: tuple[str, ...]) -> list[str]:
-    return [name for name in modules if find_spec(name) is None]
+def _about(modules: tuple[str, ...]) -> tuple[str, list[str]]:
+    """Version of this package at a worker, and what it lacks of the modules."""
+    return version("pssf"), [name for name in modules if find_spec(name) is None]
 
 
 def _call(item: bytes, function: Callable[..., Any], shared: bytes) -> Any:
