@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from .radiomics.region import Template
 
+_TEMPLATES_JSW_MM = (5.0, 3.5, 2.0)  # from a healthy joint to one narrower than any of the grades'
 # Shows a stage: its name and total give a context that yields what counts it.
 Bar = Callable[[str, int], AbstractContextManager[Pace]]
 
@@ -116,9 +117,9 @@ def measure_experiment(experiment: Experiment, crew: Crew) -> Path:
 
 def _given(experiment: Experiment, crew: Crew) -> tuple[Any, ...]:
     with crew.meter.stage("template"):
-        template = standard_template(experiment.engine)
+        templates = standard_templates(experiment.engine)
     load_pixels = partial(_pixels, experiment.out.absolute())
-    return experiment.manifest, load_pixels, template, experiment.settings, experiment.out
+    return experiment.manifest, load_pixels, templates, experiment.settings, experiment.out
 
 
 def _how(experiment: Experiment, crew: Crew, stack: ExitStack) -> dict[str, Any]:
@@ -126,15 +127,22 @@ def _how(experiment: Experiment, crew: Crew, stack: ExitStack) -> dict[str, Any]
     return {"again": experiment.again, "progress": _stages(stack, crew.bar), **who}
 
 
-def standard_template(engine: str = "embree") -> "Template":
-    """The standard knee without noise under the protocol `reference`, which regions are looked for with."""
+def standard_templates(engine: str = "embree") -> "tuple[Template, ...]":
+    """The standard knee, and the same with narrower medial joint spaces, which regions are looked for with.
+
+    Without noise, under the protocol `reference`.
+    """
     from .radiomics.region import Template  # needs the extra `study`
 
     protocol = load_protocol("reference")
-    radiograph = simulate(Knee(), protocol, engine=engine, keep=("noise_free",))
-    assert radiograph.truth is not None
-    row, col = radiograph.truth.medial_joint_line_px
-    return Template(pixels=radiograph.kept["noise_free"], row=row, col=col, pixel_mm=protocol.pixel_mm)
+
+    def template(knee: Knee) -> Template:
+        radiograph = simulate(knee, protocol, engine=engine, keep=("noise_free",))
+        assert radiograph.truth is not None
+        row, col = radiograph.truth.medial_joint_line_px
+        return Template(pixels=radiograph.kept["noise_free"], row=row, col=col, pixel_mm=protocol.pixel_mm)
+
+    return tuple(template(Knee(jsw_medial_mm=jsw)) for jsw in _TEMPLATES_JSW_MM)
 
 
 def _made(plan: Plan, folder: Path, what: str, engine: str, crew: Crew, made: Callable[[int], None]) -> Path:

@@ -132,7 +132,7 @@ def test_a_scheduler_that_does_not_answer_is_told_in_one_line_and_nothing_is_lef
 
 
 def test_regions_are_measured_on_the_cluster_as_they_are_here(cluster):
-    how = {"load_pixels": load_phantom, "template": TEMPLATE, "how": How(region_px=96)}
+    how = {"load_pixels": load_phantom, "templates": [TEMPLATE], "how": How(region_px=96)}
     there, _ = extract_all(jobs(3), scheduler=cluster.scheduler_address, **how)
     here, _ = extract_all(jobs(3), **how)
     assert there == here

@@ -21,14 +21,17 @@ PIXEL_MM = 0.5
 SHAPE = (320, 320)
 
 
-def phantom(row: float, col: float, side: str = "right", scale: float = 1.0, noise: float = 0.0, seed: int = 0):
-    """(320, 320) uint16: two blocks of bone, the medial one's gap at (row, col), in a limb with air beside it."""
+def phantom(row, col, side="right", scale=1.0, noise=0.0, seed=0, tibia_mm=2.5):
+    """(320, 320) uint16: two blocks of bone, the medial one's gap at (row, col), in a limb with air beside it.
+
+    The femur begins 2.5 mm above that row, the tibia `tibia_mm` below.
+    """
     rows, cols = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
     medial = (cols - col) * (1 if side == "right" else -1) * PIXEL_MM / scale  # mm, 0 in the medial gap
     up = (row - rows) * PIXEL_MM / scale
     limb = np.clip(1 - ((medial + 20) / 62) ** 2, 0, None)
     width = 17 - 0.12 * np.abs(up)
-    bone = (np.abs(medial + 20) < 20 + width) & (np.abs(up) > 2.5 + 0.08 * np.abs(medial))
+    bone = (np.abs(medial + 20) < 20 + width) & (np.abs(up) > np.where(up > 0, 2.5, tibia_mm) + 0.08 * np.abs(medial))
     notch = (np.abs(medial + 20) < 7) & (up > 0) & (up < 16)
     fibula = (np.abs(medial + 58) < 6) & (up < -12)
     path = 2.2 * limb + 0.7 * gaussian_filter((bone & ~notch).astype(float), 0.8) + 0.4 * fibula
@@ -54,7 +57,7 @@ TEMPLATE = Template(pixels=phantom(160, 180), row=160, col=180, pixel_mm=PIXEL_M
     noise=st.sampled_from([0.0, 1.0]),
 )
 def test_a_shifted_joint_is_found_to_within_a_pixel_on_either_side(row, col, side, noise):
-    joint = find_joint(phantom(row, col, side, noise=noise), TEMPLATE, side=side, pixel_mm=PIXEL_MM, region_px=64)
+    joint = find_joint(phantom(row, col, side, noise=noise), [TEMPLATE], side=side, pixel_mm=PIXEL_MM, region_px=64)
     assert joint.status == "found"
     assert abs(joint.row - row) < 1
     assert abs(joint.col - col) < 1
@@ -62,23 +65,39 @@ def test_a_shifted_joint_is_found_to_within_a_pixel_on_either_side(row, col, sid
 
 @pytest.mark.parametrize("scale", [0.85, 1.1])
 def test_a_larger_or_smaller_knee_is_found(scale):
-    joint = find_joint(phantom(150, 170, scale=scale), TEMPLATE, side="right", pixel_mm=PIXEL_MM, region_px=64)
+    joint = find_joint(phantom(150, 170, scale=scale), [TEMPLATE], side="right", pixel_mm=PIXEL_MM, region_px=64)
     assert np.hypot(joint.row - 150, joint.col - 170) < 3
     assert abs(joint.scale - scale) < 0.06
 
 
+def test_the_middle_of_a_narrow_joint_space_is_found_by_the_template_of_one():
+    tibia_mm = 0.0
+    narrow = phantom(160, 180, tibia_mm=tibia_mm)
+    middle = 160 + (tibia_mm - 2.5) / 2 / PIXEL_MM
+    narrow_template = Template(pixels=narrow, row=middle, col=180, pixel_mm=PIXEL_MM)
+    image = phantom(150, 170, noise=1.0, tibia_mm=tibia_mm)
+    by_one, by_two = (
+        find_joint(image, templates, side="right", pixel_mm=PIXEL_MM, region_px=64)
+        for templates in ([TEMPLATE], [TEMPLATE, narrow_template])
+    )
+    assert abs(by_two.row - (middle - 10)) < 0.3
+    assert abs(by_one.row - (middle - 10)) > 0.6
+    wide = find_joint(phantom(150, 170), [TEMPLATE, narrow_template], side="right", pixel_mm=PIXEL_MM, region_px=64)
+    assert abs(wide.row - 150) < 0.3
+
+
 def test_a_match_against_noise_is_refused_and_so_is_a_region_that_leaves_the_image():
     noise = np.random.default_rng(0).integers(1000, 2000, SHAPE).astype(np.uint16)
-    assert find_joint(noise, TEMPLATE, side="right", pixel_mm=PIXEL_MM, region_px=64).status == "low score"
+    assert find_joint(noise, [TEMPLATE], side="right", pixel_mm=PIXEL_MM, region_px=64).status == "low score"
     image = phantom(160, 170)
-    assert find_joint(image, TEMPLATE, side="right", pixel_mm=PIXEL_MM, region_px=400).status == "leaves image"
+    assert find_joint(image, [TEMPLATE], side="right", pixel_mm=PIXEL_MM, region_px=400).status == "leaves image"
 
 
 def test_an_image_too_small_for_a_knee_and_an_unknown_side_are_refused():
     with pytest.raises(InputError, match="holds a knee joint"):
-        find_joint(np.ones((20, 20), np.uint16), TEMPLATE, side="right", pixel_mm=PIXEL_MM)
+        find_joint(np.ones((20, 20), np.uint16), [TEMPLATE], side="right", pixel_mm=PIXEL_MM)
     with pytest.raises(InputError, match="side"):
-        find_joint(phantom(160, 180), TEMPLATE, side="up", pixel_mm=PIXEL_MM)
+        find_joint(phantom(160, 180), [TEMPLATE], side="up", pixel_mm=PIXEL_MM)
 
 
 @given(row=st.floats(8, 24), col=st.floats(8, 24))
@@ -162,7 +181,7 @@ def jobs(count: int) -> list[Job]:
 
 
 def test_features_are_the_same_for_one_worker_and_two():
-    measure = partial(extract_all, jobs(4), load_pixels=load_phantom, template=TEMPLATE, how=How(region_px=96))
+    measure = partial(extract_all, jobs(4), load_pixels=load_phantom, templates=[TEMPLATE], how=How(region_px=96))
     (one, _), (two, _) = measure(workers=1), measure(workers=2)
     assert [record["radiograph"] for record in two] == ["r0", "r1", "r2", "r3"]
     assert one == two
@@ -176,26 +195,28 @@ def test_what_is_measured_already_is_kept_until_its_settings_change():
         return load_phantom(file)
 
     saved: list[list[dict]] = []
-    first, _ = extract_all(jobs(3)[:2], load_pixels=load, template=TEMPLATE, how=How(region_px=96), save=saved.append)
+    first, _ = extract_all(
+        jobs(3)[:2], load_pixels=load, templates=[TEMPLATE], how=How(region_px=96), save=saved.append
+    )
     assert saved[-1] == first
     known = {record["sha256"]: record for record in first}
     loaded.clear()
-    again, _ = extract_all(jobs(3), load_pixels=load, template=TEMPLATE, how=How(region_px=96), known=known)
+    again, _ = extract_all(jobs(3), load_pixels=load, templates=[TEMPLATE], how=How(region_px=96), known=known)
     assert loaded == [jobs(3)[2].file]
     assert again[:2] == first
     loaded.clear()
-    extract_all(jobs(2), load_pixels=load, template=TEMPLATE, how=How(region_px=96, bins=32), known=known)
+    extract_all(jobs(2), load_pixels=load, templates=[TEMPLATE], how=How(region_px=96, bins=32), known=known)
     assert len(loaded) == 2
 
 
 def test_the_key_of_the_settings_changes_with_the_template():
     other = Template(pixels=TEMPLATE.pixels + 1, row=160, col=180, pixel_mm=PIXEL_MM)
-    assert settings_key(TEMPLATE, How()) != settings_key(other, How())
-    assert settings_key(TEMPLATE, How()) == settings_key(TEMPLATE, How())
+    assert settings_key([TEMPLATE], How()) != settings_key([other], How())
+    assert settings_key([TEMPLATE], How()) == settings_key([TEMPLATE], How())
 
 
 def test_a_refused_match_keeps_its_place_and_has_no_features():
-    (record,), _ = extract_all(jobs(1), load_pixels=load_phantom, template=TEMPLATE, how=How(region_px=400))
+    (record,), _ = extract_all(jobs(1), load_pixels=load_phantom, templates=[TEMPLATE], how=How(region_px=400))
     assert record["status"] == "leaves image"
     assert abs(record["row_px"] - 150) < 2
     assert not any(name.startswith("glcm") for name in record)

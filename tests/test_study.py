@@ -375,7 +375,7 @@ def result(tmp_path_factory) -> study.StudyResult:
     meter = Meter()
     with meter.stage("cohort", "radiographs") as made:
         made(45)
-    return study.run(cohort().manifest, cohort().load, TEMPLATE, SMALL, out, again=again, meter=meter)
+    return study.run(cohort().manifest, cohort().load, [TEMPLATE], SMALL, out, again=again, meter=meter)
 
 
 def test_a_study_finds_the_regions_and_tells_the_grades_apart(result):
@@ -418,7 +418,7 @@ def test_a_second_run_measures_nothing_again_and_writes_the_same_bytes(result, t
         asked.append(file)
         return cohort().load(file)
 
-    again = study.run(cohort().manifest, load, TEMPLATE, SMALL, tmp_path, again=cohort().again(3))
+    again = study.run(cohort().manifest, load, [TEMPLATE], SMALL, tmp_path, again=cohort().again(3))
     assert len(asked) == 9  # the panel's
     for name, path in result.tables.items():
         assert again.tables[name].read_bytes() == path.read_bytes(), name
@@ -460,7 +460,7 @@ def test_repeats_that_cannot_serve_are_refused_by_name(tmp_path):
         (again.assign(radiograph=manifest["radiograph"].iloc[0]), "listed twice"),
     ):
         with pytest.raises(InputError, match=told):
-            study.run(manifest, cohort().load, TEMPLATE, SMALL, tmp_path, again=broken)
+            study.run(manifest, cohort().load, [TEMPLATE], SMALL, tmp_path, again=broken)
 
 
 def test_refused_regions_are_counted_and_left_out(tmp_path):
@@ -472,7 +472,7 @@ def test_refused_regions_are_counted_and_left_out(tmp_path):
             return np.random.default_rng(0).integers(900, 1100, (SIZE, SIZE)).astype(np.uint16)
         return cohort().load(file)
 
-    found = study.run(manifest, load, TEMPLATE, SMALL, tmp_path)
+    found = study.run(manifest, load, [TEMPLATE], SMALL, tmp_path)
     assert found.localisation.iloc[-1]["low_score"] == 3
     assert "14" not in set(pd.read_csv(found.tables["predictions"])["subject"].astype(str))
 
@@ -480,7 +480,7 @@ def test_refused_regions_are_counted_and_left_out(tmp_path):
 def test_a_cohort_of_one_protocol_and_two_grades_has_a_report_too(tmp_path):
     manifest = cohort().manifest
     part = manifest[(manifest["protocol"] == "reference") & (manifest["grade"] != 1)]
-    found = study.run(part, cohort().load, TEMPLATE, SMALL, tmp_path)
+    found = study.run(part, cohort().load, [TEMPLATE], SMALL, tmp_path)
     assert set(found.scores["scenario"]) == {"within"}
     assert found.reliability.empty
     page = found.report.read_text(encoding="utf-8")
@@ -496,7 +496,7 @@ def test_a_manifest_that_cannot_serve_is_refused_by_name(tmp_path):
         (pd.concat([manifest, manifest.head(1)]), "listed twice"),
     ):
         with pytest.raises(InputError, match=told):
-            study.run(broken, cohort().load, TEMPLATE, SMALL, tmp_path)
+            study.run(broken, cohort().load, [TEMPLATE], SMALL, tmp_path)
 
 
 @pytest.mark.parametrize("wrong", [{"rho": 2}, {"models": ("svm",)}, {"selections": ()}, {"repeats": 0}, {"bins": 7.5}])

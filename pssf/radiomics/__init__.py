@@ -1,6 +1,6 @@
 """From a radiograph to numbers; needs the extra `study`.
 
-region.find_joint     pixels, template      -> where the medial joint line is, and how sure that is
+region.find_joint     pixels, templates     -> where the medial joint line is, and how sure that is
 region.cut_region     pixels, row, col      -> region (size, size)
 bone.bone_mask        region                -> mask (size, size)
 features.extract      region, pixel_mm      -> feature name -> value

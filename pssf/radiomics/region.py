@@ -1,5 +1,6 @@
 """The region of interest: the medial joint line is found by template matching, as it is on a real radiograph."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -67,7 +68,7 @@ class Joint:
 
 def find_joint(
     pixels: NDArray[np.generic],
-    template: Template,
+    templates: Sequence[Template],
     *,
     side: str,
     pixel_mm: float,
@@ -77,9 +78,12 @@ def find_joint(
     """Where the medial joint line is.
 
     The logarithm of the signal is matched (Lewis 1995, normalised cross-correlation), first the whole joint at a pitch
-    of 1.2 mm over a few scales, then the medial compartment at 0.3 mm near that place, to a fraction of a pixel.
+    of 1.2 mm over a few scales, then the medial compartment at 0.3 mm near that place, to a fraction of a pixel. The
+    first template is for both; of all, whichever fits the compartment best tells its joint line, since its middle in a
+    narrow joint space is not where a wide one would have it.
 
     pixels     (rows, cols) linear; columns run to world +x, so medial is right in a right knee and left in a left one
+    templates  standard knees that differ in their joint space, the widest first
     side       right | left
     region_px  side of the region that must fit into the image around the joint line
     min_score  a wide match below it is refused
@@ -89,13 +93,13 @@ def find_joint(
     found = (-2.0, 0.0, 0.0, 1.0)
     image, step = _log_mean(pixels, _WIDE_MM / pixel_mm)
     for scale in _SCALES:
-        patch, anchor = _patch(template, side, scale, step * pixel_mm, _WIDE_EXTENT_MM)
+        patch, anchor = _patch(templates[0], side, scale, step * pixel_mm, _WIDE_EXTENT_MM)
         score, row, col = _best(image, patch, anchor)
         found = max(found, (score, row * step + (step - 1) / 2, col * step + (step - 1) / 2, scale))
     score, row, col, scale = found
     if score <= -2.0:
         raise InputError(f"image of {pixels.shape} pixels of {pixel_mm} mm; allowed: one that holds a knee joint")
-    row, col = _refine(pixels, template, side, scale, pixel_mm, row, col)
+    row, col = _refine(pixels, templates, side, scale, pixel_mm, row, col)
     status = "found" if region_fits(pixels.shape, row, col, region_px) else "leaves image"
     return Joint(row=row, col=col, score=score, scale=scale, status=status if score >= min_score else "low score")
 
@@ -124,20 +128,20 @@ def _corner(row: float, col: float, size: int) -> tuple[int, int]:
 
 def _refine(
     pixels: NDArray[np.generic],
-    template: Template,
+    templates: Sequence[Template],
     side: str,
     scale: float,
     pixel_mm: float,
     row: float,
     col: float,
 ) -> tuple[float, float]:
-    """(row, col) of the narrow match within reach of (row, col); the latter where the image has no room for it."""
+    """(row, col) of the best narrow match within reach of (row, col); the latter where the image has no room for it."""
     reach_px = (max(_NARROW_EXTENT_MM) * max(1.0, scale) + _REACH_MM) / pixel_mm
     top, left = (max(0, int(at - reach_px)) for at in (row, col))
     near = pixels[top : int(row + reach_px) + 1, left : int(col + reach_px) + 1]
     image, step = _log_mean(near, _NARROW_MM / pixel_mm)
-    patch, anchor = _patch(template, side, scale, step * pixel_mm, _NARROW_EXTENT_MM)
-    score, fine_row, fine_col = _best(image, patch, anchor)
+    patches = [_patch(template, side, scale, step * pixel_mm, _NARROW_EXTENT_MM) for template in templates]
+    score, fine_row, fine_col = max(_best(image, patch, anchor) for patch, anchor in patches)
     if score <= -2.0:
         return row, col
     return top + fine_row * step + (step - 1) / 2, left + fine_col * step + (step - 1) / 2

@@ -48,7 +48,7 @@ def extract_all(
     jobs: Sequence[Job],
     *,
     load_pixels: Load,
-    template: Template,
+    templates: Sequence[Template],
     how: How,
     workers: int = 1,
     scheduler: str | None = None,
@@ -64,7 +64,7 @@ def extract_all(
     save         is given all records so far, now and then, so that a run that breaks off can go on from there
     progress     is told how many of how many are done
     """
-    key = settings_key(template, how)
+    key = settings_key(templates, how)
     known = {sha: record for sha, record in (known or {}).items() if record.get("settings") == key}
     records: dict[int, Record] = {}
     for index, job in enumerate(jobs):
@@ -85,7 +85,7 @@ def extract_all(
             save([records[index] for index in sorted(records)])
             saved_at = perf_counter()
 
-    shared = {"load_pixels": load_pixels, "template": template, "how": how}
+    shared = {"load_pixels": load_pixels, "templates": templates, "how": how}
     todo = [jobs[index] for index in missing]
     ordered_map(measure, todo, shared=shared, workers=workers, scheduler=scheduler, arrived=arrived)
     in_order = [records[index] for index in range(len(jobs))]
@@ -94,7 +94,7 @@ def extract_all(
     return in_order, seconds
 
 
-def measure(job: Job, *, load_pixels: Load, template: Template, how: How) -> tuple[Record, dict[str, float]]:
+def measure(job: Job, *, load_pixels: Load, templates: Sequence[Template], how: How) -> tuple[Record, dict[str, float]]:
     """The record of one radiograph, and the seconds each step took.
 
     A match that is refused has its place and score in the record, and no features.
@@ -102,7 +102,7 @@ def measure(job: Job, *, load_pixels: Load, template: Template, how: How) -> tup
     began = perf_counter()
     pixels = load_pixels(job.file)
     joint = find_joint(
-        pixels, template, side=job.side, pixel_mm=job.pixel_mm, region_px=how.region_px, min_score=how.min_score
+        pixels, templates, side=job.side, pixel_mm=job.pixel_mm, region_px=how.region_px, min_score=how.min_score
     )
     located = perf_counter()
     record: Record = {
@@ -119,12 +119,13 @@ def measure(job: Job, *, load_pixels: Load, template: Template, how: How) -> tup
     return record, {"localisation": located - began, "features": perf_counter() - located}
 
 
-def settings_key(template: Template, how: How) -> str:
+def settings_key(templates: Sequence[Template], how: How) -> str:
     """Short text that changes with anything but the pixels that a record depends on, this code included."""
-    at = [template.row, template.col, template.pixel_mm]
+    at = [(template.row, template.col, template.pixel_mm) for template in templates]
     facts = [vars(how), at, _code(), version("pyradiomics"), version("scikit-image"), version("pssf")]
     digest = hashlib.sha256(json.dumps(facts).encode())
-    digest.update(np.ascontiguousarray(template.pixels).tobytes())
+    for template in templates:
+        digest.update(np.ascontiguousarray(template.pixels).tobytes())
     return digest.hexdigest()[:16]
 
 

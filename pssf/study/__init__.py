@@ -24,7 +24,7 @@ report.render             all of these           -> one HTML page
 pipeline.run_study        all of these, in order; what `run` calls
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -147,7 +147,7 @@ def require_extra(scheduler: str | None = None) -> None:
 def run(
     manifest: "pd.DataFrame",
     load_pixels: Callable[[str], Any],
-    template: "Template",
+    templates: "Sequence[Template]",
     settings: StudySettings,
     out: Path,
     *,
@@ -163,6 +163,7 @@ def run(
                  sod_mm, truth_medial_row_px, truth_medial_col_px; for the baselines also sex, age_years, stature_mm,
                  jsw_medial_mm, without which they are left out
     load_pixels  entry of the column `file` -> (rows, cols) uint16, linear; picklable if workers > 1
+    templates    radiographs of standard knees that differ in their joint space, the widest first
     again        some knees taken again under the reference protocol: the manifest's columns, with the knee that it is
                  again, kind (noise | perturbation) and turn; only for the reliability of features
     meter        of the stages before this one, for the report; those of the study are added to it
@@ -174,14 +175,14 @@ def run(
     require_extra()
     from .pipeline import Run, run_study
 
-    how = Run(load_pixels, template, settings, out, meter or Meter(), workers, scheduler, progress or _silent)
+    how = Run(load_pixels, templates, settings, out, meter or Meter(), workers, scheduler, progress or _silent)
     return run_study(how, manifest, again)
 
 
 def measure(
     manifest: "pd.DataFrame",
     load_pixels: Callable[[str], Any],
-    template: "Template",
+    templates: "Sequence[Template]",
     settings: StudySettings,
     out: Path,
     *,
@@ -195,7 +196,7 @@ def measure(
     require_extra()
     from .pipeline import Run, measured
 
-    how = Run(load_pixels, template, settings, out, meter or Meter(), workers, scheduler, progress or _silent)
+    how = Run(load_pixels, templates, settings, out, meter or Meter(), workers, scheduler, progress or _silent)
     measured(how, manifest, again)
     return out / "features.csv"
 

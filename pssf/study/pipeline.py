@@ -1,6 +1,7 @@
 """The stages of the study in order; the one module of it that knows, through `files`, the disk."""
 
 import platform
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -44,7 +45,7 @@ class Run:
     """What all stages need."""
 
     load_pixels: Load
-    template: Template
+    templates: Sequence[Template]
     settings: StudySettings
     out: Path
     meter: Meter
@@ -145,7 +146,7 @@ def measured(
         records, work = extract_all(
             jobs,
             load_pixels=run.load_pixels,
-            template=run.template,
+            templates=run.templates,
             how=How(**how),
             workers=run.workers,
             scheduler=run.scheduler,
