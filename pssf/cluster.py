@@ -21,7 +21,7 @@ from distributed.scheduler import KilledWorker
 from .checks import InputError
 from .parallel import WorkersLostError, one_thread
 
-_REACH_SECONDS = 5
+_REACH_SECONDS = 10
 # Workers that have been killed are back only when they have loaded everything again.
 _WORKERS_SECONDS = 30
 _AGAIN_SECONDS = 0.2

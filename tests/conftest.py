@@ -5,9 +5,14 @@ import json
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 import pssf
 from pssf import cohort
+
+# No test is timed, and a commit that passes passes again: the examples are drawn from the test's own text.
+settings.register_profile("pssf", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("pssf")
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from manifold3d import Manifold
 from numpy.testing import assert_allclose
@@ -36,7 +36,7 @@ def test_an_empty_solid_is_refused_with_its_status_and_volume():
 
 
 @given(seed=st.integers(0, 2**32), grade=st.sampled_from([0, 1, 2]))
-@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=12)
 def test_every_drawn_knee_builds_nested_and_shows_its_joint_spaces(seed, grade):
     knee = pssf.draw_knee(grade=grade, rng=np.random.default_rng(seed))
     scene = pssf.build(knee)

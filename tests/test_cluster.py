@@ -126,7 +126,7 @@ def test_a_scheduler_that_does_not_answer_is_told_in_one_line_and_nothing_is_lef
     command = [sys.executable, "-m", "pssf", "cohort", "--out", str(tmp_path / "c"), "--scheduler", "tcp://127.0.0.1:9"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 2
-    assert done.stderr.startswith("pssf: scheduler = 'tcp://127.0.0.1:9' does not answer within 5 s; allowed: ")
+    assert done.stderr.startswith("pssf: scheduler = 'tcp://127.0.0.1:9' does not answer within 10 s; allowed: ")
     assert done.stderr.count("\n") == 1
     assert not list(tmp_path.iterdir())
 

@@ -10,7 +10,7 @@ from pssf.density import Density
 part = st.floats(-3, 3)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(wave=st.tuples(part, part, part), phase=st.floats(-10, 10), end=st.tuples(part, part, part))
 def test_the_integral_of_a_wave_is_that_of_its_values_along_the_ray(wave, phase, end):
     waves = PlaneWaves(mean=0.7, amplitudes=(0.4,), waves_per_mm=(wave,), phases=(phase,))

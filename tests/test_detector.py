@@ -57,7 +57,7 @@ def test_an_unknown_material_is_refused_by_name(name):
 
 
 @given(share=st.lists(st.floats(0, 1), min_size=4, max_size=4))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_folding_the_spectrum_changes_no_signal_by_a_thousandth(share):
     protocol = pssf.load_protocol("reference")
     most = {"muscle": 150.0, "cortical_bone": 30.0, "trabecular_bone": 80.0, "Ti@4.51": 10.0}
@@ -108,7 +108,7 @@ def test_dead_pixels_read_nothing_and_stay_where_they_are(small):
 
 
 @given(a=st.floats(0, 80), b=st.floats(0, 80))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_two_slabs_attenuate_one_energy_as_the_product_of_each(a, b):
     view = dataclasses.replace(view_of(pssf.load_protocol("reference")), rows=1, cols=1)
     beam = Beam(np.array([50.0]), np.array([1e6]), np.array([40.0]), np.array([1600.0]))

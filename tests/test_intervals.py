@@ -30,7 +30,7 @@ def predictions(*, subjects: int = 30, splits: int = 4, shift: float = 1.5, seed
     return pd.concat(parts, ignore_index=True)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(classes=st.integers(2, 3), rows=st.integers(4, 25), seed=st.integers(0, 1000))
 def test_weighted_scores_are_those_of_rows_written_out(classes, rows, seed):
     rng = np.random.default_rng(seed)
@@ -138,7 +138,7 @@ def test_p_without_any_replicate_is_undefined():
     assert np.isnan(intervals.p_value(np.full(5, np.nan)))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(p=st.lists(st.floats(0, 1), min_size=1, max_size=20))
 def test_holm_is_that_of_statsmodels(p):
     assert_allclose(intervals.holm(np.array(p)), multipletests(p, method="holm")[1], rtol=1e-12)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import njit
 from numpy.testing import assert_allclose
@@ -19,7 +19,7 @@ from pssf.raycast.sheets import BAND_ROWS, sheet_of
 from pssf.scene import Scene, Surface
 
 ENGINES = ("embree", "scanline")
-few = settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+few = settings(max_examples=12)
 places = st.tuples(*3 * [st.floats(-15, 15)])
 turns = st.tuples(*3 * [st.floats(-180, 180)])
 

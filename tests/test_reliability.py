@@ -27,7 +27,7 @@ def draw(knees: int, conditions: int, *, of_condition: float, noise: float, seed
     return values + noise * rng.normal(size=(knees, conditions))
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     knees=st.integers(4, 30),
     conditions=st.integers(2, 4),

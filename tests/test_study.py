@@ -20,6 +20,7 @@ from pssf import study
 from pssf.checks import InputError
 from pssf.files.results import load_table
 from pssf.radiomics.region import Template
+from pssf.radiomics.table import TEXT
 from pssf.study import StudySettings, metrics
 from pssf.study.cost import Meter
 from pssf.study.localisation import errors, summarise
@@ -36,7 +37,7 @@ PROTOCOLS = ("reference", "low_dose", "geometry_shift")
 # --- split ---------------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     counts=st.tuples(*[st.integers(3, 30)] * 3),
     knees=st.integers(1, 2),
@@ -84,7 +85,7 @@ def test_metrics_of_four_knees_are_those_worked_out_by_hand():
     assert_array_equal(metrics.confusion(truth, np.column_stack([1 - p, p])), [[1, 1], [1, 1]])
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(classes=st.integers(2, 3), rows=st.integers(6, 40), seed=st.integers(0, 1000))
 def test_metrics_equal_those_of_scikit_learn(classes, rows, seed):
     rng = np.random.default_rng(seed)
@@ -107,7 +108,7 @@ def test_a_class_that_is_not_tested_gives_no_measure():
 # --- reliability ---------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     knees=st.integers(4, 20),
     protocols=st.integers(2, 4),
@@ -428,6 +429,22 @@ def test_a_second_run_measures_nothing_again_and_writes_the_same_bytes(result, t
         assert again.models[name].read_bytes() == path.read_bytes(), name
 
 
+def test_a_row_of_features_that_was_changed_by_hand_is_measured_again(result, tmp_path):
+    lines = result.tables["features"].read_text(encoding="utf-8").splitlines(keepends=True)
+    head, row = lines[0].split(","), lines[2].split(",")
+    row[head.index("glcm_Contrast")] = "1.5"
+    (tmp_path / "features.csv").write_text("".join([*lines[:2], ",".join(row), *lines[3:]]), encoding="utf-8")
+    asked: list[str] = []
+
+    def load(file: str) -> np.ndarray:
+        asked.append(file)
+        return cohort().load(file)
+
+    path = study.measure(cohort().manifest, load, [TEMPLATE], SMALL, tmp_path, again=cohort().again(3))
+    assert len(asked) == 1
+    assert path.read_text(encoding="utf-8") == "".join(lines)
+
+
 def test_repeats_have_their_own_reliability_and_no_part_in_training_or_localisation(result):
     across = result.reliability.groupby("across")["knees"].max()
     assert across["repeated noise"] == across["small perturbations"] == 3
@@ -442,7 +459,7 @@ def test_repeats_have_their_own_reliability_and_no_part_in_training_or_localisat
 
 def test_a_model_on_disk_gives_the_probabilities_of_the_first_split(result):
     told = pd.read_csv(result.tables["predictions"]).query("task == '0 vs 2' and scenario == 'within' and repeat == 0")
-    features = load_table(result.tables["features"], ("radiograph", "sha256", "settings", "status"))
+    features = load_table(result.tables["features"], TEXT)
     features = features.set_index("radiograph")
     assert set(result.models) == {"lr_l1", "rf_l1"}
     for name, path in result.models.items():

@@ -49,7 +49,7 @@ def settings_of(**more) -> StudySettings:
 # --- options across protocols --------------------------------------------------------------------------------------
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(scale=st.floats(0.1, 10), shift=st.floats(-100, 100), seed=st.integers(0, 100))
 def test_harmonising_undoes_a_shift_and_scale_of_the_protocol(scale, shift, seed):
     onto = pd.DataFrame(np.random.default_rng(seed).normal(size=(15, 3)), columns=list("abc"))

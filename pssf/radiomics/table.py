@@ -20,7 +20,8 @@ from .region import Template, cut_region, find_joint
 
 Record = dict[str, Any]
 Load = Callable[[str], NDArray[np.uint16]]
-NOT_FEATURES = ("radiograph", "sha256", "settings", "status", "row_px", "col_px", "score", "scale")
+TEXT = ("radiograph", "sha256", "settings", "checksum", "status")
+NOT_FEATURES = (*TEXT, "row_px", "col_px", "score", "scale")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,12 +61,12 @@ def extract_all(
 
     load_pixels  file -> (rows, cols) integers; picklable if workers > 1
     scheduler    address of a Dask scheduler whose workers do it instead; None: processes of this machine
-    known        sha256 -> record of an earlier run; used where its settings are the same
+    known        sha256 -> record of an earlier run; used where its settings are the same and nothing in it has changed
     save         is given all records so far, now and then, so that a run that breaks off can go on from there
     progress     is told how many of how many are done
     """
     key = settings_key(templates, how)
-    known = {sha: record for sha, record in (known or {}).items() if record.get("settings") == key}
+    known = {sha: record for sha, record in (known or {}).items() if _stands(record, key)}
     records: dict[int, Record] = {}
     for index, job in enumerate(jobs):
         if job.sha256 in known:
@@ -76,7 +77,7 @@ def extract_all(
 
     def arrived(nth: int, result: tuple[Record, dict[str, float]]) -> None:
         nonlocal saved_at
-        records[missing[nth]] = {**result[0], "settings": key}
+        records[missing[nth]] = _sealed({**result[0], "settings": key})
         for step, spent in result[1].items():
             seconds[step] += spent
         if progress is not None:
@@ -127,6 +128,21 @@ def settings_key(templates: Sequence[Template], how: How) -> str:
     for template in templates:
         digest.update(np.ascontiguousarray(template.pixels).tobytes())
     return digest.hexdigest()[:16]
+
+
+def _stands(record: Mapping[str, Any], key: str) -> bool:
+    return record.get("settings") == key and record.get("checksum") == _checksum(record)
+
+
+def _sealed(record: Record) -> Record:
+    return {**record, "checksum": _checksum(record)}
+
+
+def _checksum(record: Mapping[str, Any]) -> str:
+    """Of all values but the radiograph's name; one that is not there is as good as one that is not a number."""
+    told = {name: value if name in TEXT else repr(float(value)) for name, value in sorted(record.items())}
+    kept = {name: value for name, value in told.items() if value != "nan" and name not in ("radiograph", "checksum")}
+    return hashlib.sha256(json.dumps(kept).encode()).hexdigest()[:16]
 
 
 @cache

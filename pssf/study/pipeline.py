@@ -11,7 +11,7 @@ import pandas as pd
 from ..checks import InputError, require_choice
 from ..files import results
 from ..radiomics.region import Template
-from ..radiomics.table import NOT_FEATURES, How, Job, Load, Record, extract_all
+from ..radiomics.table import NOT_FEATURES, TEXT, How, Job, Load, Record, extract_all
 from . import Progress, StudyResult, StudySettings, localisation
 from .baselines import SOURCES, with_measures
 from .checklist import checklist
@@ -37,7 +37,6 @@ _PACKAGES = (
     *("scipy", "numpy", "pandas"),
 )
 _COUNTED = {"subjects": "subject", "knees": "knee", "protocols": "protocol", "radiographs": "radiograph"}
-_TEXT = ("radiograph", "sha256", "settings", "status")
 
 
 @dataclass(frozen=True)
@@ -130,9 +129,9 @@ def measured(
     """
     check_manifest(manifest, run.settings)
     everything, path, settings = _everything(manifest, again), run.out / "features.csv", run.settings
-    earlier = results.load_table(path, _TEXT)
+    earlier = results.load_table(path, TEXT)
     known: dict[str, Record] = {}
-    if earlier is not None and {"sha256", "settings"} <= set(earlier.columns):
+    if earlier is not None and "sha256" in earlier:
         known = {row["sha256"]: row for row in earlier.to_dict("records")}
     columns = ("radiograph", "file", "sha256", "side", "pixel_mm")
     jobs = [Job(**{name: row[name] for name in columns}) for row in everything[list(columns)].to_dict("records")]
