@@ -116,7 +116,7 @@ def measure_experiment(experiment: Experiment, crew: Crew) -> Path:
 
 
 def _given(experiment: Experiment, crew: Crew) -> tuple[Any, ...]:
-    with crew.meter.stage("template"):
+    with crew.meter.stage("templates"):
         templates = standard_templates(experiment.engine)
     load_pixels = partial(_pixels, experiment.out.absolute())
     return experiment.manifest, load_pixels, templates, experiment.settings, experiment.out

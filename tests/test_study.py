@@ -101,6 +101,27 @@ def test_metrics_equal_those_of_scikit_learn(classes, rows, seed):
     assert metrics.score(truth, probability) == pytest.approx(theirs, abs=1e-12)
 
 
+@given(seed=st.integers(0, 10**6), splits=st.integers(1, 5), levels=st.sampled_from([3, 1000]))
+@settings(max_examples=30)
+def test_the_area_under_the_mean_roc_curve_is_the_mean_auc_of_the_splits(seed, splits, levels):
+    rng = np.random.default_rng(seed)
+    split = np.repeat(np.arange(splits), 20)
+    truth = np.tile(np.arange(20) % 2, splits)
+    # A split's own offset, which a curve of all splits pooled would mix.
+    value = np.round(rng.random(len(truth)) + 0.5 * truth, int(np.log10(levels))) + 3.0 * split
+    false, true = metrics.mean_roc(truth, value, split)
+    aucs = [metrics.auc(truth[split == one] == 1, value[split == one]) for one in range(splits)]
+    # Each jump of a curve is spread over a step of its 400.
+    assert abs(np.trapezoid(true, false) - np.mean(aucs)) < 1 / 400
+    assert np.all(np.diff(true) >= 0)
+    assert (false[0], true[0], false[-1], true[-1]) == (0, 0, 1, 1)
+
+
+def test_splits_without_both_classes_have_no_roc_curve():
+    false, true = metrics.mean_roc(np.ones(4, np.int64), np.arange(4.0), np.arange(4) % 2)
+    assert len(false) == len(true) == 0
+
+
 def test_a_class_that_is_not_tested_gives_no_measure():
     assert all(np.isnan(value) for value in metrics.score(np.zeros(3, int), np.full((3, 2), 0.5)).values())
 

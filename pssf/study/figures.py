@@ -10,9 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
-from sklearn.metrics import roc_curve
 
-from .metrics import confusion
+from .metrics import confusion, mean_roc
 from .models import MODELS
 from .scenarios import TASKS, truth_and_probability
 
@@ -60,7 +59,7 @@ def panel(shots: list[list[Shot | None]], row_labels: list[str]) -> bytes:
 
 
 def robustness(predictions: pd.DataFrame, scores: pd.DataFrame, selection: str, told: dict[str, str]) -> bytes:
-    """Grade 0 vs 2, a column a scenario: ROC curves of all splits pooled above, mean AUC with its interval below.
+    """Grade 0 vs 2, a column a scenario: the mean ROC curve of the splits above, mean AUC with its interval below.
 
     predictions, scores  of all arms; those of `selection` are drawn
     told                 scenario -> the paper's AUC, to be read beside
@@ -87,10 +86,11 @@ def _curves(axis: Any, of: pd.DataFrame, tests: list[str]) -> None:
         for dash, tested_on in zip(_DASHES, tests, strict=False):
             if model not in COLOURS:
                 continue
-            truth, probability = truth_and_probability(of[(of["model"] == model) & (of["tested_on"] == tested_on)])
-            if len(set(truth)) < 2:
+            rows = of[(of["model"] == model) & (of["tested_on"] == tested_on)]
+            if rows.empty:
                 continue
-            false, true, _ = roc_curve(truth, probability[:, 1])
+            truth, probability = truth_and_probability(rows)
+            false, true = mean_roc(truth, probability[:, 1], rows["repeat"].to_numpy())
             axis.plot(false, true, dash, color=COLOURS[model], linewidth=1.6)
     axis.set(xlim=(-0.01, 1), ylim=(0, 1.01), xlabel="1 − specificity")
     axis.set_box_aspect(1)

@@ -91,8 +91,8 @@ def _robustness(predictions: pd.DataFrame, scores: pd.DataFrame, selection: str)
         name="robustness",
         png=figures.robustness(predictions, scores, selection, told),
         alt="ROC curves and AUC with intervals of grade 0 against 2, within, across and over protocols, by model",
-        caption=f"After the paper’s figure 5. Grade 0 against 2, {SELECTIONS[selection]} selection. Above: ROC curves "
-        "of the test predictions of all splits pooled, a colour a model (as below), a line style a test protocol. "
+        caption=f"After the paper’s figure 5. Grade 0 against 2, {SELECTIONS[selection]} selection. Above: the mean "
+        "over the splits of their ROC curves, a colour a model (as below), a line style a test protocol. "
         "Below: AUC, mean over the splits, with its 95 % interval; the paper’s own number is only printed beside.",
     )
 
