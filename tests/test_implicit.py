@@ -56,6 +56,27 @@ def test_no_material_of_a_knee_with_every_osteophyte_is_crossed_by_less_than_not
             assert lengths.min() > -1e-6, material
 
 
+@pytest.mark.parametrize("number", range(6))
+def test_no_triangle_of_an_osteophyte_faces_inwards(number, monkeypatch):
+    left, lay_flat = [], implicit._unfolded
+
+    def counted(places, faces, free, field):
+        flat = lay_flat(places, faces, free, field)
+        moved = faces[free[faces].any(axis=1) & (np.abs(flat[faces, 2]) < 200).all(axis=1)]
+        left.append(
+            (int(implicit._inwards(places[moved], field).sum()), int(implicit._inwards(flat[moved], field).sum()))
+        )
+        return flat
+
+    monkeypatch.setattr(implicit, "_unfolded", counted)
+    rng = np.random.default_rng(number)
+    beaks = [pssf.Osteophyte(site=str(site), size_mm=float(rng.uniform(0.3, 3.0))) for site in pssf.knee.SITES]
+    anatomy.build(pssf.Knee(jsw_medial_mm=2.8, osteophytes=tuple(beaks), bone_scale=float(rng.uniform(0.9, 1.1))))
+    assert left
+    assert sum(before for before, _ in left) > 0
+    assert sum(after for _, after in left) == 0
+
+
 def test_folds_are_laid_flat():
     # A fine ball with three of its vertices pulled across their neighbours.
     ball = femur._rough_condyle("medial").refine_to_length(2.0)

@@ -35,16 +35,18 @@ def build_rows(count: int, workers: int) -> list[Row]:
     """How many were built and how many refused, with the first refusal; largest error of a joint space, triangles.
 
     A built knee has valid solids, nested shells and bones that keep clear of each other: `build` refuses others. The
-    least path in any material along any ray (reference and geometry shift) is 0 unless a surface folds over itself.
+    least path in any material along any ray (reference and geometry shift), and the knee that has it, is 0 unless a
+    surface folds over itself.
     """
     found = ordered_map(_built, list(range(count)), shared={}, workers=workers)
     refused = [f"knee {number}: {one['refused']}" for number, one in enumerate(found) if one["refused"]]
     built = [one for one in found if not one["refused"]]
     triangles = [one["triangles"] for one in built]
+    least, where = min((one["least_path_mm"], number) for number, one in enumerate(found) if not one["refused"])
     return [{
         "knees": count, "built": len(built), "refused": len(refused), "first_refusal": (refused or [""])[0],
         "jsw_error_mm": float(f"{max(one['jsw_error_mm'] for one in built):.2g}"),
-        "least_path_mm": float(f"{min(one['least_path_mm'] for one in built):.2g}"),
+        "least_path_mm": float(f"{least:.2g}"), "least_path_knee": where if least < 0 else "",
         "least_triangles": min(triangles), "most_triangles": max(triangles),
         "median_seconds": round(float(np.median([one["seconds"] for one in built])), 2),
     }]  # fmt: skip

@@ -24,7 +24,7 @@ _MOST_MM, _NEAR_MM = 1.5, 0.05
 # Of a whole bone: rounds of evening out its mesh, halvings of edges where it bends, and where its shaft begins.
 _ROUNDS, _HALVINGS, _SHAFT_FROM_MM = 6, 4, 70.0
 # Shafts are cut off before this height. Rounds of unfolding, and of spreading evenly in each.
-_USED_MM, _UNFOLDINGS, _FLATTENINGS = 200.0, 10, 3
+_USED_MM, _UNFOLDINGS, _FLATTENINGS = 200.0, 10, 10
 
 
 def blend(one: Array, other: Array, radius_mm: float) -> Array:
@@ -143,32 +143,48 @@ def evened(
 
 
 def _unfolded(places: Array, faces: Array, free: NDArray[np.bool_], field: Field) -> Array:
-    """The places with triangles that face inwards laid flat: what is around them is spread evenly once more."""
+    """The places with triangles that face inwards laid flat: what is around them is spread evenly once more.
+
+    A patch that stays folded is widened, since a narrow one about a tip has no room to turn.
+    """
     places = places.copy()
     edges = edges_of(faces)
-    both = np.vstack((edges, edges[:, ::-1]))
     used = faces[free[faces].any(axis=1) & (np.abs(places[faces, 2]) < _USED_MM).all(axis=1)]
-    for _ in range(_UNFOLDINGS):
-        one, two, three = (places[used[:, k]] for k in range(3))
-        middle = (one + two + three) / 3
-        outward = gradient(field, middle, field(middle))
-        inside_out = used[(np.cross(two - one, three - one) * outward).sum(axis=1) <= 0]
+    suspect = used
+    for turn in range(_UNFOLDINGS):
+        inside_out = suspect[_inwards(places[suspect], field)]
         if not len(inside_out):
             break
         around = np.zeros(len(places), np.bool_)
         around[inside_out] = True
-        for _ in range(2):
+        for _ in range(2 + turn):
             around[edges[around[edges].any(axis=1)]] = True
         around &= free
-        used = used[around[used].any(axis=1)]  # the others have been found to face outwards, and stay
-        ends = both[around[both[:, 0]]]
-        count = np.bincount(ends[:, 0], minlength=len(places))[around, None]
-        for _ in range(_FLATTENINGS):
-            sums = np.zeros_like(places)
-            np.add.at(sums, ends[:, 0], places[ends[:, 1]])
-            places[around] = sums[around] / count
-        places[around] = onto(places[around], field, None, 5)
+        suspect = used[around[used].any(axis=1)]  # the others have been found to face outwards, and stay
+        _spread(places, edges, np.flatnonzero(around), field)
     return places
+
+
+def _inwards(triangles: Array, field: Field) -> NDArray[np.bool_]:
+    """(n,)  which of (n, 3, 3) corners are in the order of a triangle that faces inwards"""
+    one, two, three = (triangles[:, k] for k in range(3))
+    middle = (one + two + three) / 3
+    outward = gradient(field, middle, field(middle))
+    return np.asarray((np.cross(two - one, three - one) * outward).sum(axis=1) <= 0)
+
+
+def _spread(places: Array, edges: Array, which: NDArray[np.int64], field: Field) -> None:
+    """Places of a patch moved, in turn, amid those that they share an edge with and onto the field."""
+    number = np.full(len(places), -1)
+    number[which] = np.arange(len(which))
+    both = np.vstack((edges, edges[:, ::-1]))
+    ends = both[number[both[:, 0]] >= 0]
+    count = np.bincount(number[ends[:, 0]], minlength=len(which))[:, None]
+    for _ in range(_FLATTENINGS):
+        sums = np.zeros((len(which), 3))
+        np.add.at(sums, number[ends[:, 0]], places[ends[:, 1]])
+        places[which] = onto(sums / count, field, None, 1)
+    places[which] = onto(places[which], field, None, 5)
 
 
 def resolved(solid: Manifold, field: Field, tolerance_mm: float, rounds: int) -> Manifold:
