@@ -77,7 +77,8 @@ def extract_all(
 
     def arrived(nth: int, result: tuple[Record, dict[str, float]]) -> None:
         nonlocal saved_at
-        records[missing[nth]] = _sealed({**result[0], "settings": key})
+        record = {**result[0], "settings": key}
+        records[missing[nth]] = {**record, "checksum": _checksum(record)}
         for step, spent in result[1].items():
             seconds[step] += spent
         if progress is not None:
@@ -132,10 +133,6 @@ def settings_key(templates: Sequence[Template], how: How) -> str:
 
 def _stands(record: Mapping[str, Any], key: str) -> bool:
     return record.get("settings") == key and record.get("checksum") == _checksum(record)
-
-
-def _sealed(record: Record) -> Record:
-    return {**record, "checksum": _checksum(record)}
 
 
 def _checksum(record: Mapping[str, Any]) -> str:

@@ -15,6 +15,7 @@ from .models import MODELS
 from .reliability import ICC_FORMS, THRESHOLD
 from .scenarios import TASKS
 from .selection import SELECTIONS
+from .split import worst_grades
 
 Found = tuple[float, float, float]  # value, and the ends of its interval
 COLUMNS = ["claim", "measure", "value", "low", "high", "bound", "verdict"]
@@ -90,7 +91,7 @@ def _trends(usable: pd.DataFrame, settings: StudySettings) -> list[dict[str, obj
 
 def _weights(table: pd.DataFrame, settings: StudySettings) -> Array:
     """(1 + replicates, rows)  how often each row is in a sample of the subjects; in the first each is once"""
-    worst = table.groupby("subject")["grade"].max()
+    worst = worst_grades(table["subject"], table["grade"])
     drawn = draws(worst, replicates=settings.replicates, seed=settings.seed, stream=_STREAM)
     return drawn[worst.index.get_indexer(table["subject"])].T
 

@@ -14,6 +14,7 @@ import pandas as pd
 from ..checks import Array
 from .metrics import METRICS, percentiles, weighted_scores
 from .scenarios import ARM, TASKS, truth_and_probability
+from .split import worst_grades
 
 _STREAM = 2**31  # keys below it are those of the splits
 # Comparison -> a scenario, and the one that is taken from it.
@@ -69,7 +70,7 @@ def subject_weights(predictions: pd.DataFrame, *, replicates: int, seed: int) ->
     for task, of_task in TASKS.items():
         rows = predictions["task"] == task
         grades[rows] = np.array(of_task)[grades[rows]]
-    worst = grades.groupby(predictions["subject"]).max()
+    worst = worst_grades(predictions["subject"], grades)
     return pd.DataFrame(draws(worst, replicates=replicates, seed=seed, stream=_STREAM), index=worst.index)
 
 

@@ -36,12 +36,10 @@ def split_subjects(subjects: Sequence[int], grades: Sequence[int], *, seed: int,
     raises    InputError for a grade of fewer than three subjects
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(repeat,)))
-    by_subject: dict[int, int] = {}
-    for subject, grade in zip(subjects, grades, strict=True):
-        by_subject[int(subject)] = max(int(grade), by_subject.get(int(subject), int(grade)))
+    worst = worst_grades(subjects, grades)
     parts: dict[str, list[int]] = {part: [] for part in PARTS}
-    for grade in sorted(set(by_subject.values())):
-        members = sorted(subject for subject, worst in by_subject.items() if worst == grade)
+    for grade in sorted(set(worst)):
+        members = worst.index[worst == grade].to_numpy()
         if len(members) < len(PARTS):
             raise InputError(
                 f"grade {grade} has {len(members)} subjects with a region; allowed: {len(PARTS)} or more, one a part"
@@ -50,6 +48,11 @@ def split_subjects(subjects: Sequence[int], grades: Sequence[int], *, seed: int,
         for part, chosen in zip(PARTS, np.split(order, _cuts(len(members))), strict=True):
             parts[part].extend(int(subject) for subject in chosen)
     return Split(*(np.array(sorted(parts[part]), dtype=np.int64) for part in PARTS))
+
+
+def worst_grades(subjects: Sequence[int], grades: Sequence[int]) -> pd.Series:
+    """subject -> the highest grade of its rows, which it counts under; by subject, in order"""
+    return pd.Series(np.asarray(grades)).groupby(np.asarray(subjects)).max()
 
 
 def _cuts(count: int) -> list[int]:

@@ -11,7 +11,7 @@ from ..parallel import ordered_map
 from . import StudySettings
 from .baselines import measures_of
 from .scenarios import Outcome, one_split
-from .split import PARTS
+from .split import PARTS, worst_grades
 
 _SHARES = (0.5, 0.25)  # of the subjects, on which the first split is taken once more
 
@@ -70,15 +70,10 @@ def one_job(job: Job, *, table: pd.DataFrame, names: list[str], settings: StudyS
 
 def share_of(table: pd.DataFrame, share: float) -> list[int]:
     """The first subjects of each grade, the highest of their knees; a share of them, rounded down."""
-    worst = _worst(table)
+    worst = worst_grades(table["subject"], table["grade"])
     return [s for _, members in worst.groupby(worst) for s in members.index[: int(share * len(members))]]
 
 
 def fewest(table: pd.DataFrame, share: float) -> int:
     """Subjects of the rarest grade in a share of them."""
-    return int(share * _worst(table).value_counts().min())
-
-
-def _worst(table: pd.DataFrame) -> pd.Series:
-    """subject -> the highest grade of its knees"""
-    return table.groupby("subject")["grade"].max()
+    return int(share * worst_grades(table["subject"], table["grade"]).value_counts().min())
