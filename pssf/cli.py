@@ -12,6 +12,7 @@ from rich.table import Table
 
 from .checks import InputError, require_choice, require_whole
 from .files import tables
+from .files.atomic import folder
 from .knee import Knee, draw_knee, knee_from
 from .parallel import WorkersLostError, cores
 from .progress import bar
@@ -90,13 +91,16 @@ def simulate(
     """One radiograph: 16-bit TIFF, PNG for eyes, the parameters as JSON; DICOM if asked for."""
     from .files.images import BORDERS, KINDS, save_kinds
     from .protocol import load_protocol
+    from .raycast import ENGINES
     from .simulate import simulate as run
 
     technique, wanted = load_protocol(protocol), kinds.split(",")
+    require_choice("engine", engine, ENGINES)
     for kind in wanted:
         require_choice("formats", kind, KINDS)
     require_choice("border", border, BORDERS)
     subject, name = _knee_of(knee, grade, seed)
+    folder(out)
     with _waiting("simulating; the first run after an installation compiles for some seconds more"):
         radiograph = run(subject, technique, seed=seed, engine=engine, workers=workers)
     stem = out / f"{name}_{technique.name}_seed{seed}"
@@ -206,6 +210,7 @@ def study(
         print(f"features  {measure_experiment(made, crew)}")
         return
     result = run_experiment(made, crew)
+    print(f"results   of {result.origin}")
     print(f"report    {result.report}")
     for what, paths in (("picture", result.pictures), ("model", result.models)):
         for path in paths.values():
@@ -244,6 +249,7 @@ def quality(
     from .quality import measure_quality, write_quality
 
     technique = load_protocol(protocol)
+    folder(out)
     with _waiting("measuring") as status:
         found = measure_quality(technique, progress=lambda what: status.update(f"measuring: {what}"))
     table = Table("quantity", "value", "reference", "source")

@@ -95,8 +95,10 @@ def test_a_bad_knee_file_is_answered_with_the_field(text, word, tmp_path):
     assert done.stderr.count("\n") == 1
 
 
-def test_an_unwritable_folder_is_answered_with_one_line(protocol_file, tmp_path):
+@pytest.mark.parametrize("command", ["simulate", "meshes", "cohort", "study", "accuracy", "quality"])
+def test_an_unwritable_folder_is_answered_with_one_line_before_the_work(command, tmp_path):
     (tmp_path / "file").write_text("in the way")
-    done = run("simulate", "--protocol", protocol_file, "--out", tmp_path / "file")
+    done = run(command, "--out", tmp_path / "file")
     assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
     assert "allowed: a folder that can be written" in done.stderr

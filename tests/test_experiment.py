@@ -95,6 +95,7 @@ def test_a_finished_run_is_given_back_and_nothing_is_done_again(tmp_path, monkey
     first = run_experiment(found, crew)
     again = run_experiment(found, crew)
     assert runs == [1]
+    assert (first.origin, again.origin) == ("this run", "an earlier run")
     assert again.tables == first.tables
     assert again.seconds == first.seconds
     pd.testing.assert_frame_equal(again.scores, first.scores, check_exact=True)

@@ -93,11 +93,13 @@ def test_a_match_against_noise_is_refused_and_so_is_a_region_that_leaves_the_ima
     assert find_joint(image, [TEMPLATE], side="right", pixel_mm=PIXEL_MM, region_px=400).status == "leaves image"
 
 
-def test_an_image_too_small_for_a_knee_and_an_unknown_side_are_refused():
+def test_an_image_too_small_for_a_knee_an_unknown_side_and_no_template_are_refused():
     with pytest.raises(InputError, match="holds a knee joint"):
         find_joint(np.ones((20, 20), np.uint16), [TEMPLATE], side="right", pixel_mm=PIXEL_MM)
     with pytest.raises(InputError, match="side"):
         find_joint(phantom(160, 180), [TEMPLATE], side="up", pixel_mm=PIXEL_MM)
+    with pytest.raises(InputError, match="templates = none; allowed: one or more"):
+        find_joint(phantom(160, 180), [], side="right", pixel_mm=PIXEL_MM)
 
 
 @given(row=st.floats(8, 24), col=st.floats(8, 24))

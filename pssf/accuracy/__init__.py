@@ -24,7 +24,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from ..checks import require_choice
-from ..files.atomic import write_bytes
+from ..files.atomic import folder, write_bytes
 from ..files.records import write_csv, write_json
 from ..simulate import versions
 from .agreement import agreement_rows
@@ -66,6 +66,7 @@ def measure(
     """
     for name in tables:
         require_choice("table", name, (*TABLES, *BY_NAME))
+    folder(out)
     engines: list[Row] = []
     if {"engines", "growth"} & set(tables):
         progress("ray casting")
@@ -95,15 +96,17 @@ def measure(
         paths.append(out / f"{name}.csv")
         write_csv(paths[-1], jobs[name]())
     paths.append(out / "machine.json")
-    write_json(
-        paths[-1], {"machine": platform.processor() or platform.machine(), "cores": os.cpu_count(), **versions()}
-    )
+    write_json(paths[-1], _machine())
     if engines and find_spec("matplotlib"):
         from .figure import draw
 
         paths.append(out / "engines.png")
         write_bytes(paths[-1], draw(engines))
     return paths
+
+
+def _machine() -> dict[str, str | int | None]:
+    return {"machine": platform.processor() or platform.machine(), "cores": os.cpu_count(), **versions()}
 
 
 def _left_out(workers: int) -> list[Row]:

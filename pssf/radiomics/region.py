@@ -17,15 +17,8 @@ _WIDE_MM, _NARROW_MM = 1.2, 0.3
 _WIDE_EXTENT_MM = (36.0, 66.0, 36.0)  # above and below, lateral, medial
 _NARROW_EXTENT_MM = (12.0, 20.0, 24.0)
 _REACH_MM = 8.0  # how far the narrow search may move from what the wide one found
-_SCALES = (
-    0.76,
-    0.82,
-    0.88,
-    0.94,
-    1.0,
-    1.06,
-    1.12,
-)  # size of the bone relative to the template's, magnification included
+# Sizes of the bone relative to the template's, magnification included.
+_SCALES = (0.76, 0.82, 0.88, 0.94, 1.0, 1.06, 1.12)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,9 +80,11 @@ def find_joint(
     side       right | left
     region_px  side of the region that must fit into the image around the joint line
     min_score  a wide match below it is refused
-    raises     InputError for an unknown side
+    raises     InputError for an unknown side, or no template
     """
     require_choice("side", side, ("right", "left"))
+    if not templates:
+        raise InputError("templates = none; allowed: one or more")
     found = (-2.0, 0.0, 0.0, 1.0)
     image, step = _log_mean(pixels, _WIDE_MM / pixel_mm)
     for scale in _SCALES:

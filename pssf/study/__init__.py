@@ -115,6 +115,7 @@ class StudyResult:
     reliability   one row a feature and set of conditions: ICC(2,1), ICC(3,1), intervals, shares of variance
     localisation  one row a protocol and grade
     seconds       wall time of each stage, those before the study included
+    origin        this run, or an earlier run: nothing had changed since
     """
 
     report: Path
@@ -126,6 +127,7 @@ class StudyResult:
     reliability: "pd.DataFrame"
     localisation: "pd.DataFrame"
     seconds: dict[str, float]
+    origin: str = "this run"
 
 
 def require_extra(scheduler: str | None = None) -> None:

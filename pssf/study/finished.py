@@ -47,4 +47,4 @@ def earlier(out: Path, key: str) -> StudyResult | None:
             return None
     paths = {kind: {name: out / file for name, file in told[kind].items()} for kind in _KINDS}
     tables = {name: results.load_typed_table(paths["tables"][name]) for name in _LOADED}
-    return StudyResult(report=out / "report.html", seconds=told["seconds"], **paths, **tables)
+    return StudyResult(report=out / "report.html", seconds=told["seconds"], origin="an earlier run", **paths, **tables)
