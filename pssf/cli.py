@@ -96,6 +96,7 @@ def simulate(
 
     technique, wanted = load_protocol(protocol), kinds.split(",")
     require_choice("engine", engine, ENGINES)
+    require_whole("workers", workers, 1, 256, "threads")
     for kind in wanted:
         require_choice("formats", kind, KINDS)
     require_choice("border", border, BORDERS)

@@ -60,11 +60,13 @@ def test_meshes_writes_what_is_asked_for(tmp_path):
             ("simulate", "--engine", "embre"),
             "pssf: engine = 'embre'; allowed: embree, scanline (did you mean 'embree'?)",
         ),
+        (("simulate", "--workers", "0"), "pssf: workers = 0 threads; allowed: whole numbers from 1 to 256 threads"),
         (("simulate", "--seed", "-1"), "pssf: seed = -1; allowed: whole numbers from 0"),
         (("simulate", "--knee", "nowhere.toml"), "pssf: file nowhere.toml: No such file or directory"),
         (("meshes", "--formats", "obj3"), "pssf: format = 'obj3'; allowed: stl, ply, glb"),
         (("cohort", "--preset", "quik"), "pssf: preset = 'quik'; allowed: quick, paper (did you mean 'quick'?)"),
         (("cohort", "--workers", "0"), "pssf: workers = 0 processes; allowed: whole numbers from 1 to 256 processes"),
+        (("cohort", "--engine", "embre"), "pssf: engine = 'embre'; allowed: embree, scanline (did you mean 'embree'?)"),
         (("study", "--preset", "quik"), "pssf: preset = 'quik'; allowed: quick, paper (did you mean 'quick'?)"),
     ],
 )

@@ -9,7 +9,7 @@ from platform import node
 from typing import Any
 
 from .. import anatomy
-from ..checks import InputError, require_whole
+from ..checks import InputError, require_choice, require_whole
 from ..files import atomic, records
 from ..files.images import save
 from ..geometry import view_of
@@ -17,7 +17,7 @@ from ..knee import knee_table
 from ..parallel import cores, ordered_map, require_scheduler
 from ..protocol import protocol_table
 from ..radiograph import Radiograph
-from ..raycast import trace
+from ..raycast import ENGINES, trace
 from ..simulate import simulate, versions
 from .plan import Case, Plan, Shot
 
@@ -57,11 +57,12 @@ def make_cohort(
     progress   called with the number of radiographs that have been made, as they are
     found      called with the number of radiographs that an earlier run left, as they are checked, before any is made
     returns    the path of the manifest (CSV, one row a radiograph)
-    raises     InputError for a folder that holds another cohort, a damaged file in it, a disk that cannot be written,
-               a scheduler that cannot be used; WorkersLostError when workers keep being killed
+    raises     InputError for an unknown engine, a folder that holds another cohort, a damaged file in it, a disk that
+               cannot be written, a scheduler that cannot be used; WorkersLostError when workers keep being killed
     """
     workers = cores() if workers is None else workers
     require_whole("workers", workers, 1, 256, "processes")
+    require_choice("engine", engine, ENGINES)
     if scheduler is not None:
         require_scheduler(scheduler)
     folder = Path(folder)
