@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 import pssf
 from pssf import anatomy, raycast
 from pssf.anatomy import femur, implicit, tibia
+from pssf.anatomy.joint import stance_of
 from pssf.anatomy.solids import mesh_of
 
 
@@ -75,6 +76,43 @@ def test_no_triangle_of_an_osteophyte_faces_inwards(number, monkeypatch):
     assert left
     assert sum(before for before, _ in left) > 0
     assert sum(after for _, after in left) == 0
+
+
+# Folds of its osteophytes are laid flat in patches so wide that a tip of 0.55 mm was cut off by 0.24 mm.
+SHARP = pssf.Knee(
+    sex="female",
+    stature_mm=1873.402215822025,
+    jsw_medial_mm=3.7184909714917986,
+    jsw_lateral_mm=4.296065338046113,
+    osteophytes=(
+        pssf.Osteophyte(site="lateral_tibia", size_mm=0.668378088386997),
+        pssf.Osteophyte(site="medial_femur", size_mm=2.5471914485679474),
+        pssf.Osteophyte(site="medial_spine", size_mm=0.680600844952032),
+        pssf.Osteophyte(site="lateral_femur", size_mm=1.3956546683087803),
+        pssf.Osteophyte(site="lateral_spine", size_mm=2.143589357446249),
+        pssf.Osteophyte(site="medial_tibia", size_mm=0.3402309620650099),
+    ),
+    subchondral_plate=1.5325370245089738,
+    varus_deg=-4.183954056250519,
+    flexion_deg=13.015230920961052,
+    rotation_deg=-8.760602343129273,
+    bone_scale=1.072015125419122,
+    cortex_scale=1.2719909885422809,
+    tibial_slope_deg=4.932338652828216,
+    limb_ap_mm=153.00877190950138,
+    fat_mm=8.223692340851724,
+)
+
+
+def test_no_tip_of_an_osteophyte_is_cut_off():
+    stance = stance_of(SHARP)
+    beaks = [(grown.outer, beak) for grown in (stance.femur, stance.tibia) for beak in grown.beaks]
+    assert len(beaks) == 6
+    for outer, beak in beaks:
+        points = mesh_of(outer).vertices
+        about = points[np.linalg.norm(points - beak.tip, axis=1) < 3.0]
+        assert (about @ beak.out).max() == pytest.approx(beak.farthest @ beak.out, abs=1e-4)
+    anatomy.build(SHARP)
 
 
 def test_folds_are_laid_flat():

@@ -4,13 +4,15 @@ CSG makes a solid of the right topology with hard creases; settling moves its ve
 which the same parts are blended, so that one part flows into the other.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from manifold3d import Manifold
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.sparse import coo_array
+from trimesh.triangles import closest_point
 
 from ..checks import Array
 from .solids import edges_of, halved, mesh_of, solid_of
@@ -25,6 +27,8 @@ _MOST_MM, _NEAR_MM = 1.5, 0.05
 _ROUNDS, _HALVINGS, _SHAFT_FROM_MM = 6, 4, 70.0
 # Shafts are cut off before this height. Rounds of unfolding, and of spreading evenly in each.
 _USED_MM, _UNFOLDINGS, _FLATTENINGS = 200.0, 10, 10
+# Of a tip: what is about it, how far middles of edges may be off there, halvings, and what may be cut off it.
+_TIP_MM, _TIP_TOLERANCE_MM, _TIP_HALVINGS, _CUT_MM = 4.0, 0.02, 3, 1e-4
 
 
 def blend(one: Array, other: Array, radius_mm: float) -> Array:
@@ -124,11 +128,16 @@ def settle(solid: Manifold, field: Field, *, depth_mm: Field | None = None, step
 
 
 def evened(
-    solid: Manifold, field: Field, rounds: int, near: Callable[[Array], NDArray[np.bool_]] | None = None
+    solid: Manifold,
+    field: Field,
+    rounds: int,
+    near: Choice | None = None,
+    tips: Sequence[Array] = (),
 ) -> Manifold:
     """A solid settled on a field, its vertices spread evenly over it, free of the slivers that CSG leaves at creases.
 
     near  which vertices may move at all: (n, 3) -> (n,) bool; all of them if None
+    tips  points (3,) of the field's surface that a coarse mesh would cut off
     """
     mesh = mesh_of(solid)
     places = np.array(mesh.vertices)
@@ -139,7 +148,39 @@ def evened(
     places[free] = onto(places[free], field, None, 5)
     for _ in range(rounds):
         places[free] = onto((places[free] + share * (beside @ places)) / 2, field, None, 2)
-    return solid_of(_unfolded(places, np.asarray(mesh.faces), free, field), mesh.faces, "evened")
+    faces = np.asarray(mesh.faces)
+    places = _unfolded(places, faces, free, field)
+    for tip in tips:
+        places, faces = _tipped(places, faces, field, tip)
+    return solid_of(places, faces, "evened")
+
+
+def _tipped(places: Array, faces: Array, field: Field, tip: Array) -> tuple[Array, Array]:
+    """Places and faces with a tip of the field's surface, where they cut it off.
+
+    Edges about it are halved, then the triangle below it gets a vertex there.
+    """
+    if _below(places, faces, tip)[1] >= _CUT_MM:
+        about = partial(_within, tip)
+        places, faces = _finer(places, faces, field, _TIP_TOLERANCE_MM, _TIP_HALVINGS, about)
+    below, away = _below(places, faces, tip)
+    if away < _CUT_MM:
+        return places, faces
+    one, two, three = faces[below]
+    new = len(places)
+    pieces = [[one, two, new], [two, three, new], [three, one, new]]
+    return np.vstack((places, tip)), np.vstack((np.delete(faces, below, axis=0), pieces))
+
+
+def _below(places: Array, faces: Array, tip: Array) -> tuple[int, float]:
+    """The triangle that is nearest to a tip, and how far away it is."""
+    about = np.flatnonzero(_within(tip, places[faces].mean(axis=1)))
+    away = lengths(closest_point(places[faces[about]], np.repeat(tip[None], len(about), axis=0)) - tip)
+    return int(about[away.argmin()]), float(away.min())
+
+
+def _within(tip: Array, points: Array) -> NDArray[np.bool_]:
+    return np.asarray(squares(points - tip) < _TIP_MM**2)
 
 
 def _unfolded(places: Array, faces: Array, free: NDArray[np.bool_], field: Field) -> Array:
@@ -191,8 +232,22 @@ def resolved(solid: Manifold, field: Field, tolerance_mm: float, rounds: int) ->
     """A solid settled on a field, with those edges halved, up to so many times, whose middles are farther off it."""
     mesh = mesh_of(solid)
     places, faces = np.array(mesh.vertices), np.asarray(mesh.faces)
+    places, faces = _finer(places, faces, field, tolerance_mm, rounds)
+    places = _unfolded(places, faces, np.ones(len(places), np.bool_), field)
+    return solid_of(places, faces, "resolved")
+
+
+def _finer(
+    places: Array, faces: Array, field: Field, tolerance_mm: float, rounds: int, near: Choice | None = None
+) -> tuple[Array, Array]:
+    """Places and faces with those edges halved, up to so many times, whose middles are farther off the field.
+
+    near  which vertices both ends of an edge must be among: (n, 3) -> (n,) bool; all of them if None
+    """
     for _ in range(rounds):
         edges = edges_of(faces)
+        if near is not None:
+            edges = edges[near(places)[edges].all(axis=1)]
         middles = places[edges].mean(axis=1)
         settled = onto(middles, field, None, 3)
         off = np.linalg.norm(settled - middles, axis=1) > tolerance_mm
@@ -200,8 +255,7 @@ def resolved(solid: Manifold, field: Field, tolerance_mm: float, rounds: int) ->
             break
         faces = halved(faces, edges[off], len(places))
         places = np.vstack((places, settled[off]))
-    places = _unfolded(places, faces, np.ones(len(places), np.bool_), field)
-    return solid_of(places, faces, "resolved")
+    return places, faces
 
 
 def onto(places: Array, field: Field, depth_mm: Field | None, steps: int) -> Array:

@@ -27,6 +27,7 @@ class Beak:
     """Cones from three feet within the bone to one tip, whose farthest point stands out by the osteophyte's size.
 
     feet  (3, 3)  centres and the radius of the balls there; tip (3,) likewise; mm
+    out   (3,)    unit vector in which it stands out
     """
 
     feet: Array
@@ -34,6 +35,12 @@ class Beak:
     tip: Array
     tip_mm: float
     size_mm: float
+    out: Array
+
+    @property
+    def farthest(self) -> Array:
+        """(3,)  its farthest point"""
+        return self.tip + self.tip_mm * self.out
 
     @property
     def fillet_mm(self) -> float:
@@ -105,7 +112,8 @@ def grow(osteophytes: tuple[Osteophyte, ...], bone: str, bare: Manifold, field: 
     rough = bare
     for beak in beaks:
         rough = rough + beak.solid(0.0).refine_to_length(1.0)
-    return Grown(checked(evened(rough, whole, _ROUNDS, near), f"{bone} with osteophytes"), tuple(beaks))
+    even = evened(rough, whole, _ROUNDS, near, [beak.farthest for beak in beaks])
+    return Grown(checked(even, f"{bone} with osteophytes"), tuple(beaks))
 
 
 def _at_margin(where: str, direction: float, bare: Manifold, size_mm: float) -> Beak:
@@ -117,7 +125,7 @@ def _at_margin(where: str, direction: float, bare: Manifold, size_mm: float) -> 
     inward = margin - foot_mm - 1.2 - 1.5 * np.array([1.0, 0.0, 1.0])
     feet = np.column_stack((direction * inward, [-width, 0.0, width], np.full(3, table["foot_z"])))
     tip = np.array([direction * (margin + size_mm - tip_mm), 0.0, table["tip_z"]])
-    return Beak(feet, foot_mm, tip, tip_mm, size_mm)
+    return Beak(feet, foot_mm, tip, tip_mm, size_mm, np.array([direction, 0.0, 0.0]))
 
 
 def _on_spine(where: str, direction: float, bare: Manifold, size_mm: float) -> Beak:
@@ -127,7 +135,7 @@ def _on_spine(where: str, direction: float, bare: Manifold, size_mm: float) -> B
     tip_mm, foot_mm = 0.35 + 0.15 * size_mm, 1.0 + 0.3 * size_mm
     feet = top - [0.0, 0.0, foot_mm + 0.6] + np.array([[0.0, -3.0, -0.6], [0.0, 0.0, 0.0], [0.0, 3.0, -0.6]])
     tip = top + np.array([0.0, 0.0, size_mm - tip_mm])
-    return Beak(feet, foot_mm, tip, tip_mm, size_mm)
+    return Beak(feet, foot_mm, tip, tip_mm, size_mm, np.array([0.0, 0.0, 1.0]))
 
 
 def _cones(points: Array, feet: Array, foot_mm: float, tip: Array, tip_mm: float) -> Array:
