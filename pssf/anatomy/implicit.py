@@ -160,10 +160,11 @@ def _tipped(places: Array, faces: Array, field: Field, tip: Array) -> tuple[Arra
 
     Edges about it are halved, then the triangle below it gets a vertex there.
     """
-    if _below(places, faces, tip)[1] >= _CUT_MM:
+    below, away = _below(places, faces, tip)
+    if away >= _CUT_MM:
         about = partial(_within, tip)
         places, faces = _finer(places, faces, field, _TIP_TOLERANCE_MM, _TIP_HALVINGS, about)
-    below, away = _below(places, faces, tip)
+        below, away = _below(places, faces, tip)
     if away < _CUT_MM:
         return places, faces
     one, two, three = faces[below]
@@ -220,10 +221,11 @@ def _spread(places: Array, edges: Array, which: NDArray[np.int64], field: Field)
     number[which] = np.arange(len(which))
     both = np.vstack((edges, edges[:, ::-1]))
     ends = both[number[both[:, 0]] >= 0]
-    count = np.bincount(number[ends[:, 0]], minlength=len(which))[:, None]
+    rows, beside = number[ends[:, 0]], ends[:, 1]
+    count = np.bincount(rows, minlength=len(which))[:, None]
     for _ in range(_FLATTENINGS):
         sums = np.zeros((len(which), 3))
-        np.add.at(sums, number[ends[:, 0]], places[ends[:, 1]])
+        np.add.at(sums, rows, places[beside])
         places[which] = onto(sums / count, field, None, 1)
     places[which] = onto(places[which], field, None, 5)
 
