@@ -37,6 +37,14 @@ def require_whole(name: str, value: int, low: int, high: int, unit: str) -> None
         raise InputError(f"{name} = {told}; allowed: whole numbers from {allowed}")
 
 
+def require_workers(workers: int, unit: str = "threads") -> None:
+    """Refuse a number of workers outside 1 to 256.
+
+    raises  InputError
+    """
+    require_whole("workers", workers, 1, 256, unit)
+
+
 def require_choice(name: str, value: Any, allowed: Collection[Any]) -> None:
     """Refuse a value that is not among those listed, naming the nearest.
 

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.status import Status
 from rich.table import Table
 
-from .checks import InputError, require_choice, require_whole
+from .checks import InputError, require_choice, require_whole, require_workers
 from .files import tables
 from .files.atomic import folder
 from .knee import Knee, draw_knee, knee_from
@@ -96,7 +96,7 @@ def simulate(
 
     technique, wanted = load_protocol(protocol), kinds.split(",")
     require_choice("engine", engine, ENGINES)
-    require_whole("workers", workers, 1, 256, "threads")
+    require_workers(workers)
     for kind in wanted:
         require_choice("formats", kind, KINDS)
     require_choice("border", border, BORDERS)

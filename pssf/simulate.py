@@ -8,7 +8,7 @@ from importlib.metadata import version
 import numpy as np
 
 from . import anatomy, detector, raycast
-from .checks import InputError, require_choice, require_whole
+from .checks import InputError, require_choice, require_whole, require_workers
 from .clock import Clock
 from .detector.monte_carlo import scatter_monte_carlo
 from .detector.scatter import exit_gap_mm
@@ -45,7 +45,7 @@ def simulate(
     raises   InputError for an unknown name in keep, an unknown engine or material, a scene that cannot be traced, paths
              of another view
     """
-    _check(knee, protocol, seed, keep)
+    _check(knee, protocol, seed, keep, engine, workers)
     clock = Clock()
     who = None if isinstance(knee, Scene) else knee
     scene = knee if isinstance(knee, Scene) else scene or anatomy.build(knee)
@@ -87,7 +87,9 @@ def simulate(
     )
 
 
-def _check(knee: Knee | Scene, protocol: Protocol, seed: int, keep: Collection[str]) -> None:
+def _check(knee: Knee | Scene, protocol: Protocol, seed: int, keep: Collection[str], engine: str, workers: int) -> None:
+    require_choice("engine", engine, raycast.ENGINES)
+    require_workers(workers)
     require_whole("seed", seed, 0, 2**63 - 1, "")
     for name in keep:
         require_choice("keep", name, KEEP)

@@ -248,3 +248,10 @@ def test_paths_of_another_view_or_texture_are_refused(knee, scene, small, change
     paths = pssf.trace(scene, dataclasses.replace(small, **changed), engine="scanline")
     with pytest.raises(pssf.InputError, match=r"^paths (of|with) "):
         pssf.simulate(knee, small, scene=scene, paths=paths)
+
+
+@pytest.mark.parametrize(("name", "value"), [("engine", "foo"), ("workers", 0), ("seed", -1), ("keep", ("foo",))])
+def test_what_cannot_be_used_is_refused_before_a_knee_is_built(name, value, monkeypatch):
+    monkeypatch.setattr("pssf.anatomy.build", lambda knee: pytest.fail("built"))
+    with pytest.raises(pssf.InputError, match=f"{name} = "):
+        pssf.simulate(pssf.Knee(), pssf.load_protocol("reference"), **{name: value})

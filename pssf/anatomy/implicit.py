@@ -11,7 +11,7 @@ import numpy as np
 from manifold3d import Manifold
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, csr_array, diags_array
 from trimesh.triangles import closest_point
 
 from ..checks import Array
@@ -142,17 +142,22 @@ def evened(
     mesh = mesh_of(solid)
     places = np.array(mesh.vertices)
     free = np.ones(len(places), np.bool_) if near is None else near(places)
-    ends = np.vstack((mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]))
-    beside = coo_array((np.ones(len(ends)), ends.T), shape=2 * [len(places)]).tocsr()[free]
-    share = 1.0 / beside.sum(axis=1)[:, None]
+    faces = np.asarray(mesh.faces)
+    amid = _amid(faces, len(places))[free]
     places[free] = onto(places[free], field, None, 5)
     for _ in range(rounds):
-        places[free] = onto((places[free] + share * (beside @ places)) / 2, field, None, 2)
-    faces = np.asarray(mesh.faces)
+        places[free] = onto((places[free] + amid @ places) / 2, field, None, 2)
     places = _unfolded(places, faces, free, field)
     for tip in tips:
         places, faces = _tipped(places, faces, field, tip)
     return solid_of(places, faces, "evened")
+
+
+def _amid(faces: Array, count: int) -> csr_array:
+    """(count, count)  takes values at vertices to their means over those that share an edge with each"""
+    ends = np.vstack((faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]))
+    beside = coo_array((np.ones(len(ends)), ends.T), shape=(count, count)).tocsr()
+    return csr_array(diags_array(1.0 / beside.sum(axis=1)) @ beside)
 
 
 def _tipped(places: Array, faces: Array, field: Field, tip: Array) -> tuple[Array, Array]:
@@ -190,7 +195,7 @@ def _unfolded(places: Array, faces: Array, free: NDArray[np.bool_], field: Field
     A patch that stays folded is widened, since a narrow one about a tip has no room to turn.
     """
     places = places.copy()
-    edges = edges_of(faces)
+    amid = _amid(faces, len(places))
     used = faces[free[faces].any(axis=1) & (np.abs(places[faces, 2]) < _USED_MM).all(axis=1)]
     suspect = used
     for turn in range(_UNFOLDINGS):
@@ -200,10 +205,13 @@ def _unfolded(places: Array, faces: Array, free: NDArray[np.bool_], field: Field
         around = np.zeros(len(places), np.bool_)
         around[inside_out] = True
         for _ in range(2 + turn):
-            around[edges[around[edges].any(axis=1)]] = True
+            around |= amid @ around > 0
         around &= free
         suspect = used[around[used].any(axis=1)]  # the others have been found to face outwards, and stay
-        _spread(places, edges, np.flatnonzero(around), field)
+        middles = amid[around]
+        for _ in range(_FLATTENINGS):
+            places[around] = onto(middles @ places, field, None, 1)
+        places[around] = onto(places[around], field, None, 5)
     return places
 
 
@@ -213,21 +221,6 @@ def _inwards(triangles: Array, field: Field) -> NDArray[np.bool_]:
     middle = (one + two + three) / 3
     outward = gradient(field, middle, field(middle))
     return np.asarray((np.cross(two - one, three - one) * outward).sum(axis=1) <= 0)
-
-
-def _spread(places: Array, edges: Array, which: NDArray[np.int64], field: Field) -> None:
-    """Places of a patch moved, in turn, amid those that they share an edge with and onto the field."""
-    number = np.full(len(places), -1)
-    number[which] = np.arange(len(which))
-    both = np.vstack((edges, edges[:, ::-1]))
-    ends = both[number[both[:, 0]] >= 0]
-    rows, beside = number[ends[:, 0]], ends[:, 1]
-    count = np.bincount(rows, minlength=len(which))[:, None]
-    for _ in range(_FLATTENINGS):
-        sums = np.zeros((len(which), 3))
-        np.add.at(sums, rows, places[beside])
-        places[which] = onto(sums / count, field, None, 1)
-    places[which] = onto(places[which], field, None, 5)
 
 
 def resolved(solid: Manifold, field: Field, tolerance_mm: float, rounds: int) -> Manifold:

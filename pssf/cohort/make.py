@@ -9,7 +9,7 @@ from platform import node
 from typing import Any
 
 from .. import anatomy
-from ..checks import InputError, require_choice, require_whole
+from ..checks import InputError, require_choice, require_workers
 from ..files import atomic, records
 from ..files.images import save
 from ..geometry import view_of
@@ -61,7 +61,7 @@ def make_cohort(
                cannot be written, a scheduler that cannot be used; WorkersLostError when workers keep being killed
     """
     workers = cores() if workers is None else workers
-    require_whole("workers", workers, 1, 256, "processes")
+    require_workers(workers, "processes")
     require_choice("engine", engine, ENGINES)
     if scheduler is not None:
         require_scheduler(scheduler)

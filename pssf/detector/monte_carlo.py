@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ..checks import Array, require_whole
+from ..checks import Array, require_whole, require_workers
 from ..geometry import View, view_of
 from ..protocol import Protocol
 from ..scene import Scene
@@ -87,7 +87,7 @@ def count(
     """
     require_whole("photons", photons, _BATCHES, 10**12, "")
     require_whole("seed", seed, 0, 2**63 - 1, "")
-    require_whole("workers", workers, 1, 256, "threads")
+    require_workers(workers)
     view, step = view_of(protocol), max(1, round(cell_mm / protocol.pixel_mm))
     voxels = _before_the_detector(scene, view, voxel_mm)
     where = _setting(voxels, view, protocol, step * protocol.pixel_mm)

@@ -21,7 +21,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from ..checks import Array, InputError, require_choice, require_whole
+from ..checks import Array, InputError, require_choice, require_workers
 from ..density import Density
 from ..geometry import View, view_of
 from ..mending import require_sound
@@ -70,7 +70,7 @@ def trace(
     """
     require_choice("engine", engine, ENGINES)
     require_choice("precision", precision, PRECISIONS)
-    require_whole("workers", workers, 1, 256, "threads")
+    require_workers(workers)
     wanted = list(dict.fromkeys(scene.materials[1:] if materials is None else materials))
     for material in wanted:
         require_choice("material", material, scene.materials)
