@@ -45,6 +45,14 @@ def require_workers(workers: int, unit: str = "threads") -> None:
     require_whole("workers", workers, 1, 256, unit)
 
 
+def require_seed(seed: int) -> None:
+    """Refuse anything but a whole number from 0 to 2**63 - 1.
+
+    raises  InputError
+    """
+    require_whole("seed", seed, 0, 2**63 - 1, "")
+
+
 def require_choice(name: str, value: Any, allowed: Collection[Any]) -> None:
     """Refuse a value that is not among those listed, naming the nearest.
 

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.status import Status
 from rich.table import Table
 
-from .checks import InputError, require_choice, require_whole, require_workers
+from .checks import InputError, require_choice, require_seed, require_whole, require_workers
 from .files import tables
 from .files.atomic import folder
 from .knee import Knee, draw_knee, knee_from
@@ -281,7 +281,7 @@ def protocols(
 
 def _knee_of(path: Path | None, grade: int, seed: int) -> tuple[Knee, str]:
     """A knee from a file, or drawn by grade and seed; and a name for its files."""
-    require_whole("seed", seed, 0, 2**63 - 1, "")
+    require_seed(seed)
     if path is not None:
         return knee_from(tables.read_toml(path), f"knee {path.name}"), path.stem
     return draw_knee(grade=grade, rng=np.random.default_rng(seed)), f"knee_grade{grade}"

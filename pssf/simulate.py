@@ -8,7 +8,7 @@ from importlib.metadata import version
 import numpy as np
 
 from . import anatomy, detector, raycast
-from .checks import InputError, require_choice, require_whole, require_workers
+from .checks import InputError, require_choice, require_seed, require_workers
 from .clock import Clock
 from .detector.monte_carlo import scatter_monte_carlo
 from .detector.scatter import exit_gap_mm
@@ -90,7 +90,7 @@ def simulate(
 def _check(knee: Knee | Scene, protocol: Protocol, seed: int, keep: Collection[str], engine: str, workers: int) -> None:
     require_choice("engine", engine, raycast.ENGINES)
     require_workers(workers)
-    require_whole("seed", seed, 0, 2**63 - 1, "")
+    require_seed(seed)
     for name in keep:
         require_choice("keep", name, KEEP)
     if "masks" in keep and isinstance(knee, Scene):

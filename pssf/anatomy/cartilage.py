@@ -11,7 +11,7 @@ from ..files import tables
 from . import femur as femur_shape
 from . import tibia as tibia_shape
 from .implicit import Field, onto
-from .solids import edges_of, loft, mesh_of, ring, solid_of
+from .solids import edges_of, loft, mesh_of, ring, solid_of, widened
 
 # Farther than this from the bare bone's surface is osteophyte, which bears no cartilage.
 _BARE_MM = 0.02
@@ -104,9 +104,7 @@ def _layer(outer: Manifold, field: Field, zone: Field, scale: float, spaces_mm: 
     faces = np.asarray(mesh.faces)
     grown = np.zeros(len(points), np.bool_)
     grown[candidates] = np.abs(field(points[candidates])) > _BARE_MM
-    for _ in range(_RINGS):
-        grown[faces[grown[faces].any(axis=1)]] = True
-    thickness[grown] = 0.0
+    thickness[widened(grown, faces, _RINGS)] = 0.0
     while len(pinched := _pinched(faces, thickness > 0)):
         thickness[pinched] = _THINNEST_MM
     bearing = np.flatnonzero(thickness)

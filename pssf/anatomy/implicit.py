@@ -15,7 +15,7 @@ from scipy.sparse import coo_array, csr_array, diags_array
 from trimesh.triangles import closest_point
 
 from ..checks import Array
-from .solids import edges_of, halved, mesh_of, solid_of
+from .solids import edges_of, halved, mesh_of, solid_of, widened
 
 Field = Callable[[Array], Array]
 Choice = Callable[[Array], NDArray[np.bool_]]
@@ -204,9 +204,7 @@ def _unfolded(places: Array, faces: Array, free: NDArray[np.bool_], field: Field
             break
         around = np.zeros(len(places), np.bool_)
         around[inside_out] = True
-        for _ in range(2 + turn):
-            around |= amid @ around > 0
-        around &= free
+        around = free & widened(around, faces, 2 + turn)
         suspect = used[around[used].any(axis=1)]  # the others have been found to face outwards, and stay
         middles = amid[around]
         for _ in range(_FLATTENINGS):

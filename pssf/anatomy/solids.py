@@ -6,6 +6,7 @@ import manifold3d
 import numpy as np
 import trimesh
 from manifold3d import Manifold
+from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from ..checks import Array, InputError
@@ -49,6 +50,14 @@ def edges_of(faces: Array) -> Array:
     ends = np.stack((faces, np.roll(faces, -1, axis=1)), axis=-1)
     key = np.unique(ends.min(axis=-1) * number + ends.max(axis=-1))
     return np.column_stack((key // number, key % number))
+
+
+def widened(chosen: NDArray[np.bool_], faces: Array, rings: int) -> NDArray[np.bool_]:
+    """(n,)  which vertices are chosen, or within so many edges of one that is"""
+    wide = chosen.copy()
+    for _ in range(rings):
+        wide[faces[wide[faces].any(axis=1)]] = True
+    return wide
 
 
 def halved(faces: Array, edges: Array, first: int) -> Array:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..checks import Array, InputError, require, require_choice, require_whole
+from ..checks import Array, InputError, require, require_choice, require_seed
 from ..files import tables
 from .lattice import lattice
 from .march import Region, Triple, march
@@ -69,7 +69,7 @@ def trabeculae(
     require_choice("bone", bone, BONES)
     require_choice("mirror", mirror, ("right", "left"))
     require_choice("sex", sex, ("male", "female"))
-    require_whole("seed", seed, 0, 2**63 - 1, "")
+    require_seed(seed)
     require("scale", scale, 0.5, 2.0, "(relative)")
     require("sclerosis", sclerosis, 0.5, 2.5, "(relative)")
     require("age_years", age_years, 18, 100, "years")

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import InputError, require_choice, require_whole
+from ..checks import InputError, require_choice, require_seed, require_whole
 from ..files import tables
 from ..knee import Knee, draw_knee, knee_table
 from ..protocol import Protocol, load_protocol, protocol_table
@@ -82,7 +82,7 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
     raises     InputError for an unknown preset, entry or protocol, or counts that do not fit
     """
     require_choice("preset", preset, preset_names())
-    require_whole("seed", seed, 0, 2**63 - 1, "")
+    require_seed(seed)
     table = dict(tables.data("presets")[preset])
     for name, value in (overrides or {}).items():
         require_choice("preset entry", name, tuple(table))

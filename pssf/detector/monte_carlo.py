@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ..checks import Array, require_whole, require_workers
+from ..checks import Array, require_seed, require_whole, require_workers
 from ..geometry import View, view_of
 from ..protocol import Protocol
 from ..scene import Scene
@@ -86,7 +86,7 @@ def count(
     voxel_mm  by default 2 mm, or more for a scene of over 10 million voxels
     """
     require_whole("photons", photons, _BATCHES, 10**12, "")
-    require_whole("seed", seed, 0, 2**63 - 1, "")
+    require_seed(seed)
     require_workers(workers)
     view, step = view_of(protocol), max(1, round(cell_mm / protocol.pixel_mm))
     voxels = _before_the_detector(scene, view, voxel_mm)

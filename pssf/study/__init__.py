@@ -30,7 +30,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..checks import InputError, require, require_choice, require_whole
+from ..checks import InputError, require, require_choice, require_seed, require_whole
 from ..parallel import require_scheduler
 from ..radiomics import FAMILIES
 from .cost import Meter
@@ -89,7 +89,7 @@ class StudySettings:
         require_whole("bins", self.bins, 8, 256, "grey values")
         require("min_score", self.min_score, -1, 1, "(correlation)")
         require_whole("repeats", self.repeats, 1, 1000, "splits")
-        require_whole("seed", self.seed, 0, 2**63 - 1, "")
+        require_seed(self.seed)
         require("rho", self.rho, 0.1, 1, "(correlation)")
         require_whole("most_features", self.most_features, 1, 100, "features")
         require_whole("replicates", self.replicates, 100, 100_000, "samples")
