@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import pssf
-from pssf.files.pictures import side_by_side
+from pssf.io.pictures import side_by_side
 
 
 def run(out: Path, pixels: int = 2048) -> list[Path]:

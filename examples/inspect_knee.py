@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 import pssf
-from pssf.files.viewer import write_viewer
+from pssf.io.viewer import write_viewer
 
 
 def run(out: Path, pixels: int = 2048) -> list[Path]:

@@ -11,9 +11,9 @@ from PIL import Image, ImageChops, ImageDraw
 from scipy import ndimage
 
 import pssf
-from pssf.files.meshes import colour_of
-from pssf.files.pictures import side_by_side
-from pssf.files.viewer import shaded
+from pssf.io.meshes import colour_of
+from pssf.io.pictures import side_by_side
+from pssf.io.viewer import shaded
 
 # Directions in which a picture runs right and up, and in which the eye looks; all lines of sight are parallel.
 FRONT = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]])

@@ -16,17 +16,17 @@ study      models, statistics, report                 (extra "study")
 """
 
 from .anatomy import build
-from .checks import InputError
-from .density import PlaneWaves
-from .detector import present
-from .files.images import load, load_parameters, save
-from .files.masks import load_masks, save_masks
-from .files.meshes import export_meshes
-from .knee import Knee, Osteophyte, draw_knee
-from .protocol import Protocol, load_protocol
-from .radiograph import Radiograph, Truth
+from .core.checks import InputError
+from .exposure import present
+from .geometry.density import PlaneWaves
+from .geometry.scene import MeshNotice, Scene, Surface
+from .io.images import load, load_parameters, save
+from .io.masks import load_masks, save_masks
+from .io.meshes import export_meshes
+from .model.knee import Knee, Osteophyte, draw_knee
+from .model.protocol import Protocol, load_protocol
+from .model.radiograph import Radiograph, Truth
 from .raycast import check, trace
-from .scene import MeshNotice, Scene, Surface
 from .simulate import simulate
 
 __all__ = [

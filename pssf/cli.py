@@ -10,12 +10,12 @@ from rich.console import Console
 from rich.status import Status
 from rich.table import Table
 
-from .checks import InputError, require_choice, require_seed, require_whole, require_workers
-from .files import tables
-from .files.atomic import folder
-from .knee import Knee, draw_knee, knee_from
-from .parallel import WorkersLostError, cores
-from .progress import bar
+from .core.checks import InputError, require_choice, require_seed, require_whole, require_workers
+from .core.parallel import WorkersLostError, cores
+from .core.progress import bar
+from .data import tables
+from .io.atomic import folder
+from .model.knee import Knee, draw_knee, knee_from
 from .radiomics import FAMILIES
 from .study import MODELS, SELECTIONS
 
@@ -89,8 +89,8 @@ def simulate(
     ] = "none",
 ) -> None:
     """One radiograph: 16-bit TIFF, PNG for eyes, the parameters as JSON; DICOM if asked for."""
-    from .files.images import BORDERS, KINDS, save_kinds
-    from .protocol import load_protocol
+    from .io.images import BORDERS, KINDS, save_kinds
+    from .model.protocol import load_protocol
     from .raycast import ENGINES
     from .simulate import simulate as run
 
@@ -122,7 +122,7 @@ def meshes(
 ) -> None:
     """The solids of a knee as STL, PLY, GLB and 3MF, in mm."""
     from .anatomy import build
-    from .files.meshes import export_meshes
+    from .io.meshes import export_meshes
 
     subject, name = _knee_of(knee, grade, seed)
     kept = tuple(kinds.split(","))
@@ -246,7 +246,7 @@ def quality(
     protocol: Annotated[str, typer.Option(help="Protocol by name, or the path of a TOML file.")] = "reference",
 ) -> None:
     """A protocol measured beside references: beam, MTF, NPS, DQE, exposure; tables (CSV) and a figure."""
-    from .protocol import load_protocol
+    from .model.protocol import load_protocol
     from .quality import measure_quality, write_quality
 
     technique = load_protocol(protocol)
@@ -267,7 +267,7 @@ def protocols(
     name: Annotated[str, typer.Argument(help="Protocol, by name or path, whose values to show.")] = "",
 ) -> None:
     """Fields of a protocol: what each is, its unit, what it may be, its default, where usual values come from."""
-    from .protocol import field_rows, load_protocol, protocol_table
+    from .model.protocol import field_rows, load_protocol, protocol_table
 
     values = protocol_table(load_protocol(name)) if name else {}
     if not name:

@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .cohort import Plan, make_cohort, plan_cohort, plan_repeats
-from .files.atomic import sweep
-from .files.images import load
-from .files.records import read_manifest
-from .knee import Knee
-from .progress import Pace
-from .protocol import load_protocol
+from .core.progress import Pace
+from .io.atomic import sweep
+from .io.images import load
+from .io.records import read_manifest
+from .model.knee import Knee
+from .model.protocol import load_protocol
 from .simulate import simulate
 from .study import StudyResult, StudySettings, measure, require_extra, run
-from .study.cost import Meter
+from .study.report.cost import Meter
 
 if TYPE_CHECKING:
     import pandas as pd

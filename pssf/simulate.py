@@ -7,16 +7,17 @@ from importlib.metadata import version
 
 import numpy as np
 
-from . import anatomy, detector, raycast
-from .checks import InputError, require_choice, require_seed, require_workers
-from .clock import Clock
-from .detector.monte_carlo import scatter_monte_carlo
-from .detector.scatter import exit_gap_mm
-from .geometry import spot_views, view_of
-from .knee import Knee
-from .protocol import Protocol
-from .radiograph import Radiograph, Truth
-from .scene import Scene
+from . import anatomy, raycast
+from . import exposure as detector
+from .core.checks import InputError, require_choice, require_seed, require_workers
+from .core.timer import Clock
+from .geometry.scene import Scene
+from .geometry.view import spot_views, view_of
+from .model.knee import Knee
+from .model.protocol import Protocol
+from .model.radiograph import Radiograph, Truth
+from .scatter.kernel import exit_gap_mm
+from .scatter.monte_carlo import scatter_monte_carlo
 
 KEEP = ("path_mm", "primary", "scatter", "noise_free", "masks")
 # Streams below a radiograph's seed; shape and pose are drawn with the knee, before it.

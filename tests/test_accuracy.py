@@ -22,7 +22,7 @@ from pssf.accuracy import (
     texture,
 )
 from pssf.cohort import plan_cohort
-from pssf.geometry import view_of
+from pssf.geometry.view import view_of
 from pssf.study import StudySettings
 
 

@@ -13,6 +13,7 @@ from pssf import anatomy
 from pssf.accuracy import morphometry
 from pssf.anatomy import bones, cartilage, femur, implicit, joint
 from pssf.anatomy.solids import checked, edges_of, halved, height_field, loft, mesh_of, ring, solid_of
+from pssf.model.knee import SITES
 
 REFERENCE = pssf.load_protocol("reference")
 MEAN = bones.Build(scale=1.0, cortex=1.0, plate=1.0, slope_deg=5.0, femur_valgus_deg=5.0, tibia_varus_deg=0.0)
@@ -54,7 +55,7 @@ def test_knees_at_the_corners_of_their_ranges_build(corner):
     knee = pssf.Knee(
         stature_mm=stature, bone_scale=scale, limb_ap_mm=limb, fat_mm=fat, varus_deg=varus, rotation_deg=rotation,
         flexion_deg=15.0, tibial_slope_deg=12.0, jsw_medial_mm=2.5, jsw_lateral_mm=5.5, subchondral_plate=1.6,
-        osteophytes=tuple(pssf.Osteophyte(site=site, size_mm=3.0) for site in pssf.knee.SITES),
+        osteophytes=tuple(pssf.Osteophyte(site=site, size_mm=3.0) for site in SITES),
     )  # fmt: skip
     assert_allclose(anatomy.measured_jsw_mm(knee, pssf.build(knee), REFERENCE), [2.5, 5.5], atol=0.01)
 
@@ -87,7 +88,7 @@ def test_the_joint_line_lies_at_the_origin(knee, scene):
     assert row == pytest.approx((REFERENCE.rows - 1) / 2, abs=0.5)
 
 
-@pytest.mark.parametrize("site", pssf.knee.SITES)
+@pytest.mark.parametrize("site", SITES)
 @pytest.mark.parametrize("size", [0.3, 1.0, 3.0, 6.0])
 def test_an_osteophyte_stands_out_by_its_size(site, size):
     side, where = site.split("_")

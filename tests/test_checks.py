@@ -2,8 +2,8 @@ import math
 
 import pytest
 
-from pssf.checks import InputError, from_table, require, require_choice, require_whole
-from pssf.protocol import Protocol
+from pssf.core.checks import InputError, from_table, require, require_choice, require_whole
+from pssf.model.protocol import Protocol
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -1, 11, "5", None, True])

@@ -6,8 +6,8 @@ import pytest
 import scipy.stats
 
 from pssf.study import StudySettings
-from pssf.study.checklist import STATUSES, checklist
-from pssf.study.claims import COLUMNS, claims, spearman, verdict
+from pssf.study.report.checklist import STATUSES, checklist
+from pssf.study.statistics.claims import COLUMNS, claims, spearman, verdict
 
 SETTINGS = StudySettings(replicates=200, models=("lr",), selections=("l1",))
 

@@ -10,10 +10,11 @@ from test_extremes import LIGHT, NAMES, table
 from test_radiomics import TEMPLATE, jobs, load_phantom
 
 import pssf
-from pssf import cohort, parallel
-from pssf.parallel import WorkersLostError, ordered_map
+from pssf import cohort
+from pssf.core import parallel
+from pssf.core.parallel import WorkersLostError, ordered_map
 from pssf.radiomics.table import How, extract_all
-from pssf.study.training import train
+from pssf.study.learn.training import train
 
 
 def two_workers():
@@ -100,7 +101,7 @@ def test_a_refusal_by_a_worker_arrives_as_it_is(cluster):
 
 def test_a_scheduler_without_workers_is_refused(monkeypatch):
     distributed = pytest.importorskip("distributed")
-    from pssf import cluster as module
+    from pssf.core import cluster as module
 
     monkeypatch.setattr(module, "_WORKERS_SECONDS", 2)
     with (

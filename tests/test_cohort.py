@@ -18,7 +18,7 @@ import pytest
 import pssf
 from pssf import cohort
 from pssf.cohort import make
-from pssf.files import atomic, records
+from pssf.io import atomic, records
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pssf.study.cost import Meter, growth
+from pssf.study.report.cost import Meter, growth
 
 
 @given(exponent=st.floats(0.3, 3), each=st.floats(1e-3, 10), count=st.integers(8, 300))

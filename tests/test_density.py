@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from pssf import InputError, PlaneWaves
-from pssf.density import Density
+from pssf.geometry.density import Density
 
 part = st.floats(-3, 3)
 

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 import pssf
-from pssf import detector
+from pssf import exposure as detector
+from pssf.core.blocks import block_mean, enlarge
 from pssf.detector import blur, panel
-from pssf.detector.coarse import block_mean, enlarge
-from pssf.detector.materials import attenuation_per_mm, density_g_per_cm3
-from pssf.detector.primary import transmit
-from pssf.detector.spectrum import Beam, beam_for, beam_of, heel_factor
-from pssf.geometry import view_of
+from pssf.geometry.view import view_of
+from pssf.xray.materials import attenuation_per_mm, density_g_per_cm3
+from pssf.xray.primary import transmit
+from pssf.xray.spectrum import Beam, beam_for, beam_of, heel_factor
 
 SEED = np.random.SeedSequence(1)
 

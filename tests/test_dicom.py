@@ -10,8 +10,8 @@ import SimpleITK
 from pydicom.uid import DeflatedExplicitVRLittleEndian, ImplicitVRLittleEndian, RLELossless
 
 import pssf
-from pssf.files.images import save_parameters
-from pssf.geometry import magnification, view_of
+from pssf.geometry.view import magnification, view_of
+from pssf.io.images import save_parameters
 
 INTENTS = ("processing", "presentation")
 PROTOCOLS = ("reference", "low_dose", "geometry_shift")

@@ -9,9 +9,9 @@ import pytest
 
 import pssf
 from pssf import experiment
+from pssf.core.progress import Pace
 from pssf.experiment import Crew, _below, _pixels, make_experiment, run_experiment
-from pssf.files import results
-from pssf.progress import Pace
+from pssf.io import results
 from pssf.study import StudyResult, StudySettings, finished
 
 

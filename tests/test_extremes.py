@@ -7,12 +7,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pssf.checks import InputError
+from pssf.core.checks import InputError
 from pssf.study import StudySettings
-from pssf.study.evidence import tables_of_features, tables_of_models
-from pssf.study.importance import by_family
-from pssf.study.scenarios import Outcome, one_split
-from pssf.study.split import split_subjects
+from pssf.study.learn.importance import by_family
+from pssf.study.learn.scenarios import Outcome, one_split
+from pssf.study.learn.split import split_subjects
+from pssf.study.statistics.evidence import tables_of_features, tables_of_models
 
 PROTOCOLS = ("reference", "other")
 NAMES = ["glcm_a", "glcm_b", "gldm_c", "ngtdm_d"]

@@ -11,7 +11,7 @@ import trimesh
 from PIL import Image
 
 import pssf
-from pssf.files import atomic, images, meshes, records
+from pssf.io import atomic, images, meshes, records
 
 
 @pytest.fixture(scope="module")

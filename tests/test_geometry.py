@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from pssf import load_protocol
-from pssf.geometry import magnification, project, view_of
+from pssf.geometry.view import magnification, project, view_of
 
 
 @given(angle=st.floats(-20, 20), sod=st.floats(900, 1000), gap=st.floats(10, 200))

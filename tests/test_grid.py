@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import pssf
-from pssf.detector.grid import Grid, behind, scatter_passing
-from pssf.detector.spectrum import beam_of
+from pssf.scatter.grid import Grid, behind, scatter_passing
+from pssf.xray.spectrum import beam_of
 
 
 @pytest.fixture(scope="module")

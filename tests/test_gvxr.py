@@ -21,9 +21,9 @@ from numpy.testing import assert_allclose
 import pssf
 from pssf.accuracy.solids import polyhedron_chords
 from pssf.anatomy.solids import mesh_of, solid_of
-from pssf.detector.materials import _recipe, attenuation_per_mm
-from pssf.detector.spectrum import beam_for
-from pssf.geometry import view_of
+from pssf.geometry.view import view_of
+from pssf.xray.materials import _recipe, attenuation_per_mm
+from pssf.xray.spectrum import beam_for
 
 # Not only ModuleNotFoundError: gvxr may be there and one of the system's libraries not; the skip then names it.
 gvxr = pytest.importorskip("gvxrPython3", exc_type=ImportError).gvxr

@@ -9,7 +9,7 @@ import pytest
 import SimpleITK as sitk  # noqa: N813
 from radiomics import firstorder
 
-from pssf.files import tables
+from pssf.data import tables
 from pssf.radiomics.features import TEXTURES, measure
 
 FOLDER = Path(__file__).parent / "ibsi"

@@ -11,6 +11,7 @@ from pssf import anatomy, raycast
 from pssf.anatomy import femur, implicit, tibia
 from pssf.anatomy.joint import stance_of
 from pssf.anatomy.solids import mesh_of
+from pssf.model.knee import SITES
 
 
 @given(x=st.floats(-25, 25), y=st.floats(-18, 18))
@@ -46,7 +47,7 @@ def test_no_triangle_of_a_bone_faces_inwards(bone, tolerance_mm):
 @pytest.mark.parametrize("number", range(4))
 def test_no_material_of_a_knee_with_every_osteophyte_is_crossed_by_less_than_nothing(number):
     rng = np.random.default_rng(number)
-    sites = rng.permutation(pssf.knee.SITES)[: 2 + number]
+    sites = rng.permutation(SITES)[: 2 + number]
     beaks = tuple(pssf.Osteophyte(site=str(site), size_mm=float(rng.uniform(0.3, 3.0))) for site in sites)
     knee = pssf.Knee(jsw_medial_mm=2.8, osteophytes=beaks, flexion_deg=3.0 * number, rotation_deg=-2.0 * number)
     for name in ("reference", "geometry_shift"):
@@ -71,7 +72,7 @@ def test_no_triangle_of_an_osteophyte_faces_inwards(number, monkeypatch):
 
     monkeypatch.setattr(implicit, "_unfolded", counted)
     rng = np.random.default_rng(number)
-    beaks = [pssf.Osteophyte(site=str(site), size_mm=float(rng.uniform(0.3, 3.0))) for site in pssf.knee.SITES]
+    beaks = [pssf.Osteophyte(site=str(site), size_mm=float(rng.uniform(0.3, 3.0))) for site in SITES]
     anatomy.build(pssf.Knee(jsw_medial_mm=2.8, osteophytes=tuple(beaks), bone_scale=float(rng.uniform(0.9, 1.1))))
     assert left
     assert sum(before for before, _ in left) > 0

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pssf import InputError, Knee, Osteophyte, draw_knee
-from pssf.files import tables
-from pssf.knee import knee_from, knee_table
+from pssf.data import tables
+from pssf.model.knee import knee_from, knee_table
 
 
 @given(seed=st.integers(0, 2**32), grade=st.sampled_from([0, 1, 2]))

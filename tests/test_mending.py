@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from pssf.checks import InputError
-from pssf.mending import mend, require_sound
-from pssf.topology import edge_sum, volumes_mm3
+from pssf.core.checks import InputError
+from pssf.geometry.repair import mend, require_sound
+from pssf.geometry.topology import edge_sum, volumes_mm3
 
 BOX = trimesh.creation.box(extents=(10, 20, 30))
 POINTS, FACES = np.array(BOX.vertices), np.array(BOX.faces)

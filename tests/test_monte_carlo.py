@@ -9,14 +9,14 @@ from numpy.testing import assert_allclose
 import pssf
 from pssf.accuracy.monte_carlo import reference_rows
 from pssf.accuracy.scatter import limb, slab
-from pssf.detector import transport
-from pssf.detector.interactions import interactions_of
-from pssf.detector.monte_carlo import count, scatter_monte_carlo
-from pssf.detector.primary import transmit
-from pssf.detector.spectrum import beam_of
-from pssf.detector.voxels import voxels_of
-from pssf.files import tables
-from pssf.geometry import view_of
+from pssf.data import tables
+from pssf.geometry.view import view_of
+from pssf.scatter import transport
+from pssf.scatter.interactions import interactions_of
+from pssf.scatter.monte_carlo import count, scatter_monte_carlo
+from pssf.scatter.voxels import voxels_of
+from pssf.xray.primary import transmit
+from pssf.xray.spectrum import beam_of
 
 # Wide enough that one draw in 15 000 falls outside.
 SIGMAS = 4.0
@@ -112,7 +112,7 @@ def test_scatter_in_oxygen_has_the_angles_of_xraylib(kev, kind):
 
 def test_tables_add_up_to_the_attenuation_of_the_primary():
     what = interactions_of(("muscle", "cortical_bone", "Ti@4.51"), 80.0)
-    from pssf.detector.materials import attenuation_per_mm
+    from pssf.xray.materials import attenuation_per_mm
 
     energies = 5.0 + 0.5 * np.arange(what.photo.shape[1])
     for number, name in enumerate(("muscle", "cortical_bone", "Ti@4.51")):

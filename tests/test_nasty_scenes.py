@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from test_raycast import ENGINES, alone, ball, box, box_length, convex_chord, detector, moved, rays
 
 from pssf import InputError, PlaneWaves, Scene, Surface, simulate, trace
-from pssf.geometry import View, view_of
+from pssf.geometry.view import View, view_of
 
 # float64 against float64: the engines' own error, without that of storing.
 SCANLINE_MM, EMBREE_MM = 1e-6, 1e-4

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy import fft
 
-from pssf import parallel
-from pssf.parallel import WorkersLostError, ordered_map
+from pssf.core import parallel
+from pssf.core.parallel import WorkersLostError, ordered_map
 
 ENDLESS = """
 import os, time

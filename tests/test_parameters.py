@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from scipy.stats import spearmanr
 
-from pssf.study.parameters import composition, follows, morphology, parameters_of, strongest
+from pssf.study.statistics.parameters import composition, follows, morphology, parameters_of, strongest
 
 
 def manifest() -> pd.DataFrame:

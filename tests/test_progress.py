@@ -1,6 +1,6 @@
 import pytest
 
-from pssf.progress import Pace, bar, shown
+from pssf.core.progress import Pace, bar, shown
 
 
 class Clock:

@@ -4,9 +4,9 @@ import math
 import pytest
 
 from pssf import InputError, load_protocol
-from pssf.files import tables
-from pssf.files.tables import protocol_names
-from pssf.protocol import field_rows, protocol_from, protocol_table
+from pssf.data import tables
+from pssf.data.tables import protocol_names
+from pssf.model.protocol import field_rows, protocol_from, protocol_table
 
 STUDY = ("geometry_shift", "low_dose", "reference")
 

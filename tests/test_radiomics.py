@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from radiomics.featureextractor import RadiomicsFeatureExtractor
 from scipy.ndimage import gaussian_filter
 
-from pssf.checks import InputError
+from pssf.core.checks import InputError
 from pssf.radiomics.bone import bone_mask
 from pssf.radiomics.features import extract, family
 from pssf.radiomics.region import Template, cut_region, find_joint

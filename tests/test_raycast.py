@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from numba import njit
 from numpy.testing import assert_allclose
 
-from pssf.checks import InputError
-from pssf.geometry import View, view_of
-from pssf.protocol import Protocol, load_protocol
+from pssf.core.checks import InputError
+from pssf.geometry.scene import Scene, Surface
+from pssf.geometry.view import View, view_of
+from pssf.model.protocol import Protocol, load_protocol
 from pssf.raycast import Audit, embree, scanline, trace
 from pssf.raycast.paths import total
 from pssf.raycast.sheets import BAND_ROWS, sheet_of
-from pssf.scene import Scene, Surface
 
 ENGINES = ("embree", "scanline")
 few = settings(max_examples=12)

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from pssf.study.icc_by_subject import icc_intervals_by_weights, knee_weights
-from pssf.study.reliability import (
+from pssf.study.statistics.icc_by_subject import icc_intervals_by_weights, knee_weights
+from pssf.study.statistics.reliability import (
     count_stable,
     grid,
     icc,

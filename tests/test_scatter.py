@@ -6,10 +6,10 @@ from numpy.testing import assert_allclose
 
 import pssf
 from pssf.accuracy.scatter import CHECKED, FITTED, case_of, limb, scatter_rows, slab
-from pssf.detector.primary import transmit
-from pssf.detector.scatter import exit_gap_mm, scatter_kev
-from pssf.detector.spectrum import beam_of
-from pssf.geometry import view_of
+from pssf.geometry.view import view_of
+from pssf.scatter.kernel import exit_gap_mm, scatter_kev
+from pssf.xray.primary import transmit
+from pssf.xray.spectrum import beam_of
 
 
 def kernel(scene, protocol, gap_mm=None):

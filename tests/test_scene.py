@@ -3,8 +3,8 @@ import pytest
 import trimesh
 
 from pssf import InputError, MeshNotice, Scene, Surface, trace
-from pssf.geometry import View
-from pssf.scene import require_traceable
+from pssf.geometry.scene import require_traceable
+from pssf.geometry.view import View
 
 VIEW = View(source_mm=(0.0, -900.0, 0.0), centre_mm=(0.0, 200.0, 0.0), rows=8, cols=8, pixel_mm=8.0)
 

@@ -219,7 +219,7 @@ def test_without_scatter_a_grid_weakens_the_primary_alone(knee, scene, small):
 
 def test_of_the_noise_more_passes_at_high_frequencies_than_of_the_signal(small):
     flat = dataclasses.replace(small, pixel_mm=0.15, rows=512, cols=512, scatter="none", focal_spot_mm=0.0, mas=1.0)
-    pixels = pssf.detector.expose({}, flat, gap_mm=0.0, seed=np.random.SeedSequence(1))[0].astype(float)
+    pixels = pssf.exposure.expose({}, flat, gap_mm=0.0, seed=np.random.SeedSequence(1))[0].astype(float)
     power = np.abs(np.fft.fft2(pixels - pixels.mean())) ** 2
     f = np.hypot(*np.meshgrid(*2 * [np.fft.fftfreq(512, 0.15)]))
     low, high = (power[abs(f - at) < 0.1].mean() for at in (0.4, 2.0))

@@ -17,19 +17,20 @@ from scipy.ndimage import gaussian_filter
 from sklearn.metrics import balanced_accuracy_score, f1_score, roc_auc_score
 
 from pssf import study
-from pssf.checks import InputError
-from pssf.files.results import load_table
+from pssf.core.checks import InputError
+from pssf.io.results import load_table
 from pssf.radiomics.region import Template
 from pssf.radiomics.table import TEXT
-from pssf.study import StudySettings, metrics
-from pssf.study.cost import Meter
-from pssf.study.localisation import errors, summarise
-from pssf.study.models import tune
-from pssf.study.reliability import count_stable, icc, reliability
-from pssf.study.saving import loads
-from pssf.study.scenarios import one_split, score_splits
-from pssf.study.selection import SELECTIONS, Prune, is_degenerate, preparation
-from pssf.study.split import split_subjects
+from pssf.study import StudySettings
+from pssf.study.learn.models import tune
+from pssf.study.learn.saving import loads
+from pssf.study.learn.scenarios import one_split, score_splits
+from pssf.study.learn.selection import SELECTIONS, Prune, is_degenerate, preparation
+from pssf.study.learn.split import split_subjects
+from pssf.study.report.cost import Meter
+from pssf.study.statistics import metrics
+from pssf.study.statistics.localisation import errors, summarise
+from pssf.study.statistics.reliability import count_stable, icc, reliability
 
 PROTOCOLS = ("reference", "low_dose", "geometry_shift")
 

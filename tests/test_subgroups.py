@@ -5,8 +5,8 @@ import pandas as pd
 import pytest
 
 from pssf.study import StudySettings
-from pssf.study.metrics import auc
-from pssf.study.subgroups import COLUMNS, subgroups
+from pssf.study.statistics.metrics import auc
+from pssf.study.statistics.subgroups import COLUMNS, subgroups
 
 SETTINGS = StudySettings(replicates=200, models=("lr",), selections=("l1",))
 

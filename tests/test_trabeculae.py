@@ -11,8 +11,9 @@ import pssf
 from pssf import InputError
 from pssf.anatomy import lattice as struts
 from pssf.anatomy.trabeculae import BONES, Trabeculae, trabeculae
-from pssf.density import Density
-from pssf.files import tables
+from pssf.data import tables
+from pssf.geometry.density import Density
+from pssf.geometry.view import View
 
 HEALTHY = dict(seed=3, scale=1.0, frame=np.eye(3, 4), mirror="right", sclerosis=1.0, age_years=55.0, sex="male")
 FLAT = dict(shaft=0.15, bvtv=0.15, medial=0.0, load=0.0, plate_medial=0.0, plate_lateral=0.0, fan=0.0, scar_bvtv=0.0)
@@ -256,7 +257,7 @@ def test_between_surfaces_that_share_a_density_the_path_is_its_integral_there():
             pssf.Surface(canal, inside="marrow", outside="trabecular_bone", name="canal", outside_density=density),
         ]
     )
-    view = pssf.geometry.View(source_mm=(0, -950, 0), centre_mm=(0, 200, 0), rows=3, cols=3, pixel_mm=2.0)
+    view = View(source_mm=(0, -950, 0), centre_mm=(0, 200, 0), rows=3, cols=3, pixel_mm=2.0)
     paths = pssf.trace(scene, view, engine="scanline", precision="float64").path_mm
     way = np.array([-2.0, 1150.0, 2.0])  # from the source to the pixel on the top left
     depths = np.array([935.0, 944.0, 956.0, 965.0]) / 1150.0

@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 from test_extremes import LIGHT, NAMES, table
 
-from pssf.study.scenarios import one_split
-from pssf.study.split import PARTS
-from pssf.study.training import fewest, share_of, train
+from pssf.study.learn.scenarios import one_split
+from pssf.study.learn.split import PARTS
+from pssf.study.learn.training import fewest, share_of, train
 
 
 def test_splits_are_those_of_one_split_in_order_on_any_number_of_workers():

@@ -9,15 +9,15 @@ from numpy.testing import assert_allclose
 from scipy.special import expit
 
 from pssf.study import StudySettings
-from pssf.study.baselines import baselines_of, measures_of, with_measures
-from pssf.study.calibration import calibration, confusions, reliability_curve
-from pssf.study.importance import permuted
-from pssf.study.models import tune
-from pssf.study.saving import dumps, loads
-from pssf.study.scenarios import one_split, score_splits
-from pssf.study.selection import preparation
-from pssf.study.split import split_subjects
-from pssf.study.transfer import harmonise, stable_features
+from pssf.study.learn.baselines import baselines_of, measures_of, with_measures
+from pssf.study.learn.importance import permuted
+from pssf.study.learn.models import tune
+from pssf.study.learn.saving import dumps, loads
+from pssf.study.learn.scenarios import one_split, score_splits
+from pssf.study.learn.selection import preparation
+from pssf.study.learn.split import split_subjects
+from pssf.study.learn.transfer import harmonise, stable_features
+from pssf.study.statistics.calibration import calibration, confusions, reliability_curve
 
 NAMES = ["signal", "shaky", *[f"n{i}" for i in range(4)]]
 

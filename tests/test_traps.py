@@ -12,7 +12,7 @@ from test_radiomics import texture
 from pssf.radiomics import FAMILIES, features
 from pssf.radiomics.features import TEXTURES, extract, family, measure
 from pssf.radiomics.ibsi import departure_of, tag_of
-from pssf.study.selection import Prune
+from pssf.study.learn.selection import Prune
 
 
 def flat(values: np.ndarray) -> sitk.Image:

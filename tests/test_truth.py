@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 import pssf
 from pssf import anatomy, raycast
-from pssf.geometry import magnification, view_of
+from pssf.geometry.view import magnification, view_of
 
 REFERENCE = pssf.load_protocol("reference")
 BEAKS = tuple(pssf.Osteophyte(site=site, size_mm=2.0) for site in ("medial_femur", "medial_tibia", "lateral_spine"))

@@ -86,7 +86,7 @@ def test_an_image_changed_together_with_its_hash_in_the_manifest_is_found(folder
     with open(folder / "manifest.csv") as handle:
         row = next(row for row in csv.DictReader(handle) if row["file"].endswith(image.name))
     path = folder / "manifest.csv"
-    path.write_text(path.read_text().replace(row["sha256"], pssf.files.records.sha256(image)))
+    path.write_text(path.read_text().replace(row["sha256"], pssf.io.records.sha256(image)))
     assert [fault.split(" (")[0] for fault in cohort.verify_cohort(folder).faults] == ["manifest.csv: changed"]
 
 

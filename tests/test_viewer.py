@@ -14,8 +14,8 @@ import trimesh
 from PIL import Image
 
 import pssf
-from pssf.files.meshes import colour_of
-from pssf.files.viewer import shaded, write_viewer
+from pssf.io.meshes import colour_of
+from pssf.io.viewer import shaded, write_viewer
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 FLAGS = [

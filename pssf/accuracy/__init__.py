@@ -23,9 +23,9 @@ from collections.abc import Callable, Collection
 from importlib.util import find_spec
 from pathlib import Path
 
-from ..checks import require_choice
-from ..files.atomic import folder, write_bytes
-from ..files.records import write_csv, write_json
+from ..core.checks import require_choice
+from ..io.atomic import folder, write_bytes
+from ..io.records import write_csv, write_json
 from ..simulate import versions
 from .agreement import agreement_rows
 from .builds import build_rows

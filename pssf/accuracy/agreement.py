@@ -6,12 +6,12 @@ import numpy as np
 import trimesh
 
 from ..anatomy import build
-from ..checks import Array
-from ..geometry import view_of
-from ..knee import draw_knee
-from ..protocol import load_protocol
+from ..core.checks import Array
+from ..geometry.scene import Scene
+from ..geometry.view import view_of
+from ..model.knee import draw_knee
+from ..model.protocol import load_protocol
 from ..raycast import trace
-from ..scene import Scene
 from .engines import Row
 
 

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 
 from ..anatomy import build, measured_jsw_mm
-from ..checks import InputError
-from ..knee import SITES, Knee, Osteophyte, draw_knee
-from ..parallel import ordered_map
-from ..protocol import load_protocol
+from ..core.checks import InputError
+from ..core.parallel import ordered_map
+from ..geometry.scene import Scene
+from ..model.knee import SITES, Knee, Osteophyte, draw_knee
+from ..model.protocol import load_protocol
 from ..raycast import trace
-from ..scene import Scene
 from .engines import Row
 
 # Of the second half: uniform in these, the widest of what a grade may have and of what is found in adults.

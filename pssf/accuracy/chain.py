@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 
 from ..anatomy import build
-from ..detector.nodes import TOLERANCE
-from ..knee import Knee
-from ..protocol import Protocol, load_protocol
+from ..geometry.scene import Scene
+from ..model.knee import Knee
+from ..model.protocol import Protocol, load_protocol
 from ..quality.detector import mtf, photon_transfer
 from ..raycast import trace
-from ..scene import Scene
 from ..simulate import sampled_primary, simulate
+from ..xray.quadrature import TOLERANCE
 from .engines import Row
 from .focal import blurred_primary
 from .scatter import Case, scatter_rows

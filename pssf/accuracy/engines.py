@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from ..geometry import View, view_of
-from ..protocol import load_protocol
+from ..geometry.scene import Scene, Surface
+from ..geometry.view import View, view_of
+from ..model.protocol import load_protocol
 from ..raycast import ENGINES, PRECISIONS, Paths, trace
-from ..scene import Scene, Surface
 from .solids import globe, polyhedron_chords, sphere_chords
 
 Row = dict[str, Any]

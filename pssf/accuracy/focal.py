@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..anatomy import build
-from ..detector import primary_of
 from ..detector.blur import focal_spot_blur
-from ..geometry import view_of
-from ..knee import Knee
-from ..protocol import Protocol, load_protocol
+from ..exposure import primary_of
+from ..geometry.scene import Scene
+from ..geometry.view import view_of
+from ..model.knee import Knee
+from ..model.protocol import Protocol, load_protocol
 from ..raycast import trace
-from ..scene import Scene
 from ..simulate import sampled_primary
 from .engines import Row
 

@@ -7,10 +7,10 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+from ..core.progress import Pace
 from ..experiment import Crew, make_experiment, measure_experiment, run_experiment
-from ..files.atomic import empty_folder
-from ..files.results import save_text
-from ..progress import Pace
+from ..io.atomic import empty_folder
+from ..io.results import save_text
 from .engines import Row
 
 # The fewest that can be split: three a grade.

@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..detector.coarse import block_mean
-from ..detector.monte_carlo import count
-from ..detector.primary import transmit
-from ..detector.spectrum import beam_of
-from ..files import tables
-from ..geometry import view_of
-from ..protocol import load_protocol
+from ..core.blocks import block_mean
+from ..data import tables
+from ..geometry.view import view_of
+from ..model.protocol import load_protocol
 from ..raycast import trace
+from ..scatter.monte_carlo import count
+from ..xray.primary import transmit
+from ..xray.spectrum import beam_of
 from .scatter import Row, limb, slab
 
 _PHOTONS = 8_000_000

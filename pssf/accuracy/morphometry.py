@@ -9,11 +9,11 @@ import trimesh
 from ..anatomy import bones_of, build, measured_jsw_mm
 from ..anatomy.joint import Stance, stance_of
 from ..anatomy.solids import mesh_of
-from ..checks import Array
-from ..files import tables
-from ..knee import Knee, draw_knee
-from ..parallel import ordered_map
-from ..protocol import load_protocol
+from ..core.checks import Array
+from ..core.parallel import ordered_map
+from ..data import tables
+from ..model.knee import Knee, draw_knee
+from ..model.protocol import load_protocol
 from .engines import Row
 
 Sizes = dict[str, float]

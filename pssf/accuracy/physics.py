@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import Array
-from ..detector.materials import attenuation_per_mm
-from ..detector.primary import transmit
-from ..detector.scatter import scatter_kev
-from ..detector.spectrum import beam_for, tube_spectrum
-from ..files import tables
-from ..geometry import view_of
-from ..protocol import load_protocol
+from ..core.checks import Array
+from ..data import tables
+from ..geometry.view import view_of
+from ..model.protocol import load_protocol
+from ..scatter.kernel import scatter_kev
+from ..xray.materials import attenuation_per_mm
+from ..xray.primary import transmit
+from ..xray.spectrum import beam_for, tube_spectrum
 
 Row = dict[str, Any]
 

@@ -11,18 +11,18 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ..anatomy import build
-from ..checks import Array
-from ..detector.coarse import block_mean
-from ..detector.materials import elements
-from ..detector.monte_carlo import Counts, count
-from ..detector.primary import transmit
-from ..detector.scatter import exit_gap_mm, scatter_kev
-from ..detector.spectrum import beam_of
-from ..geometry import view_of
-from ..knee import Knee
-from ..protocol import Protocol, load_protocol
+from ..core.blocks import block_mean
+from ..core.checks import Array
+from ..geometry.scene import Scene, Surface
+from ..geometry.view import view_of
+from ..model.knee import Knee
+from ..model.protocol import Protocol, load_protocol
 from ..raycast import trace
-from ..scene import Scene, Surface
+from ..scatter.kernel import exit_gap_mm, scatter_kev
+from ..scatter.monte_carlo import Counts, count
+from ..xray.materials import elements
+from ..xray.primary import transmit
+from ..xray.spectrum import beam_of
 
 Row = dict[str, Any]
 Case = tuple[str, float, float, float]

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from ..checks import Array
-from ..detector.scatter import coarse, shares
-from ..files import tables
+from ..core.checks import Array
+from ..data import tables
+from ..scatter.kernel import coarse, shares
 from .scatter import FITTED, Case, measured
 
 # Lower and upper bounds of a term's constants: without them powers drift that only cancel each other.

@@ -5,8 +5,8 @@ import trimesh
 from numba import njit
 from numpy.typing import NDArray
 
-from ..checks import Array
-from ..geometry import View
+from ..core.checks import Array
+from ..geometry.view import View
 
 
 def globe(triangles: int, radius_mm: float) -> trimesh.Trimesh:

@@ -10,15 +10,15 @@ from time import perf_counter
 import numpy as np
 
 from ..anatomy import build
-from ..detector import primary
-from ..detector.nodes import TOLERANCE
-from ..detector.spectrum import beam_for, beam_of
-from ..files.atomic import empty_folder
-from ..geometry import view_of
-from ..knee import Knee
-from ..protocol import load_protocol
+from ..geometry.view import view_of
+from ..io.atomic import empty_folder
+from ..model.knee import Knee
+from ..model.protocol import load_protocol
 from ..raycast import trace
 from ..simulate import simulate
+from ..xray import primary
+from ..xray.quadrature import TOLERANCE
+from ..xray.spectrum import beam_for, beam_of
 from .engines import Row, peak_mb
 
 

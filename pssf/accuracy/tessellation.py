@@ -9,10 +9,10 @@ from ..anatomy import femur, tibia
 from ..anatomy.contours import envelope
 from ..anatomy.implicit import settle
 from ..anatomy.solids import edges_of, mesh_of
-from ..checks import Array
-from ..files import tables
-from ..geometry import magnification, project, view_of
-from ..protocol import load_protocol
+from ..core.checks import Array
+from ..data import tables
+from ..geometry.view import magnification, project, view_of
+from ..model.protocol import load_protocol
 from .engines import Row
 
 # Fractions of a pixel at which outlines are compared, and what counts as exact.

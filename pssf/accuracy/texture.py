@@ -8,12 +8,12 @@ from scipy import stats
 
 from ..anatomy import build
 from ..anatomy.trabeculae import PIECE, trabeculae
-from ..checks import Array
-from ..files import tables
-from ..geometry import magnification, view_of
-from ..knee import Knee, draw_knee
-from ..parallel import ordered_map
-from ..protocol import load_protocol
+from ..core.checks import Array
+from ..core.parallel import ordered_map
+from ..data import tables
+from ..geometry.view import magnification, view_of
+from ..model.knee import Knee, draw_knee
+from ..model.protocol import load_protocol
 from ..simulate import simulate
 from .engines import Row
 

@@ -16,9 +16,9 @@ import numpy as np
 import trimesh
 from manifold3d import Manifold
 
-from ..checks import Array, InputError
-from ..knee import Knee
-from ..scene import Scene, Surface
+from ..core.checks import Array, InputError
+from ..geometry.scene import Scene, Surface
+from ..model.knee import Knee
 from . import bones, soft
 from .joint import stance_of
 from .solids import checked, mesh_of

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from manifold3d import Manifold
 
-from ..checks import Array
-from ..files import tables
-from ..knee import Knee, Osteophyte
+from ..core.checks import Array
+from ..data import tables
+from ..model.knee import Knee, Osteophyte
 from . import femur as femur_shape
 from . import tibia as tibia_shape
 from .implicit import settle

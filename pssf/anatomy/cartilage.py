@@ -6,8 +6,8 @@ import numpy as np
 from manifold3d import Manifold
 from numpy.typing import NDArray
 
-from ..checks import Array
-from ..files import tables
+from ..core.checks import Array
+from ..data import tables
 from . import femur as femur_shape
 from . import tibia as tibia_shape
 from .implicit import Field, onto

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from ..checks import Array
-from ..geometry import View, magnification, project
+from ..core.checks import Array
+from ..geometry.view import View, magnification, project
 
 # Fractions of the tibial half width between which the joint space is measured: clear of the spines and of the margins.
 COMPARTMENT = (0.36, 0.85)

@@ -8,8 +8,8 @@ from functools import cache
 import numpy as np
 from manifold3d import Manifold
 
-from ..checks import Array
-from ..files import tables
+from ..core.checks import Array
+from ..data import tables
 from .implicit import Column, blend, carve, ellipsoid, lengths, meet, shaped
 from .solids import checked, column, hull, loft
 

@@ -14,7 +14,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.sparse import coo_array, csr_array, diags_array
 from trimesh.triangles import closest_point
 
-from ..checks import Array
+from ..core.checks import Array
 from .solids import edges_of, halved, mesh_of, solid_of, widened
 
 Field = Callable[[Array], Array]

@@ -6,11 +6,11 @@ from functools import lru_cache
 import numpy as np
 from manifold3d import Manifold
 
-from ..checks import Array, InputError
-from ..files import tables
-from ..geometry import View, magnification, project, view_of
-from ..knee import Knee
-from ..protocol import load_protocol
+from ..core.checks import Array, InputError
+from ..data import tables
+from ..geometry.view import View, magnification, project, view_of
+from ..model.knee import Knee
+from ..model.protocol import load_protocol
 from .bones import Build, build_of, grown_femur, grown_tibia, stand_femur, stand_tibia, standing
 from .contours import measure_gap
 from .osteophytes import Grown

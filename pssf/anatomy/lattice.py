@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from ..files import tables
+from ..data import tables
 
 Block = NDArray[np.uint8]
 _MAKING = Lock()

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from ..checks import Array
+from ..core.checks import Array
 from .lattice import Block
 
 # So near to a plane of voxels (in voxels) a place is taken as on it, which halves the work.

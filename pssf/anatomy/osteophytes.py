@@ -6,9 +6,9 @@ import numpy as np
 from manifold3d import Manifold
 from numpy.typing import NDArray
 
-from ..checks import Array
-from ..files import tables
-from ..knee import Osteophyte
+from ..core.checks import Array
+from ..data import tables
+from ..model.knee import Osteophyte
 from .implicit import Field, blend, evened
 from .solids import checked, mesh_of
 

@@ -3,8 +3,8 @@
 import numpy as np
 from manifold3d import Manifold
 
-from ..checks import Array
-from ..files import tables
+from ..core.checks import Array
+from ..data import tables
 from .joint import moved
 from .solids import checked, column
 

@@ -4,9 +4,9 @@ import numpy as np
 from manifold3d import Manifold
 from scipy import ndimage
 
-from ..checks import Array
-from ..files import tables
-from ..knee import Knee
+from ..core.checks import Array
+from ..data import tables
+from ..model.knee import Knee
 from .bones import Build, lean
 from .solids import column
 

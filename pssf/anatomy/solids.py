@@ -9,7 +9,7 @@ from manifold3d import Manifold
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from ..checks import Array, InputError
+from ..core.checks import Array, InputError
 
 # Of a triangle with 1, 2 or 3 edges halved: its pieces, by corner (0 to 2) and middle (3 to 5).
 _PIECES = {

@@ -7,8 +7,8 @@ import numpy as np
 import trimesh
 from manifold3d import Manifold
 
-from ..checks import Array
-from ..knee import Knee
+from ..core.checks import Array
+from ..model.knee import Knee
 from . import bones, cartilage
 from .joint import Stance
 from .planes import fat_pad, fat_planes, tendon

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..checks import Array, InputError, require, require_choice, require_seed
-from ..files import tables
+from ..core.checks import Array, InputError, require, require_choice, require_seed
+from ..data import tables
 from .lattice import lattice
 from .march import Region, Triple, march
 

@@ -4,12 +4,12 @@ import numpy as np
 import trimesh
 from manifold3d import Manifold, OpType
 
-from ..checks import Array
-from ..geometry import View, project, view_of
-from ..knee import Knee
-from ..protocol import Protocol, load_protocol
-from ..radiograph import Truth
-from ..scene import Scene
+from ..core.checks import Array
+from ..geometry.scene import Scene
+from ..geometry.view import View, project, view_of
+from ..model.knee import Knee
+from ..model.protocol import Protocol, load_protocol
+from ..model.radiograph import Truth
 from . import femur as femur_shape
 from . import tibia as tibia_shape
 from .contours import Gap, envelope, measure_gap

@@ -9,14 +9,14 @@ from platform import node
 from typing import Any
 
 from .. import anatomy
-from ..checks import InputError, require_choice, require_workers
-from ..files import atomic, records
-from ..files.images import save
-from ..geometry import view_of
-from ..knee import knee_table
-from ..parallel import cores, ordered_map, require_scheduler
-from ..protocol import protocol_table
-from ..radiograph import Radiograph
+from ..core.checks import InputError, require_choice, require_workers
+from ..core.parallel import cores, ordered_map, require_scheduler
+from ..geometry.view import view_of
+from ..io import atomic, records
+from ..io.images import save
+from ..model.knee import knee_table
+from ..model.protocol import protocol_table
+from ..model.radiograph import Radiograph
 from ..raycast import ENGINES, trace
 from ..simulate import simulate, versions
 from .plan import Case, Plan, Shot

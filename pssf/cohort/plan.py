@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import InputError, require_choice, require_seed, require_whole
-from ..files import tables
-from ..knee import Knee, draw_knee, knee_table
-from ..protocol import Protocol, load_protocol, protocol_table
+from ..core.checks import InputError, require_choice, require_seed, require_whole
+from ..data import tables
+from ..model.knee import Knee, draw_knee, knee_table
+from ..model.protocol import Protocol, load_protocol, protocol_table
 
 # Keys of the streams under a cohort's seed. A knee's index stands first, so the order of making changes nothing.
 _SHAPE, _NOISE, _AGAIN, _BODY = 0, 3, 4, 2**31

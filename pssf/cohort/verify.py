@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..checks import InputError
-from ..files import atomic, records
+from ..core.checks import InputError
+from ..io import atomic, records
 from .make import FOLDERS
 
 Row = dict[str, Any]

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from ..files import tables
-from ..geometry import View, magnification
+from ..data import tables
+from ..geometry.view import View, magnification
 
 Map = NDArray[np.float32]
 Frequencies = NDArray[np.complex64]

@@ -6,8 +6,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
-from ..files import tables
-from ..protocol import Protocol
+from ..data import tables
+from ..model.protocol import Protocol
 
 Map = NDArray[np.float32]
 # Quanta in a pixel from which on a normal distribution is exact enough.

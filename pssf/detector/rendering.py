@@ -5,9 +5,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from scipy import ndimage
 
-from ..checks import require_choice, require_whole
-from ..files import tables
-from .coarse import block_mean, enlarge
+from ..core.blocks import block_mean, enlarge
+from ..core.checks import require_choice, require_whole
+from ..data import tables
 
 # Width of the shadow of the collimator's leaves, and of its penumbra; height of a marker and its distance from that
 # shadow. Shares of the smaller side of the image.

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import Array
-from ..files import tables
-from ..files.atomic import write_bytes
-from ..files.records import write_csv
-from ..protocol import Protocol
+from ..core.checks import Array
+from ..data import tables
+from ..io.atomic import write_bytes
+from ..io.records import write_csv
+from ..model.protocol import Protocol
 from .beam import beam_quantities
 from .detector import Curve, dqe, mtf, nnps, noise_moments, photon_transfer
 from .exposure import exposure_quantities

@@ -3,11 +3,11 @@
 import numpy as np
 import xraylib
 
-from ..checks import Array
-from ..detector.spectrum import beam_of, tube_spectrum
-from ..files import tables
-from ..geometry import magnification, view_of
-from ..protocol import Protocol
+from ..core.checks import Array
+from ..data import tables
+from ..geometry.view import magnification, view_of
+from ..model.protocol import Protocol
+from ..xray.spectrum import beam_of, tube_spectrum
 
 _JOULE_PER_KEV = 1.602176634e-16
 _ELECTRON_KEV = 510.99895

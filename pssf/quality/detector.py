@@ -4,14 +4,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..checks import Array
-from ..detector import expose
+from ..core.checks import Array
+from ..data import tables
 from ..detector.blur import transfer
-from ..detector.materials import attenuation_per_mm
 from ..detector.panel import GAUSSIAN_FROM
-from ..detector.spectrum import beam_of
-from ..files import tables
-from ..protocol import Protocol
+from ..exposure import expose
+from ..model.protocol import Protocol
+from ..xray.materials import attenuation_per_mm
+from ..xray.spectrum import beam_of
 
 # Slanted edge of a lead plate on the detector (IEC 62220-1: 1.5 to 3 degrees), bins a pixel, rows and columns.
 _EDGE_DEG, _FINER, _EDGE_PX = 2.4, 8, 512

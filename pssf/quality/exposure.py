@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 
 from ..anatomy import build
-from ..checks import Array
-from ..detector.coarse import block_mean
-from ..detector.spectrum import beam_of, tube_spectrum
-from ..files import tables
-from ..knee import Knee
-from ..protocol import Protocol
+from ..core.blocks import block_mean
+from ..core.checks import Array
+from ..data import tables
+from ..model.knee import Knee
+from ..model.protocol import Protocol
 from ..simulate import simulate
+from ..xray.spectrum import beam_of, tube_spectrum
 from .beam import air_kerma_ugy
 
 # Half the side of the squares in which signals are read, mm at the detector.

@@ -13,7 +13,7 @@ import SimpleITK as sitk  # noqa: N813 (the library's own short name)
 from numpy.typing import NDArray
 from radiomics import firstorder, glcm, gldm, glrlm, glszm, ngtdm, shape2D
 
-from ..checks import Array, InputError, require_choice
+from ..core.checks import Array, InputError, require_choice
 from . import FAMILIES
 from .bone import bone_mask
 

@@ -1,6 +1,6 @@
 """Which feature of the Image Biomarker Standardisation Initiative a feature is, and where it departs from it."""
 
-from ..files import tables
+from ..data import tables
 from .features import family
 
 

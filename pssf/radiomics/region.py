@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from skimage.feature import match_template
 
-from ..checks import Array, InputError, require, require_choice
+from ..core.checks import Array, InputError, require, require_choice
 
 # Pitch of the two searches and extent of their patches, mm at the detector. The wide patch holds both compartments,
 # which tells medial from lateral; the narrow one holds the medial joint space and the rim of its plateau.

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..parallel import ordered_map
+from ..core.parallel import ordered_map
 from . import FAMILIES, bone, features, region
 from .features import extract
 from .region import Template, cut_region, find_joint

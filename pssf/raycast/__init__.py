@@ -21,12 +21,12 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from ..checks import Array, InputError, require_choice, require_workers
-from ..density import Density
-from ..geometry import View, view_of
-from ..mending import require_sound
-from ..protocol import Protocol
-from ..scene import Scene, Surface, require_traceable
+from ..core.checks import Array, InputError, require_choice, require_workers
+from ..geometry.density import Density
+from ..geometry.repair import require_sound
+from ..geometry.scene import Scene, Surface, require_traceable
+from ..geometry.view import View, view_of
+from ..model.protocol import Protocol
 from . import scanline
 from .check import Report, check
 from .crossings import Crossings, chords, integrals, joined

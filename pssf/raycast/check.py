@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..checks import Array
-from ..geometry import View, depth_of, view_of
-from ..mending import Fault
-from ..protocol import Protocol
-from ..scene import Scene, Surface
+from ..core.checks import Array
+from ..geometry.repair import Fault
+from ..geometry.scene import Scene, Surface
+from ..geometry.view import View, depth_of, view_of
+from ..model.protocol import Protocol
 from . import scanline
 from .clip import NEAREST
 from .crossings import chords

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import Array
+from ..core.checks import Array
 
 # Fraction of the way from the source to the detector. Nearer than this, crossings are not told from the source itself;
 # projections grow to 1e7 times the detector's distance at most, where float64 still resolves 1e-5 pixels.

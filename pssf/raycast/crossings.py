@@ -8,8 +8,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ..checks import Array
-from ..density import Density
+from ..core.checks import Array
+from ..geometry.density import Density
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,8 +24,8 @@ from embreex.rtcore_scene import EmbreeScene
 from numba import njit
 from numpy.typing import NDArray
 
-from ..checks import Array
-from ..topology import used
+from ..core.checks import Array
+from ..geometry.topology import used
 from . import scanline
 from .crossings import Crossings, chords, offsets
 from .paths import Audit

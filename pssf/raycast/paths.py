@@ -6,7 +6,7 @@ from dataclasses import astuple, dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry import View
+from ..geometry.view import View
 
 
 @dataclass(frozen=True, kw_only=True)

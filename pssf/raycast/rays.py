@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ..checks import Array
+from ..core.checks import Array
 
 
 @njit(cache=True, nogil=True)

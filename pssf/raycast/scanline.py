@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ..checks import Array
+from ..core.checks import Array
 from .crossings import Crossings, offsets, order
 from .paths import Audit
 from .sheets import Sheet

@@ -7,9 +7,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ..checks import Array
-from ..geometry import View, depth_of, seen_at
-from ..mending import Solid
+from ..core.checks import Array
+from ..geometry.repair import Solid
+from ..geometry.view import View, depth_of, seen_at
 from .clip import NEAREST, clip
 
 # Rows of one band. An image is worked on band by band, however many workers there are: the bytes do not depend on it.

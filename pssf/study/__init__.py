@@ -30,10 +30,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..checks import InputError, require, require_choice, require_seed, require_whole
-from ..parallel import require_scheduler
+from ..core.checks import InputError, require, require_choice, require_seed, require_whole
+from ..core.parallel import require_scheduler
 from ..radiomics import FAMILIES
-from .cost import Meter
+from .report.cost import Meter
 
 if TYPE_CHECKING:
     import pandas as pd

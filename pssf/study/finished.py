@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from ..files import records, results
+from ..io import records, results
 from . import StudyResult, StudySettings
 
 _FILE = "finished.json"

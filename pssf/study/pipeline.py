@@ -8,25 +8,26 @@ from pathlib import Path
 
 import pandas as pd
 
-from ..checks import InputError, require_choice
-from ..files import results
+from ..core.checks import InputError, require_choice
+from ..io import results
 from ..radiomics.region import Template
 from ..radiomics.table import NOT_FEATURES, TEXT, How, Job, Load, Record, extract_all
-from . import Progress, StudyResult, StudySettings, localisation
-from .baselines import SOURCES, with_measures
-from .checklist import checklist
-from .claims import claims
-from .cost import Meter
-from .environment import environment
-from .evidence import Tables, joined, tables_of_features, tables_of_models, tables_of_truth
-from .gallery import gallery
-from .importance import by_family
-from .parameters import composition
-from .reliability import REPEATS, count_stable
-from .report import Findings, Picture, render
-from .scenarios import Outcome
-from .selection import is_degenerate
-from .training import train
+from . import Progress, StudyResult, StudySettings
+from .learn.baselines import SOURCES, with_measures
+from .learn.importance import by_family
+from .learn.scenarios import Outcome
+from .learn.selection import is_degenerate
+from .learn.training import train
+from .report.checklist import checklist
+from .report.cost import Meter
+from .report.environment import environment
+from .report.gallery import gallery
+from .report.page import Findings, Picture, render
+from .statistics import localisation
+from .statistics.claims import claims
+from .statistics.evidence import Tables, joined, tables_of_features, tables_of_models, tables_of_truth
+from .statistics.parameters import composition
+from .statistics.reliability import REPEATS, count_stable
 
 _COLUMNS = (
     *("radiograph", "subject", "knee", "side", "grade", "protocol", "file", "sha256"),

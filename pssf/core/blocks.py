@@ -1,0 +1,34 @@
+"""Coarse maps of smooth things: block means, and back by linear interpolation."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .checks import Array
+
+
+def block_mean(image: NDArray[np.float32], step: int) -> Array:
+    """(ceil(rows/step), ceil(cols/step))  means of blocks; those at the lower and right edge may be smaller"""
+    if image.shape[0] % step == 0 and image.shape[1] % step == 0:
+        blocks = image.reshape(image.shape[0] // step, step, image.shape[1] // step, step)
+        return np.asarray(np.einsum("iajb->ij", blocks, dtype=np.float64)) / step**2
+    sums = np.add.reduceat(image.astype(np.float64), np.arange(0, image.shape[0], step), axis=0)
+    sums = np.add.reduceat(sums, np.arange(0, image.shape[1], step), axis=1)
+    sizes = [np.diff(np.append(np.arange(0, n, step), n)) for n in image.shape]
+    return sums / np.outer(*sizes)
+
+
+def enlarge(coarse: Array, step: int, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """(rows, cols)  a coarse map by linear interpolation between the centres of its blocks"""
+    fine = coarse.astype(np.float32)
+    for axis in (0, 1):
+        place = np.clip((np.arange(shape[axis]) + 0.5) / step - 0.5, 0, coarse.shape[axis] - 1)
+        low = np.minimum(place.astype(int), max(coarse.shape[axis] - 2, 0))
+        share = (place - low).astype(np.float32)
+        high = np.minimum(low + 1, coarse.shape[axis] - 1)
+        beyond = np.take(fine, high, axis)
+        fine = np.take(fine, low, axis)
+        # In place: a fresh large array costs more time than the arithmetic.
+        beyond -= fine
+        beyond *= share[:, None] if axis == 0 else share
+        fine += beyond
+    return fine

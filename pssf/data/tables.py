@@ -1,0 +1,71 @@
+"""The package's data files and protocols by name; read once, then kept."""
+
+import tomllib
+from functools import cache
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from ..core.checks import InputError
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+
+
+@cache
+def data(name: str) -> dict[str, Any]:
+    """The TOML table pssf/data/<name>.toml."""
+    return tomllib.loads((_PACKAGE / "data" / f"{name}.toml").read_text(encoding="utf-8"))
+
+
+def protocol_names() -> list[str]:
+    """Names of the protocols that come with the package."""
+    return sorted(path.stem for path in _protocol_folder().glob("*.toml"))
+
+
+def read_protocol(name_or_path: str | PathLike[str]) -> tuple[dict[str, Any], str]:
+    """Fields of a protocol file, with those of its base that it does not give, and what to call it.
+
+    raises  InputError for an unknown name, a file that is not readable TOML, or a base that leads back to itself
+    """
+    found: dict[str, Any] = {}
+    path = first = _protocol_path(name_or_path)
+    seen: list[Path] = []
+    while True:
+        if path.resolve() in seen:
+            raise InputError(f"protocol {first.name}: base leads back to {path.name}; allowed: a base without a circle")
+        seen.append(path.resolve())
+        found = read_toml(path) | found
+        base = found.pop("base", None)
+        if base is None:
+            return found, f"protocol {first.name}"
+        if not isinstance(base, str):
+            raise InputError(f"protocol {path.name}: base = {base!r}; allowed: the name or path of a protocol")
+        path = path.parent / base if base.endswith(".toml") else _protocol_path(base)
+
+
+def _protocol_path(name_or_path: str | PathLike[str]) -> Path:
+    path = Path(name_or_path)
+    if path.suffix == ".toml":
+        return path
+    if str(name_or_path) not in protocol_names():
+        allowed = ", ".join(protocol_names())
+        raise InputError(f"protocol = {str(name_or_path)!r}; allowed: {allowed}, or the path of a .toml file")
+    return _protocol_folder() / f"{name_or_path}.toml"
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """A TOML file as a mapping.
+
+    raises  InputError for a file that is missing, unreadable or not TOML
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"file {path}: {error.strerror}; allowed: a readable TOML file") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"file {path}: not TOML ({error})") from None
+
+
+def _protocol_folder() -> Path:
+    packaged = _PACKAGE / "protocols"
+    return packaged if packaged.is_dir() else _PACKAGE.parent / "protocols"

@@ -1,0 +1,148 @@
+"""Scene: closed surfaces and what is on either side of each."""
+
+import re
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import trimesh
+
+from ..core.checks import Array, InputError
+from .density import Density
+from .repair import Fault, Solid, mend, require_sound
+
+# Smaller or larger than this across, and the unit is likely not the millimetre.
+SIZE_MM = (5.0, 3000.0)
+
+
+class MeshNotice(UserWarning):
+    """A mesh was mended before it was traced; the message says where and how."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A closed mesh (mm, outward normals) between two materials.
+
+    inside, outside  tissue names (`data/tissues.toml`), or "FORMULA@DENSITY" in g/cm3, such as "Ti@4.51"
+    name             how the surface is called in exports and refusals
+    inside_density   relative density of what is inside, where it varies; path lengths become its integrals
+    outside_density  the same of what is outside: that of the surface around, where it has one
+    raises           InputError for a wrong type or name; the mesh itself is judged by `check` and `trace`
+
+    The mesh is read once, when it is first needed.
+    """
+
+    mesh: trimesh.Trimesh
+    inside: str
+    outside: str
+    name: str = "surface"
+    inside_density: Density | None = None
+    outside_density: Density | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not re.fullmatch(r"[\w .-]{1,64}", self.name):
+            raise InputError(f"surface name = {self.name!r}; allowed: 1 to 64 letters, digits, _, -, . and blanks")
+        if not isinstance(self.mesh, trimesh.Trimesh):
+            raise InputError(f"{self.name}: mesh is a {type(self.mesh).__name__}; allowed: trimesh.Trimesh")
+        for label, material in (("inside", self.inside), ("outside", self.outside)):
+            if not isinstance(material, str) or not material:
+                raise InputError(f"{self.name}: {label} = {material!r}; allowed: the name of a material")
+        for label, density in (("inside_density", self.inside_density), ("outside_density", self.outside_density)):
+            if density is not None and not isinstance(density, Density):
+                raise InputError(f"{self.name}: {label} = {density!r}; allowed: None, or a Density such as PlaneWaves")
+
+    @cached_property
+    def solid(self) -> Solid:
+        """What the mesh bounds, mended where only one reading is possible, with an account of it."""
+        return mend(self.mesh.vertices, self.mesh.faces, self.name)
+
+    @property
+    def bounds_mm(self) -> Array:
+        """(2, 3)  lower and upper corner of the box around it"""
+        points = self.solid.points
+        return np.array([[edge(points[:, axis]) for axis in range(3)] for edge in (np.min, np.max)])
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Surfaces in `ambient`. Each surface's `outside` is the material that immediately surrounds it.
+
+    size_mm  least and greatest extent; outside of it the unit is doubted. (0, inf) allows any
+    raises   InputError for no surfaces or wrong types; meshes and size are judged by `check` and `trace`
+    """
+
+    surfaces: tuple[Surface, ...]
+    ambient: str = "air"
+    size_mm: tuple[float, float] = SIZE_MM
+
+    def __init__(
+        self, surfaces: Sequence[Surface], ambient: str = "air", size_mm: tuple[float, float] = SIZE_MM
+    ) -> None:
+        object.__setattr__(self, "surfaces", tuple(surfaces))
+        object.__setattr__(self, "ambient", ambient)
+        object.__setattr__(self, "size_mm", size_mm)
+        if not self.surfaces:
+            raise InputError("scene: 0 surfaces; allowed: 1 or more")
+        for surface in self.surfaces:
+            if not isinstance(surface, Surface):
+                raise InputError(f"scene: {type(surface).__name__} among the surfaces; allowed: Surface")
+        if not isinstance(ambient, str) or not ambient:
+            raise InputError(f"scene: ambient = {ambient!r}; allowed: the name of a material")
+
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """Every material named, ambient first, in the order of first appearance."""
+        names = [self.ambient]
+        for surface in self.surfaces:
+            names += [surface.outside, surface.inside]
+        return tuple(dict.fromkeys(names))
+
+    @cached_property
+    def bounds_mm(self) -> Array:
+        """(2, 3)  lower and upper corner of the box around all surfaces
+
+        raises  InputError for a mesh that bounds no solid
+        """
+        for surface in self.surfaces:
+            require_sound(surface.solid)
+        corners = np.array([surface.bounds_mm for surface in self.surfaces])
+        return np.array([corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)])
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """What is wrong with the meshes, in the order of the surfaces, and then with the size of it all."""
+        found = [fault for surface in self.surfaces for fault in surface.solid.faults]
+        if any(fault.outcome == "refused" for fault in found):
+            return tuple(found)
+        low, high = self.size_mm
+        across_mm = float(np.ptp(self.bounds_mm, axis=0).max())
+        if not low <= across_mm <= high:
+            what = f"scene is {across_mm:.4g} mm across"
+            hint = f"allowed: {low:g} to {high:g} mm{_unit_hint(across_mm, low, high)}; or Scene(..., size_mm=...)"
+            found.append(Fault(surface="scene", what=what, count=0, first=(), outcome="refused", hint=hint))
+        return tuple(found)
+
+
+def require_traceable(scene: Scene) -> None:
+    """Refuse a scene that has no right answer; warn once of what was mended.
+
+    raises  InputError naming each surface, the count of bad faces, edges or vertices and the first of them
+    warns   MeshNotice
+    """
+    faults = scene.faults
+    refused = [str(fault) for fault in faults if fault.outcome == "refused"]
+    if refused:
+        raise InputError("; ".join(refused))
+    for fault in faults:
+        if fault.outcome == "mended":
+            warnings.warn(str(fault), MeshNotice, stacklevel=3)
+
+
+def _unit_hint(across_mm: float, low: float, high: float) -> str:
+    """Which other unit would make sense of a size."""
+    for unit, factor in (("metres", 1000.0), ("centimetres", 10.0), ("inches", 25.4), ("micrometres", 0.001)):
+        if low <= across_mm * factor <= high:
+            return f" (is the mesh in {unit}? mesh.apply_scale({factor:g}))"
+    return ""

@@ -1,0 +1,231 @@
+"""Radiographs as DICOM Digital X-Ray objects: For Processing (linear pixels) and For Presentation (for eyes)."""
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+from uuid import UUID, uuid5
+
+import numpy as np
+import pydicom
+from numpy.typing import NDArray
+from pydicom.dataset import Dataset, FileMetaDataset
+from pydicom.uid import UID, ExplicitVRLittleEndian
+from pydicom.valuerep import DSfloat
+
+from ..core.checks import InputError, require_choice
+from ..data import tables
+from ..exposure import present
+from ..geometry.view import magnification, view_of
+from ..model.knee import Knee, knee_table
+from ..model.protocol import Protocol
+from ..model.radiograph import Radiograph
+
+_UIDS = UUID("6f0c1d7e-3b52-5b7e-9a55-50535346646d")
+
+
+def write(radiograph: Radiograph, told: str, path: Path, intent: str, side: str | None) -> None:
+    """Write a radiograph as a Digital X-Ray object.
+
+    told    JSON of all it was made from; kept in the acquisition context, since archives drop private attributes
+    intent  "processing": 16 bit, the pixels as they are; "presentation": 12 bit, as `present` renders them
+    side    of which a presentation bears the marker, with the collimator's edge; None for neither
+    """
+    shown = present(radiograph.pixels, bits=12, side=side) if intent == "presentation" else radiograph.pixels
+    pixels = shown.astype("<u2", copy=False)
+    uids = uids_of(radiograph, told)
+    found = start(radiograph, uids, ("radiograph", intent))
+    found.update(dataset({"SeriesInstanceUID": uids[f"{intent} series"], "SOPInstanceUID": uids[intent]}))
+    found.SeriesDescription = f"{name_of(radiograph.protocol)[:40]}, for {intent}"
+    text = {"ValueType": "TEXT", "ConceptNameCodeSequence": [code("parameters")], "TextValue": told}
+    found.AcquisitionContextSequence = [dataset(text)]
+    found.update(_anatomy(radiograph.knee))
+    found.update(_technique(radiograph.protocol))
+    found.update(_geometry(radiograph.protocol))
+    remark = f"linear in absorbed energy, offset {tables.data('detector')[radiograph.protocol.detector]['offset_dn']:g}"
+    if intent == "presentation":
+        remark = "for eyes: log signal, large structures evened out, edges sharpened; not for measurement of intensity"
+        found.SourceImageSequence = [reference(uids, "source_of_processing")]
+    found.ImageComments = f"SYNTHETIC, no patient. Pixels {remark}.{_beam(radiograph.protocol)}"
+    finish(found, pixels, path)
+
+
+def read(path: Path) -> tuple[NDArray[np.uint16], str]:
+    """Pixels (rows, cols) uint16 of a For Processing object by this package, and the JSON of what it was made from.
+
+    raises  InputError for another's DICOM, or one For Presentation; whatever its reader has for damage
+    """
+    found, told = opened(path)
+    wanted = tables.data("dicom")["processing"]["PresentationIntentType"]
+    if found.PresentationIntentType != wanted:
+        raise InputError(
+            f"file {path}: PresentationIntentType = {found.PresentationIntentType!r}; allowed: {wanted}, "
+            "whose pixels are linear (load_parameters tells what either was made from)"
+        )
+    return found.pixel_array.astype(np.uint16), told
+
+
+def opened(path: Path) -> tuple[Dataset, str]:
+    """A radiograph of either kind by this package, and the JSON of what it was made from.
+
+    raises  InputError for another's DICOM, or one that is no radiograph; whatever its reader has for damage
+    """
+    found = ours(path, "radiograph")
+    return found, found.AcquisitionContextSequence[0].TextValue
+
+
+def ours(path: Path, kind: str) -> Dataset:
+    """A DICOM object by this package, of a kind that `data/dicom.toml` describes.
+
+    raises  InputError for another's DICOM, or one of another modality; whatever its reader has for damage
+    """
+    found = pydicom.dcmread(path)
+    for keyword, among in (("Manufacturer", "every"), ("Modality", kind)):
+        require_choice(f"file {path}: {keyword}", str(found.get(keyword, "")), [tables.data("dicom")[among][keyword]])
+    return found
+
+
+def start(radiograph: Radiograph, uids: Mapping[str, UID], kinds: Iterable[str]) -> Dataset:
+    """What every object of a radiograph has: the constants of its kinds (`data/dicom.toml`), subject and maker."""
+    found = Dataset()
+    for kind in ("every", *kinds):
+        found.update(dataset(tables.data("dicom")[kind]))
+    knee, version = radiograph.knee, radiograph.versions.get("pssf", "")
+    found.StudyInstanceUID = uids["study"]
+    found.PatientID = f"PSSF-{uids['study'][5:21]}"
+    found.PatientSex = "" if knee is None else {"male": "M", "female": "F"}[knee.sex]
+    if knee is not None:
+        found.PatientAge = f"{round(knee.age_years):03d}Y"
+        found.PatientSize = _ds(knee.stature_mm / 1000)
+    found.SoftwareVersions = f"pssf {version}".strip()
+    found.Rows, found.Columns = radiograph.pixels.shape
+    found.DerivationDescription = (
+        f"Synthetic: rays cast through closed meshes by pssf {version}, engine {radiograph.engine}, "
+        f"protocol {name_of(radiograph.protocol)}, seed {radiograph.seed}. Not an exposure of a person."
+    )
+    return found
+
+
+def finish(found: Dataset, pixels: NDArray[Any], path: Path) -> None:
+    """Write an object with its pixels, uncompressed and little-endian."""
+    content = pixels.tobytes()
+    found.PixelData = content + b"\0" * (len(content) % 2)
+    found["PixelData"].VR = "OW" if found.BitsAllocated == 16 else "OB"
+    found.file_meta = FileMetaDataset()
+    found.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
+    found.file_meta.ImplementationClassUID = uid("implementation")
+    found.file_meta.ImplementationVersionName = "PSSF"
+    found.save_as(path, enforce_file_format=True)
+
+
+def uids_of(radiograph: Radiograph, told: str) -> dict[str, UID]:
+    """UIDs made from the content: of the study (one a knee), series and object of each kind, and the masks' series."""
+    content = hashlib.sha256(told.encode())
+    content.update(np.ascontiguousarray(radiograph.pixels, "<u2").tobytes())
+    exposure = content.hexdigest()
+    subject = exposure if radiograph.knee is None else _text(knee_table(radiograph.knee))
+    found = {"study": uid("study", subject), "masks series": uid("masks series", exposure)}
+    for kind in ("processing", "presentation"):
+        found[kind], found[f"{kind} series"] = uid(kind, exposure), uid(f"{kind} series", exposure)
+    return found
+
+
+def reference(uids: Mapping[str, UID], purpose: str | None = None) -> Dataset:
+    """A reference to the For Processing object of a radiograph, if need be with its purpose."""
+    found = dataset({
+        "ReferencedSOPClassUID": tables.data("dicom")["processing"]["SOPClassUID"],
+        "ReferencedSOPInstanceUID": uids["processing"],
+    })  # fmt: skip
+    if purpose:
+        found.PurposeOfReferenceCodeSequence = [code(purpose)]
+    return found
+
+
+def code(name: str) -> Dataset:
+    """A code of `data/dicom.toml` as the item of a code sequence."""
+    scheme, value, meaning = tables.data("dicom")["codes"][name]
+    return dataset({"CodeValue": value, "CodingSchemeDesignator": scheme, "CodeMeaning": meaning})
+
+
+def _anatomy(knee: Knee | None) -> Dataset:
+    """Which knee, seen from where; of a scene of one's own neither is known."""
+    if knee is None:
+        return dataset({"ImageLaterality": "U", "AnatomicRegionSequence": []})
+    found = dataset(tables.data("dicom")["knee"])
+    found.ImageLaterality = {"right": "R", "left": "L"}[knee.side]
+    found.AnatomicRegionSequence = [code("knee")]
+    found.ViewCodeSequence = [code("antero_posterior")]
+    return found
+
+
+def _technique(protocol: Protocol) -> Dataset:
+    layer = tables.data("detector")[protocol.detector]
+    found = dataset({
+        "ProtocolName": name_of(protocol),
+        "FocalSpots": _ds(protocol.focal_spot_mm),
+        "DetectorID": f"PSSF-{protocol.detector}".upper(),
+        "DetectorDescription": f"{layer['formula']}, {layer['thickness_mm']:g} mm, packing {layer['packing']:g}",
+    })  # fmt: skip
+    if protocol.mas > 0:
+        found.ExposureInuAs = round(1000 * protocol.mas)
+        if float(protocol.mas).is_integer():  # an integer in DICOM; a rounded one would contradict the line above
+            found.Exposure = int(protocol.mas)
+    if protocol.mono_kev is None:
+        found.update(dataset(tables.data("dicom")["tube"]))
+        found.KVP = _ds(protocol.tube_kv)
+        found.FilterThicknessMinimum = found.FilterThicknessMaximum = _ds(protocol.filtration_mm_al)
+    return found
+
+
+def _beam(protocol: Protocol) -> str:
+    """What has no attribute of its own in the standard: the tilt of the beam, and its one energy."""
+    angle, kev = protocol.beam_angle_deg, protocol.mono_kev
+    tilt = f" Beam {abs(angle):g} deg {'caudad' if angle > 0 else 'cephalad'}." if angle else ""
+    return tilt if kev is None else f"{tilt} Beam of one energy, {kev:g} keV."
+
+
+def _geometry(protocol: Protocol) -> Dataset:
+    """Distances along the central ray, so that their ratio is the magnification; spacings in both planes."""
+    view = view_of(protocol)
+    enlarged = magnification(view)
+    field_mm = [round(n * protocol.pixel_mm) for n in (protocol.rows, protocol.cols)]  # whole numbers in DICOM
+    found = dataset({
+        "DistanceSourceToPatient": _ds(protocol.sod_mm),
+        "DistanceSourceToDetector": _ds(enlarged * protocol.sod_mm),
+        "EstimatedRadiographicMagnificationFactor": _ds(enlarged),
+        "ImagerPixelSpacing": [_ds(protocol.pixel_mm)] * 2,
+        "DetectorElementSpacing": [_ds(protocol.pixel_mm)] * 2,
+        "DetectorElementPhysicalSize": [_ds(protocol.pixel_mm)] * 2,
+        "PixelSpacing": [_ds(protocol.pixel_mm / enlarged)] * 2,
+    })  # fmt: skip
+    if min(field_mm) > 0:
+        found.FieldOfViewDimensions = field_mm
+    return found
+
+
+def dataset(values: Mapping[str, Any]) -> Dataset:
+    """A data set from keyword -> value."""
+    found = Dataset()
+    for keyword, value in values.items():
+        setattr(found, keyword, value)
+    return found
+
+
+def name_of(protocol: Protocol) -> str:
+    """A protocol's name in ASCII: a long string of DICOM is checked for 64 bytes. The JSON has it as it is."""
+    return protocol.name.encode("ascii", "replace").decode()
+
+
+def _ds(number: float) -> DSfloat:
+    # A decimal string has 16 characters at most.
+    return DSfloat(float(number), auto_format=True)
+
+
+def _text(table: Mapping[str, Any]) -> str:
+    return json.dumps(table, default=lambda number: number.item())
+
+
+def uid(*parts: str) -> UID:
+    """A UID under 2.25, the root of those that are UUIDs; the same parts give the same."""
+    return UID(f"2.25.{uuid5(_UIDS, ' '.join(parts)).int}")

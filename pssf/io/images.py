@@ -1,0 +1,238 @@
+"""Radiographs on disk: 16-bit TIFF and DICOM that carry all they were made from, PNG and a second DICOM for eyes."""
+
+import json
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+from PIL import Image, PngImagePlugin
+
+from ..core.checks import InputError, require_choice
+from ..exposure import present
+from ..model.knee import knee_from, knee_table
+from ..model.protocol import protocol_from, protocol_table
+from ..model.radiograph import Radiograph, Truth
+from .atomic import write_bytes, writing
+
+# What a file may be for, its first use being the default; see `save`.
+INTENTS = {
+    ".tif": ("processing",),
+    ".tiff": ("processing",),
+    ".dcm": ("processing", "presentation"),
+    ".png": ("presentation",),
+}
+SUFFIXES = tuple(INTENTS)
+BORDERS = ("none", "marked")
+# What `save_kinds` writes.
+KINDS = ("tif", "png", "json", "dcm")
+
+
+def save(radiograph: Radiograph, path: str | Path, *, intent: str | None = None, border: str = "none") -> Path:
+    """Write a radiograph, by suffix: .tif (16 bit), .dcm (Digital X-Ray, 16 or 12 bit) or .png (8 bit).
+
+    intent  "processing": the linear pixels as they are, which `load` reads back; "presentation": a rendering for eyes,
+            bone bright. None is the first that the suffix can hold: presentation for .png, else processing. These are
+            DICOM's own words, For Processing and For Presentation, and two objects there; only a .dcm has the choice.
+    border  "none"; "marked" draws the edge of the collimator and the side marker into a presentation of a knee
+    Either carries all parameters; the same radiograph gives the same bytes, and UIDs made from its content.
+    raises  InputError for another suffix, an intent that it cannot hold, a marker where there is no room or no side,
+            a disk that is full or cannot be written
+    """
+    path = Path(path)
+    suffix = suffix_of(path, SUFFIXES)
+    intent = INTENTS[suffix][0] if intent is None else intent
+    require_choice(f"file {path}: intent", intent, INTENTS[suffix])
+    side = _side(radiograph, intent, border, path)
+    with writing(path) as temporary:
+        if suffix == ".png":
+            note = PngImagePlugin.PngInfo()
+            note.add_text("Description", as_json(radiograph))
+            Image.fromarray(present(radiograph.pixels, side=side)).save(temporary, format="PNG", pnginfo=note)
+        elif suffix == ".dcm":
+            from . import dicom  # pydicom is not imported before a DICOM is wanted
+
+            dicom.write(radiograph, as_json(radiograph), temporary, intent, side)
+        else:
+            per_cm = float(10.0 / radiograph.protocol.pixel_mm)
+            tifffile.imwrite(
+                temporary,
+                radiograph.pixels,
+                photometric="minisblack",
+                resolution=(per_cm, per_cm),
+                resolutionunit="CENTIMETER",
+                software=f"pssf {version('pssf')}",
+                description=as_json(radiograph),
+                metadata=None,
+            )
+    return path
+
+
+def _side(radiograph: Radiograph, intent: str, border: str, path: Path) -> str | None:
+    """Whose marker a presentation bears, if any."""
+    require_choice(f"file {path}: border", border, BORDERS)
+    if border == "none":
+        return None
+    if intent != "presentation" or radiograph.knee is None:
+        raise InputError(f"file {path}: border = {border!r}; allowed: for a presentation of a knee, else none")
+    return radiograph.knee.side
+
+
+def save_kinds(radiograph: Radiograph, stem: str | Path, kinds: Collection[str], *, border: str = "none") -> list[Path]:
+    """Write a radiograph in several ways beside each other; returns their paths.
+
+    kinds   of KINDS; "dcm" is two objects, STEM.dcm For Processing and STEM_presentation.dcm
+    border  as in `save`, of what is for presentation
+    raises  InputError for another kind; as `save`
+    """
+    for kind in kinds:
+        require_choice("formats", kind, KINDS)
+    paths = []
+    if "tif" in kinds:
+        paths.append(save(radiograph, f"{stem}.tif"))
+    if "png" in kinds:
+        paths.append(save(radiograph, f"{stem}.png", border=border))
+    if "json" in kinds:
+        paths.append(save_parameters(radiograph, f"{stem}.json"))
+    if "dcm" in kinds:
+        paths.append(save(radiograph, f"{stem}.dcm"))
+        paths.append(save(radiograph, f"{stem}_presentation.dcm", intent="presentation", border=border))
+    return paths
+
+
+def load(path: str | Path) -> Radiograph:
+    """A radiograph from a TIFF or DICOM that `save` wrote: the same pixels, protocol, knee, seed, truth and audit.
+
+    raises  InputError for a file that is missing, damaged, not written by this package, or a DICOM For Presentation,
+            whose pixels are not linear (`load_parameters` reads what it was made from)
+    """
+    with reading(path, "a TIFF or DICOM by pssf"):
+        pixels, told = _opened(Path(path))
+        made = _parameters(told, path)
+        size = (made["protocol"].rows, made["protocol"].cols)
+        if pixels.shape != size:
+            raise InputError(f"file {path}: pixels = {pixels.shape}; allowed: {size}, those of its protocol")
+        return Radiograph(pixels=pixels, **made)
+
+
+def load_parameters(path: str | Path) -> dict[str, Any]:
+    """What a radiograph on disk was made from: protocol, knee, seed, truth, engine, audit, versions.
+
+    path    what `save` or `save_parameters` wrote, of any suffix and intent
+    raises  InputError for a file that is missing, damaged, or not written by this package
+    """
+    path = Path(path)
+    with reading(path, "a TIFF, DICOM, PNG or JSON by pssf"):
+        if path.suffix.lower() == ".json":
+            told = path.read_text(encoding="utf-8")
+        elif path.suffix.lower() == ".png":
+            with Image.open(path) as image:
+                told = image.info["Description"]
+        elif path.suffix.lower() == ".dcm":
+            from . import dicom
+
+            told = dicom.opened(path)[1]
+        else:
+            told = _opened(path)[1]
+        return _parameters(told, path)
+
+
+def _opened(path: Path) -> tuple[NDArray[np.uint16], str]:
+    """Linear pixels (rows, cols) uint16 of a TIFF or DICOM, and the JSON of what they were made from."""
+    if path.suffix.lower() == ".dcm":
+        from . import dicom
+
+        return dicom.read(path)
+    with tifffile.TiffFile(path) as tiff:
+        page = tiff.pages[0]
+        return np.asarray(page.asarray(), np.uint16), page.description  # type: ignore[union-attr]
+
+
+def _parameters(text: str, path: str | Path) -> dict[str, Any]:
+    told = json.loads(text)
+    return {
+        "protocol": protocol_from(told["protocol"], f"file {path}"),
+        "seed": told["seed"],
+        "knee": None if told["knee"] is None else knee_from(told["knee"], f"file {path}"),
+        "truth": None if told["truth"] is None else _truth(told["truth"]),
+        "engine": told["engine"],
+        "audit": told["audit"],
+        "versions": told["versions"],
+    }
+
+
+def suffix_of(path: Path, allowed: tuple[str, ...]) -> str:
+    """The suffix of a file, in small letters.
+
+    raises  InputError for one that is not allowed
+    """
+    suffix = path.suffix.lower()
+    if suffix not in allowed:
+        raise InputError(f"file {path}: suffix {suffix!r}; allowed: {', '.join(allowed)}")
+    return suffix
+
+
+@contextmanager
+def reading(path: str | Path, allowed: str) -> Iterator[None]:
+    """Whatever goes wrong in a reader becomes a refusal of one line that names the file.
+
+    raises  InputError
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except OSError as error:
+        raise InputError(f"file {path}: {error.strerror or error}; allowed: {allowed}, readable") from None
+    except Exception as error:  # a damaged file can fail anywhere in its reader
+        reason = f"{type(error).__name__}: {error}".splitlines()[0]
+        raise InputError(f"file {path}: damaged or not by pssf ({reason}); allowed: {allowed}") from None
+
+
+def description(radiograph: Radiograph) -> dict[str, Any]:
+    """All that a radiograph was made from and what is known about it, JSON-ready."""
+    truth = radiograph.truth
+    return {
+        "protocol": protocol_table(radiograph.protocol),
+        "knee": None if radiograph.knee is None else knee_table(radiograph.knee),
+        "seed": radiograph.seed,
+        "truth": None
+        if truth is None
+        else {
+            "jsw_medial_mm": truth.jsw_medial_mm,
+            "jsw_lateral_mm": truth.jsw_lateral_mm,
+            "jsw_at_mm": {f"{fraction:g}": space for fraction, space in truth.jsw_at_mm.items()},
+            "grade": truth.grade,
+            "landmarks_px": {name: list(place) for name, place in truth.landmarks_px.items()},
+        },
+        "engine": radiograph.engine,
+        "audit": dict(radiograph.audit),
+        "versions": dict(radiograph.versions),
+        "pixels": "linear in absorbed energy; row 0 proximal; columns towards +x",
+    }
+
+
+def save_parameters(radiograph: Radiograph, path: str | Path) -> Path:
+    """Write all that a radiograph was made from as JSON.
+
+    raises  InputError for a disk that is full or cannot be written
+    """
+    path = Path(path)
+    write_bytes(path, (as_json(radiograph, indent=2) + "\n").encode())
+    return path
+
+
+def as_json(radiograph: Radiograph, indent: int | None = None) -> str:
+    """`description` as text."""
+    # Parameters may be numpy's numbers; they are written, and read back, as Python's.
+    return json.dumps(description(radiograph), indent=indent, default=lambda number: number.item())
+
+
+def _truth(table: dict[str, Any]) -> Truth:
+    spots = {name: (float(row), float(col)) for name, (row, col) in table["landmarks_px"].items()}
+    spaces = {float(fraction): space for fraction, space in table["jsw_at_mm"].items()}
+    return Truth(**{**table, "landmarks_px": spots, "jsw_at_mm": spaces})

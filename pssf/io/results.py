@@ -1,0 +1,105 @@
+"""Results of a study on disk: tables, JSON, pages and pictures. Each file appears whole or not at all."""
+
+import csv
+import hashlib
+import json
+from functools import cache
+from importlib.metadata import distributions
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..core.checks import InputError
+from .atomic import write_bytes
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def save_table(path: Path, table: "pd.DataFrame") -> None:
+    """CSV without the index; every float with as many digits as give it back."""
+    save_text(path, table.to_csv(index=False, lineterminator="\n"))
+
+
+def load_table(path: Path, text_columns: tuple[str, ...] = ()) -> "pd.DataFrame | None":
+    """The CSV, bit for bit as it was saved, or None where there is no such file.
+
+    text_columns  that hold text; all others hold floats, an empty cell is NaN
+    raises  InputError for a file that is not a table
+    """
+    import pandas as pd
+
+    if not path.exists():
+        return None
+    try:
+        table = pd.read_csv(path, dtype=str, keep_default_na=False)
+        numbers = table.columns.difference(text_columns)
+        # Python's own reading of a number is exact; that of read_csv depends on the version of pandas.
+        table[numbers] = table[numbers].replace("", "nan").astype(float)
+        return table
+    except OSError as error:
+        raise InputError(f"file {path}: {error.strerror or error}; allowed: a readable table") from None
+    except ValueError as error:  # of which pandas' own are kinds
+        reason = str(error).splitlines()[0]
+        raise InputError(f"file {path}: damaged ({reason}); delete it to have it made again") from None
+
+
+def load_typed_table(path: Path) -> "pd.DataFrame":
+    """A CSV of `save_table`; a column is of whole numbers, else of floats, bit for bit, else of text."""
+    import pandas as pd
+
+    table = pd.read_csv(path, dtype=str, keep_default_na=False)
+    return table.apply(_typed)
+
+
+def _typed(column: "pd.Series") -> "pd.Series":
+    for kind, empty in (("int64", ""), ("float64", "nan")):
+        try:
+            return column.replace("", empty).astype(kind)
+        except ValueError:
+            pass
+    return column
+
+
+def load_json(path: Path) -> Any:
+    """The content, or None where there is no such file or it is not JSON."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+
+
+@cache
+def code_digest() -> str:
+    """Hash of the code and data of this package and of the versions of all that is installed."""
+    digest, root = hashlib.sha256(), Path(__file__).parents[1]
+    for path in sorted(path for path in root.rglob("*") if path.suffix in (".py", ".toml", ".j2")):
+        digest.update(f"{path.relative_to(root).as_posix()}\n".encode() + path.read_bytes())
+    installed = sorted({(one.metadata["Name"], one.version) for one in distributions()})
+    return hashlib.sha256(digest.digest() + repr(installed).encode()).hexdigest()
+
+
+def save_json(path: Path, value: Any) -> None:
+    """JSON, indented, keys in the order given."""
+    save_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
+
+
+def save_text(path: Path, text: str) -> None:
+    """UTF-8 text."""
+    write_bytes(path, text.encode("utf-8"))
+
+
+def save_bytes(path: Path, content: bytes) -> None:
+    """A picture or a model as it is."""
+    write_bytes(path, content)
+
+
+def holds(path: Path, key: str = "") -> bool:
+    """Whether a file, or a folder with something in it, is there; and if a key is given, its table or JSON has it."""
+    if not path.exists() or (path.is_dir() and not any(path.iterdir())):
+        return False
+    if not key:
+        return True
+    if path.suffix == ".json":
+        return key in json.loads(path.read_text(encoding="utf-8"))
+    with open(path, newline="", encoding="utf-8") as handle:
+        return key in next(csv.reader(handle), [])

@@ -1,0 +1,152 @@
+"""Knee: the parameters of one knee, and the draw of a knee of a grade."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from ..core.checks import InputError, from_table, require, require_choice, require_whole
+from ..data import tables
+
+GRADES = (0, 1, 2)
+SITES = ("medial_femur", "lateral_femur", "medial_tibia", "lateral_tibia", "medial_spine", "lateral_spine")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Osteophyte:
+    """A bony beak at a joint margin or on a tibial spine; size_mm is how far its tip stands out.
+
+    raises  InputError for an unknown site or a size outside 0.2 to 6 mm
+    """
+
+    site: str
+    size_mm: float
+
+    def __post_init__(self) -> None:
+        require_choice("osteophyte site", self.site, SITES)
+        require("osteophyte size_mm", self.size_mm, 0.2, 6.0, "mm")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Knee:
+    """Parameters of one knee (defaults: a healthy average man, right side).
+
+    jsw_*_mm           smallest vertical gap between the projected cortical contours of a compartment in the protocol
+                       `reference`, scaled to the joint plane
+    subchondral_plate  thickness of the plate relative to a healthy one
+    varus_deg          angle between femoral and tibial shaft beyond the normal valgus of 5 deg; positive is varus
+    flexion_deg        of the femur about the medio-lateral axis
+    rotation_deg       of the leg about its long axis; positive is internal
+    bone_scale         size of the bones relative to the mean of sex and stature
+    cortex_scale       cortical thickness relative to the mean
+    limb_ap_mm         antero-posterior thickness of the limb at the joint
+    fat_mm             subcutaneous fat, medial and lateral
+    age_years          thins the trabeculae
+    texture_seed       of the trabeculae; the same seed in a knee changed in another field gives the same struts
+    grade              KL-like grade that it was drawn for, or None
+    raises             InputError for a value out of range, or two osteophytes at one site
+    """
+
+    side: str = "right"
+    sex: str = "male"
+    stature_mm: float = 1755.0
+    jsw_medial_mm: float = 5.0
+    jsw_lateral_mm: float = 5.0
+    osteophytes: tuple[Osteophyte, ...] = ()
+    subchondral_plate: float = 1.0
+    varus_deg: float = 0.0
+    flexion_deg: float = 0.0
+    rotation_deg: float = 0.0
+    bone_scale: float = 1.0
+    cortex_scale: float = 1.0
+    tibial_slope_deg: float = 5.0
+    limb_ap_mm: float = 120.0
+    fat_mm: float = 8.0
+    age_years: float = 55.0
+    texture_seed: int = 0
+    grade: int | None = None
+
+    def __post_init__(self) -> None:
+        require_choice("side", self.side, ("right", "left"))
+        require_choice("sex", self.sex, ("male", "female"))
+        require("stature_mm", self.stature_mm, 1400, 2100, "mm")
+        require("jsw_medial_mm", self.jsw_medial_mm, 1.0, 8.0, "mm")
+        require("jsw_lateral_mm", self.jsw_lateral_mm, 1.0, 8.0, "mm")
+        require("subchondral_plate", self.subchondral_plate, 0.5, 2.5, "(relative)")
+        require("varus_deg", self.varus_deg, -8, 8, "deg")
+        require("flexion_deg", self.flexion_deg, 0, 15, "deg")
+        require("rotation_deg", self.rotation_deg, -10, 10, "deg")
+        require("bone_scale", self.bone_scale, 0.85, 1.15, "(relative)")
+        require("cortex_scale", self.cortex_scale, 0.6, 1.5, "(relative)")
+        require("tibial_slope_deg", self.tibial_slope_deg, 0, 12, "deg")
+        require("limb_ap_mm", self.limb_ap_mm, 90, 180, "mm")
+        require("fat_mm", self.fat_mm, 2, 30, "mm")
+        require("age_years", self.age_years, 18, 100, "years")
+        require_whole("texture_seed", self.texture_seed, 0, 2**63 - 1, "")
+        require_choice("grade", self.grade, (*GRADES, None))
+        if not isinstance(self.osteophytes, tuple | list) or not all(
+            isinstance(item, Osteophyte) for item in self.osteophytes
+        ):
+            raise InputError(f"osteophytes = {self.osteophytes!r}; allowed: a tuple of Osteophyte")
+        object.__setattr__(self, "osteophytes", tuple(self.osteophytes))
+        sites = [item.site for item in self.osteophytes]
+        if len(set(sites)) < len(sites):
+            raise InputError(f"osteophytes at {', '.join(sites)}; allowed: one a site")
+
+
+def knee_from(table: Mapping[str, Any], what: str = "knee") -> Knee:
+    """A knee from a mapping of its fields, as TOML or JSON gives it; `what` names the origin in a refusal."""
+    table = dict(table)
+    beaks = table.get("osteophytes", ())
+    if not isinstance(beaks, list | tuple) or not all(isinstance(item, Mapping) for item in beaks):
+        raise InputError(f"{what}: osteophytes = {beaks!r}; allowed: a list of tables with site and size_mm")
+    table["osteophytes"] = tuple(from_table(Osteophyte, item, f"{what}: osteophyte") for item in beaks)
+    return from_table(Knee, table, what)
+
+
+def knee_table(knee: Knee) -> dict[str, Any]:
+    """Field name -> value of a knee, as `knee_from` takes it back (JSON-ready)."""
+    return {**asdict(knee), "osteophytes": [asdict(item) for item in knee.osteophytes]}
+
+
+def draw_knee(*, grade: int, rng: np.random.Generator, **fixed: Any) -> Knee:
+    """A knee of a KL-like grade with parameters drawn from `data/grades.toml`.
+
+    rng    the only source of chance; shape and pose are drawn from it, the texture's seed from a child of it
+    fixed  fields of `Knee` to hold at a value; the draw of the others does not depend on them
+    raises InputError for an unknown grade or field
+    """
+    require_whole("grade", grade, min(GRADES), max(GRADES), "")
+    table = tables.data("grades")
+    ranges, body, pose = table["grade"][str(int(grade))], table["body"], table["pose"]
+    sex = fixed.get("sex", "male" if rng.random() < 0.5 else "female")
+    require_choice("sex", sex, ("male", "female"))
+    drawn: dict[str, Any] = {"sex": sex, "grade": int(grade), "side": "right" if rng.random() < 0.5 else "left"}
+    for name, law in body.items():
+        mean, sd = law[sex] if isinstance(law, dict) else law
+        drawn[name] = round(mean + sd * min(2.0, max(-2.0, rng.standard_normal())), 4)
+    for name in ("jsw_medial_mm", "jsw_lateral_mm", "subchondral_plate", "varus_deg"):
+        drawn[name] = _uniform(rng, ranges[name])
+    for name, law in pose.items():
+        drawn[name] = _uniform(rng, law)
+    drawn["texture_seed"] = int(rng.spawn(1)[0].integers(2**63))
+    drawn["osteophytes"] = _draw_osteophytes(rng, ranges["osteophyte_count"], ranges["largest_osteophyte_mm"])
+    return from_table(Knee, {**drawn, **fixed}, "draw_knee")
+
+
+def _draw_osteophytes(
+    rng: np.random.Generator, count_range: list[int], largest_range: list[float]
+) -> tuple[Osteophyte, ...]:
+    count = int(rng.integers(count_range[0], count_range[1] + 1))
+    largest = _uniform(rng, largest_range)
+    sites = rng.permutation(len(SITES))
+    shares = rng.uniform(0.3, 1.0, len(SITES))
+    shares[0] = 1.0
+    beaks = [(SITES[sites[i]], round(largest * float(shares[i]), 4)) for i in range(count)]
+    # Below 0.2 mm a beak cannot be told from the margin's own rounding, nor seen in a 0.15 mm pixel.
+    return tuple(Osteophyte(site=site, size_mm=size) for site, size in beaks if size >= 0.2)
+
+
+def _uniform(rng: np.random.Generator, bounds: list[float]) -> float:
+    return round(float(rng.uniform(bounds[0], bounds[1])), 4)

@@ -1,0 +1,97 @@
+"""Protocol: how a radiograph is taken. Technique, geometry, detector, and which stages of the chain are wanted."""
+
+import re
+from dataclasses import MISSING, asdict, dataclass, fields
+from os import PathLike
+from typing import Any
+
+from ..core.checks import InputError, from_table, require, require_choice, require_whole
+from ..data import tables
+
+
+@dataclass(frozen=True, kw_only=True)
+class Protocol:
+    """A technique. The central ray passes the origin of the knee frame; see `geometry.view_of`.
+
+    What each field is, its unit and what it may be is in `data/protocol_fields.toml`; `pssf protocols` prints it.
+    A stage that is not asked for costs nothing: focal_spot_mm = 0 leaves out the focal-spot blur, mono_kev replaces the
+    tube's spectrum by one energy, and heel, texture, scatter, detector_blur and noise take "none". Without texture,
+    spongy bone has its material's own density throughout.
+    raises InputError for a value out of range
+    """
+
+    name: str
+    tube_kv: float
+    mas: float
+    filtration_mm_al: float
+    anode_angle_deg: float
+    focal_spot_mm: float
+    sdd_mm: float
+    sod_mm: float
+    beam_angle_deg: float
+    rows: int
+    cols: int
+    pixel_mm: float
+    mono_kev: float | None = None
+    heel: str = "none"
+    texture: str = "trabecular"
+    focal_spot: str = "blur"
+    scatter: str = "kernel"
+    scatter_photons: int = 20_000_000
+    grid_ratio: float = 0.0
+    grid_lines_per_cm: float = 40.0
+    detector: str = "csi"
+    detector_blur: str = "mtf"
+    dead_pixels: float = 0.0
+    noise: str = "quantum"
+
+    def __post_init__(self) -> None:
+        for field, law in tables.data("protocol_fields").items():
+            value, unit = getattr(self, field), law.get("unit", "")
+            if law.get("optional") and value is None:
+                continue
+            if "pattern" in law and not (isinstance(value, str) and re.fullmatch(r"[\w-]{1,64}", value)):
+                raise InputError(f"{field} = {value!r}; allowed: {law['pattern']}")
+            if "range" in law:
+                require(field, value, law["range"][0], law["range"][1], unit)
+            if "whole" in law:
+                require_whole(field, value, law["whole"][0], law["whole"][1], unit)
+            if "choices" in law:
+                require_choice(field, value, law["choices"])
+        if not self.sod_mm < self.sdd_mm:
+            raise InputError(f"sod_mm = {self.sod_mm!r} mm; allowed: less than sdd_mm = {self.sdd_mm!r} mm")
+
+
+def field_rows() -> list[dict[str, str]]:
+    """One row a field: name, what it is, unit, what is allowed, its default ("" where it must be given), source."""
+    rows = []
+    for field in fields(Protocol):
+        law = tables.data("protocol_fields")[field.name]
+        bounds = law.get("range") or law.get("whole")
+        allowed = f"{bounds[0]:g} to {bounds[1]:g}" if bounds else law.get("pattern") or ", ".join(law["choices"])
+        default = "" if field.default is MISSING else "none" if field.default is None else str(field.default)
+        rows.append({
+            "field": field.name, "what": law["what"], "unit": law.get("unit", ""), "allowed": allowed,
+            "default": default, "source": law.get("source", ""),
+        })  # fmt: skip
+    return rows
+
+
+def protocol_from(table: dict[str, Any], what: str) -> Protocol:
+    """A protocol from a mapping of its fields; `what` names the origin in a refusal."""
+    return from_table(Protocol, table, what)
+
+
+def load_protocol(name_or_path: str | PathLike[str]) -> Protocol:
+    """A protocol that comes with the package, by name, or any TOML file, by path.
+
+    A file may name another as its `base`, by name or by a path from where it lies, and give only what differs.
+    raises  InputError for an unknown name, an unreadable file, a misspelt, missing or refused field, a base of itself
+    """
+    table, what = tables.read_protocol(name_or_path)
+    return protocol_from(table, what)
+
+
+def protocol_table(protocol: Protocol) -> dict[str, Any]:
+    """Field name -> value of a protocol, as `protocol_from` takes it back (JSON-ready)."""
+    return asdict(protocol)

@@ -1,0 +1,1 @@
+"""From features to predictions: splits, selections, models, baselines, scenarios."""

@@ -1,0 +1,208 @@
+"""Within, cross and multi protocol: train and test on held-out subjects, many times over."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from .. import StudySettings
+from ..statistics.metrics import METRICS, score
+from ..statistics.reliability import protocols_of
+from .baselines import baselines_of
+from .importance import permuted
+from .models import Fitted, tune
+from .saving import dumps
+from .selection import NONE, preparation
+from .split import split_subjects
+from .transfer import harmonise, stable_features
+
+TASKS = {"0 vs 2": (0, 2), "0/1/2": (0, 1, 2)}
+ARM = ["task", "scenario", "trained_on", "tested_on", "model", "selection"]
+Part = tuple[pd.DataFrame, NDArray[np.int64]]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Of one split.
+
+    predictions  ARM, repeat, radiograph, knee, subject, protocol, truth (class index), p0, p1[, p2]
+    importances  ARM without `tested_on`, repeat, feature, share
+    permutation  model, selection, repeat, feature, drop: within protocol, 0 vs 2
+    stable       how many features were stable across protocols in the training subjects; None with one protocol
+    models       name -> bytes of a fitted pipeline: of the first split, within protocol, 0 vs 2
+    subjects     repeat, subject, part
+    """
+
+    predictions: pd.DataFrame
+    importances: pd.DataFrame
+    permutation: pd.DataFrame
+    stable: int | None
+    models: dict[str, bytes]
+    subjects: pd.DataFrame
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """Radiographs of one task in the three parts of a split."""
+
+    task: str
+    grades: tuple[int, ...]
+    training: pd.DataFrame
+    validation: pd.DataFrame
+    test: pd.DataFrame
+
+
+@dataclass(frozen=True)
+class _Recipe:
+    """What to fit on which protocol, and (scenario, protocol, radiographs) to test it on."""
+
+    trained_on: str
+    selection: str
+    names: list[str]
+    models: dict[str, str]  # label -> classifier
+    tests: list[tuple[str, str, pd.DataFrame]]
+
+
+@dataclass
+class _Gathered:
+    predictions: list[pd.DataFrame] = field(default_factory=list)
+    importances: list[dict[str, Any]] = field(default_factory=list)
+    permutation: list[dict[str, Any]] = field(default_factory=list)
+    models: dict[str, bytes] = field(default_factory=dict)
+
+
+def one_split(repeat: int, *, table: pd.DataFrame, names: list[str], settings: StudySettings) -> Outcome:
+    """All tasks, scenarios, selections and models on one split of the subjects, and the baselines beside them.
+
+    table  one row a radiograph: radiograph, knee, subject, grade, protocol, the features of `names`, and what
+           `baselines.measures_of` finds in it
+    """
+    split = split_subjects(table["subject"], table["grade"], seed=settings.seed, repeat=repeat)
+    seed = int(np.random.SeedSequence(settings.seed, spawn_key=(repeat, 1)).generate_state(1)[0] >> 1)
+    protocols = protocols_of(table, settings.reference)
+    stable = None
+    if len(protocols) > 1:
+        stable = stable_features(table[table["subject"].isin(split.training)], names, protocols)
+    gathered = _Gathered()
+    for task, grades in TASKS.items():
+        rows = table[table["grade"].isin(grades)]
+        if set(rows["grade"]) != set(grades):
+            continue
+        held = (rows[rows["subject"].isin(subjects)] for subjects in (split.training, split.validation, split.test))
+        parts = _Parts(task, grades, *held)
+        for recipe in _recipes(parts, protocols, names, stable or [], settings):
+            _follow(recipe, parts, settings, seed, repeat, gathered)
+    found = pd.concat(gathered.predictions, ignore_index=True) if gathered.predictions else pd.DataFrame()
+    return Outcome(
+        predictions=found,
+        importances=pd.DataFrame(gathered.importances),
+        permutation=pd.DataFrame(gathered.permutation),
+        stable=None if stable is None else len(stable),
+        models=gathered.models,
+        subjects=split.table().assign(repeat=repeat),
+    )
+
+
+def _recipes(
+    parts: _Parts, protocols: list[str], names: list[str], stable: list[str], settings: StudySettings
+) -> Iterator[_Recipe]:
+    """All that is fitted for one task and split."""
+    reference, *others = protocols
+    models = {name: name for name in settings.models}
+    plain = [("cross", other, _of(parts.test, other)) for other in others]
+    within = [("within", reference, _of(parts.test, reference)), *plain]
+    multi = [("multi", name, _of(parts.test, name)) for name in ("all", *protocols)] if others else []
+    harmonised = [("cross_harmonised", other, _harmonised(parts, names, other, reference)) for other in others]
+    for selection in settings.selections:
+        yield _Recipe(reference, selection, names, models, within + harmonised)
+        if stable and others:
+            yield _Recipe(reference, selection, stable, models, [("cross_stable", *test[1:]) for test in plain])
+        if others:
+            yield _Recipe("all", selection, names, models, multi)
+    for label, (classifier, columns) in baselines_of(parts.training, names).items():
+        yield _Recipe(reference, NONE, columns, {label: classifier}, within)
+        if others:
+            yield _Recipe("all", NONE, columns, {label: classifier}, multi)
+
+
+def _follow(
+    recipe: _Recipe, parts: _Parts, settings: StudySettings, seed: int, repeat: int, gathered: _Gathered
+) -> None:
+    """Fit, tune, test, and keep what came out."""
+    fit_on, check_on = (
+        _part(_of(part, recipe.trained_on), recipe.names, parts.grades) for part in (parts.training, parts.validation)
+    )
+    if set(fit_on[1]) != set(range(len(parts.grades))):
+        return  # all regions of a grade were refused under this protocol
+    prepared = preparation(recipe.selection, rho=settings.rho, most=settings.most_features, seed=seed)
+    prepared.fit(*fit_on)
+    for label, classifier in recipe.models.items():
+        arm = {"task": parts.task, "trained_on": recipe.trained_on, "model": label, "selection": recipe.selection}
+        fitted = tune(prepared, classifier, fit_on, check_on, seed=seed)
+        gathered.predictions.append(_predict(fitted, recipe, parts.grades).assign(**arm, repeat=repeat))
+        scenario, _, rows = recipe.tests[0]
+        if recipe.selection == NONE or scenario not in ("within", "multi"):
+            continue
+        for feature, share in fitted.importance.items():
+            gathered.importances.append({**arm, "repeat": repeat, "feature": feature, "share": share})
+        if scenario == "within" and len(parts.grades) == 2:
+            drops = permuted(fitted.pipeline, *_part(rows, recipe.names, parts.grades), seed=seed)
+            label_of = {"model": label, "selection": recipe.selection, "repeat": repeat}
+            gathered.permutation += [{**label_of, "feature": name, "drop": drop} for name, drop in drops.items()]
+            if repeat == 0:
+                gathered.models[f"{label}_{recipe.selection}"] = dumps(fitted.pipeline)
+
+
+def score_splits(predictions: pd.DataFrame) -> pd.DataFrame:
+    """ARM, repeat, the METRICS, and the subjects and radiographs tested: one row a split."""
+    rows = []
+    for key, part in predictions.groupby([*ARM, "repeat"], sort=False):
+        counts = {"test_subjects": part["subject"].nunique(), "test_radiographs": len(part)}
+        rows.append(dict(zip([*ARM, "repeat"], key, strict=True)) | score(*truth_and_probability(part)) | counts)
+    return pd.DataFrame(rows)
+
+
+def summarise(scores: pd.DataFrame) -> pd.DataFrame:
+    """One row an arm: mean and standard deviation of each metric over the splits that gave it, and how many did."""
+    rows = []
+    for key, part in scores.groupby(ARM, sort=False):
+        row = dict(zip(ARM, key, strict=True)) | {"splits": int(part["auc"].notna().sum())}
+        for metric in METRICS:
+            spread = part[metric].std(ddof=1) if part[metric].notna().sum() > 1 else float("nan")
+            row |= {metric: part[metric].mean(), f"{metric}_sd": spread}
+        counts = {name: int(part[name].median()) for name in ("test_subjects", "test_radiographs")}
+        rows.append(row | counts)
+    return pd.DataFrame(rows)
+
+
+def truth_and_probability(predictions: pd.DataFrame) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """(rows,) class index and (rows, classes) probability of predictions of one task."""
+    columns = [f"p{k}" for k in range(len(TASKS[predictions["task"].iloc[0]]))]
+    return predictions["truth"].to_numpy(np.int64), predictions[columns].to_numpy(np.float64)
+
+
+def _of(table: pd.DataFrame, protocol: str) -> pd.DataFrame:
+    return table if protocol == "all" else table[table["protocol"] == protocol]
+
+
+def _harmonised(parts: _Parts, names: list[str], protocol: str, reference: str) -> pd.DataFrame:
+    """Test radiographs under a protocol, with the features of its training radiographs laid onto the reference's."""
+    test = _of(parts.test, protocol)
+    of, onto = (_of(parts.training, name)[names] for name in (protocol, reference))
+    return test.drop(columns=names).join(harmonise(test[names], of, onto))
+
+
+def _part(table: pd.DataFrame, names: list[str], grades: tuple[int, ...]) -> Part:
+    return table[names], np.searchsorted(grades, table["grade"].to_numpy())
+
+
+def _predict(fitted: Fitted, recipe: _Recipe, grades: tuple[int, ...]) -> pd.DataFrame:
+    """The predictions of all tests of a recipe, one below the other."""
+    table = pd.concat([rows.assign(scenario=name, tested_on=on) for name, on, rows in recipe.tests], ignore_index=True)
+    features, truth = _part(table, recipe.names, grades)
+    probability = fitted.pipeline.predict_proba(features) if len(table) else np.empty((0, len(grades)))
+    found = table[["radiograph", "knee", "subject", "protocol", "scenario", "tested_on"]].assign(truth=truth)
+    return found.assign(**{f"p{k}": probability[:, k].astype(np.float64) for k in range(len(grades))})

@@ -1,0 +1,61 @@
+"""Training, validation and test subjects. A subject is in one of them with all its knees and radiographs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from ...core.checks import InputError
+
+PARTS = ("training", "validation", "test")
+_SHARES = (0.70, 0.15, 0.15)
+
+
+@dataclass(frozen=True)
+class Split:
+    """Subjects of each part, sorted; no subject is in two."""
+
+    training: NDArray[np.int64]
+    validation: NDArray[np.int64]
+    test: NDArray[np.int64]
+
+    def table(self) -> pd.DataFrame:
+        """subject, part: one row a subject, sorted"""
+        rows = [(int(subject), part) for part in PARTS for subject in getattr(self, part)]
+        return pd.DataFrame(sorted(rows), columns=["subject", "part"])
+
+
+def split_subjects(subjects: Sequence[int], grades: Sequence[int], *, seed: int, repeat: int = 0) -> Split:
+    """70/15/15 per cent of the subjects, with every grade in every part.
+
+    subjects  (rows,) subject of each radiograph or knee
+    grades    (rows,) its grade; a subject counts under the highest of its knees
+    repeat    another split of the same seed; it does not depend on how many there are
+    raises    InputError for a grade of fewer than three subjects
+    """
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(repeat,)))
+    worst = worst_grades(subjects, grades)
+    parts: dict[str, list[int]] = {part: [] for part in PARTS}
+    for grade in sorted(set(worst)):
+        members = worst.index[worst == grade].to_numpy()
+        if len(members) < len(PARTS):
+            raise InputError(
+                f"grade {grade} has {len(members)} subjects with a region; allowed: {len(PARTS)} or more, one a part"
+            )
+        order = rng.permutation(members)
+        for part, chosen in zip(PARTS, np.split(order, _cuts(len(members))), strict=True):
+            parts[part].extend(int(subject) for subject in chosen)
+    return Split(*(np.array(sorted(parts[part]), dtype=np.int64) for part in PARTS))
+
+
+def worst_grades(subjects: Sequence[int], grades: Sequence[int]) -> pd.Series:
+    """subject -> the highest grade of its rows, which it counts under; by subject, in order"""
+    return pd.Series(np.asarray(grades)).groupby(np.asarray(subjects)).max()
+
+
+def _cuts(count: int) -> list[int]:
+    """Where to cut `count` members in three, each part at least one."""
+    validation, test = (max(1, round(share * count)) for share in _SHARES[1:])
+    return [count - validation - test, count - test]

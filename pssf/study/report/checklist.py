@@ -1,0 +1,46 @@
+"""Items of reporting guidelines that a program can fill, each with its evidence; the rest is left for a human."""
+
+from pathlib import Path
+from typing import Any
+
+from ...data import tables
+from ...io.results import holds
+
+STATUSES = ("yes", "no", "human", "none")
+
+
+def checklist(out: Path) -> dict[str, Any]:
+    """What the study in a folder answers of IBSI, METRICS, CLEAR, TRIPOD+AI and CLAIM (`data/reporting.toml`).
+
+    An item is answered only if its evidence is there: a file of the folder, and in it the column or entry named.
+    returns  versions of the guidelines; summary: guideline -> how many of each status; METRICS score, strict: earned
+             over applicable weight, items for a human not counted; items: guideline, id, item, status, evidence
+    """
+    items = [
+        {"guideline": name, "id": row[0], "item": row[1], **_answer(out, row)}
+        for name, guideline in tables.data("reporting").items()
+        for row in guideline["items"]
+    ]
+    summary = {
+        name: {status: sum(i["guideline"] == name and i["status"] == status for i in items) for status in STATUSES}
+        for name in tables.data("reporting")
+    }
+    versions = {name: guideline["version"] for name, guideline in tables.data("reporting").items()}
+    return {"versions": versions, "summary": summary, "metrics_score_percent": _score(items), "items": items}
+
+
+def _answer(out: Path, row: list[Any]) -> dict[str, str]:
+    status, told = row[2], row[3]
+    if status != "yes":
+        return {"status": status, "evidence": told}
+    file, _, key = told.partition(" ")
+    if file == "checklist.json" or holds(out / file, key):
+        return {"status": "yes", "evidence": told}
+    return {"status": "no", "evidence": f"{told}: not made in this run"}
+
+
+def _score(items: list[dict[str, Any]]) -> float:
+    weights = {row[0]: row[4] for row in tables.data("reporting")["METRICS"]["items"]}
+    ours = [item for item in items if item["guideline"] == "METRICS" and item["status"] != "none"]
+    earned = sum(weights[item["id"]] for item in ours if item["status"] == "yes")
+    return round(100 * earned / sum(weights[item["id"]] for item in ours), 1)

@@ -1,0 +1,198 @@
+"""The pictures of the report, as PNG. No global state: every figure is an object of its own."""
+
+from dataclasses import dataclass
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+
+from ..learn.models import MODELS
+from ..learn.scenarios import TASKS, truth_and_probability
+from ..statistics.metrics import confusion, mean_roc
+
+# Okabe & Ito 2008: told apart with any colour vision.
+COLOURS = {"lr": "#0072B2", "rf": "#D55E00", "xgb": "#009E73"}
+_DASHES = ("-", "--", ":", "-.")
+SCENARIOS = {"within": "Within protocol", "cross": "Cross-protocol", "multi": "Multi-protocol"}
+_DPI = 110
+_AUCS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shot:
+    """One radiograph of the panel: a display rendering and, in its pixels, the places to draw."""
+
+    display: NDArray[np.uint8]
+    title: str
+    found: tuple[float, float]
+    known: tuple[float, float]
+    region: float
+    status: str
+
+
+def panel(shots: list[list[Shot | None]], row_labels: list[str]) -> bytes:
+    """Radiographs with the found region and the known joint line; rows are protocols, columns grades."""
+    cols = max(len(row) for row in shots)
+    figure = Figure(figsize=(3.2 * cols, 3.25 * len(shots) + 0.3), layout="constrained")
+    axes = figure.subplots(len(shots), cols, squeeze=False)
+    for axis in axes.ravel():
+        axis.set_xticks([])
+        axis.set_yticks([])
+    for row, line in enumerate(shots):
+        axes[row, 0].set_ylabel(row_labels[row], fontsize=11)
+        for axis, shot in zip(axes[row], line, strict=False):
+            if shot is None:
+                continue
+            axis.imshow(shot.display, cmap="gray", vmin=0, vmax=255, interpolation="antialiased")
+            top, left = (at - shot.region / 2 for at in shot.found)
+            edge = "#F0E442" if shot.status == "found" else "#D55E00"
+            axis.add_patch(Rectangle((left, top), shot.region, shot.region, fill=False, edgecolor=edge, linewidth=1.6))
+            axis.plot(shot.known[1], shot.known[0], "+", color="#56B4E9", markersize=11, markeredgewidth=1.8)
+            if row == 0:
+                axis.set_title(shot.title, fontsize=11)
+    return png(figure)
+
+
+def robustness(predictions: pd.DataFrame, scores: pd.DataFrame, selection: str, told: dict[str, str]) -> bytes:
+    """Grade 0 vs 2, a column a scenario: the mean ROC curve of the splits above, mean AUC with its interval below.
+
+    predictions, scores  of all arms; those of `selection` are drawn
+    told                 scenario -> the paper's AUC, to be read beside
+    """
+    part, scores = (of[(of["task"] == "0 vs 2") & (of["selection"] == selection)] for of in (predictions, scores))
+    scenarios = [name for name in SCENARIOS if (part["scenario"] == name).any()]
+    figure = Figure(figsize=(3.6 * max(1, len(scenarios)), 7.0), layout="constrained")
+    axes = figure.subplots(2, max(1, len(scenarios)), squeeze=False, height_ratios=(3.1, 2.2))
+    for column, scenario in enumerate(scenarios):
+        of = part[part["scenario"] == scenario]
+        tests = [name for name in dict.fromkeys(of["tested_on"]) if name != "all"]
+        _curves(axes[0, column], of, tests)
+        axes[0, column].set_title(SCENARIOS[scenario], fontsize=11)
+        of_scores = scores[(scores["scenario"] == scenario) & scores["model"].isin(list(MODELS))]
+        _intervals(axes[1, column], of_scores, tests, told.get(scenario, ""))
+    axes[0, 0].set_ylabel("sensitivity")
+    axes[1, 0].set_ylabel("AUC, mean over the splits")
+    return png(figure)
+
+
+def _curves(axis: Any, of: pd.DataFrame, tests: list[str]) -> None:
+    axis.plot([0, 1], [0, 1], color="0.75", linewidth=1)
+    for model in dict.fromkeys(of["model"]):
+        for dash, tested_on in zip(_DASHES, tests, strict=False):
+            if model not in COLOURS:
+                continue
+            rows = of[(of["model"] == model) & (of["tested_on"] == tested_on)]
+            if rows.empty:
+                continue
+            truth, probability = truth_and_probability(rows)
+            false, true = mean_roc(truth, probability[:, 1], rows["repeat"].to_numpy())
+            axis.plot(false, true, dash, color=COLOURS[model], linewidth=1.6)
+    axis.set(xlim=(-0.01, 1), ylim=(0, 1.01), xlabel="1 − specificity")
+    axis.set_box_aspect(1)
+    lines = [Line2D([], [], color="0.3", ls=dash, label=plain(name)) for dash, name in _dashed(tests)]
+    axis.legend(handles=lines, fontsize=7.5, loc="lower right", frameon=False)
+
+
+def _intervals(axis: Any, scores: pd.DataFrame, tests: list[str], told: str) -> None:
+    models = list(dict.fromkeys(scores["model"]))
+    for place, tested_on in enumerate(tests):
+        rows = scores[scores["tested_on"] == tested_on].set_index("model")
+        for index, model in enumerate(name for name in models if name in rows.index):
+            value, low, high = rows.loc[model, ["auc", "auc_low", "auc_high"]].astype(float)
+            at = place + 0.22 * (index - (len(models) - 1) / 2)
+            axis.plot([at, at], [low, high], color=COLOURS[model], linewidth=2)
+            axis.plot(at, value, "o", color=COLOURS[model], markersize=5, label=MODELS[model] if not place else None)
+            axis.annotate(
+                f"{value:.2f}",
+                (at, high),
+                xytext=(0, 3),
+                textcoords="offset points",
+                ha="center",
+                fontsize=7,
+                rotation=90,
+            )
+    axis.axhline(0.5, color="0.75", linewidth=1)
+    names = [plain(name) for name in tests]
+    axis.set(xlim=(-0.6, len(tests) - 0.4), ylim=(0.3, 1.12), xticks=range(len(tests)), yticks=_AUCS)
+    axis.set_xticklabels(names, fontsize=8)
+    axis.spines[["top", "right"]].set_visible(False)
+    if told:
+        axis.text(0.02, 0.03, f"the paper: {told}", transform=axis.transAxes, fontsize=8, color="0.4")
+    axis.legend(fontsize=7.5, loc="lower right", frameon=False)
+
+
+def calibration_curves(curve: pd.DataFrame, selection: str) -> bytes:
+    """Share of grade 2 against its mean predicted probability, in ten bins; the size of a point is its count."""
+    part = curve[curve["selection"] == selection]
+    figure = Figure(figsize=(4.6, 4.5), layout="constrained")
+    axis = figure.subplots()
+    axis.plot([0, 1], [0, 1], color="0.75", linewidth=1)
+    for model, rows in part.groupby("model", sort=False):
+        if model in COLOURS:
+            x, y, count = (rows[name].to_numpy(float) for name in ("mean_probability", "observed_share", "predictions"))
+            axis.plot(x, y, color=COLOURS[model], linewidth=1.2, label=MODELS[str(model)])
+            axis.scatter(x, y, s=8 + 140 * count / count.sum(), color=COLOURS[model])
+    axis.set(
+        xlim=(-0.02, 1.02), ylim=(-0.02, 1.02), xlabel="predicted probability of grade 2", ylabel="share of grade 2"
+    )
+    axis.set_box_aspect(1)
+    axis.legend(fontsize=8, frameon=False, loc="upper left")
+    return png(figure)
+
+
+def confusions(predictions: pd.DataFrame, selection: str) -> bytes:
+    """Confusion matrices of 0/1/2, splits pooled: rows are scenarios, columns models; shade is the share of a row."""
+    part = predictions[(predictions["task"] == "0/1/2") & (predictions["selection"] == selection)]
+    arms = [arm for arm in dict.fromkeys(zip(part["scenario"], part["tested_on"], strict=True)) if _shown(arm)]
+    models = list(dict.fromkeys(part["model"]))
+    figure = Figure(figsize=(2.7 * max(1, len(models)), 2.45 * max(1, len(arms))), layout="constrained")
+    axes = figure.subplots(max(1, len(arms)), max(1, len(models)), squeeze=False)
+    for row, (scenario, tested_on) in enumerate(arms):
+        for col, model in enumerate(models):
+            axis = axes[row, col]
+            chosen = part[(part["scenario"] == scenario) & (part["tested_on"] == tested_on) & (part["model"] == model)]
+            _matrix(axis, confusion(*truth_and_probability(chosen)))
+            axis.set_title(f"{MODELS[model]}\n{SCENARIOS[scenario]}: {plain(tested_on)}", fontsize=9)
+    for axis in axes[:, 0]:
+        axis.set_ylabel("true grade")
+    for axis in axes[-1, :]:
+        axis.set_xlabel("predicted grade")
+    return png(figure)
+
+
+def _matrix(axis: Any, counts: NDArray[np.int64]) -> None:
+    share = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    axis.imshow(share, cmap="Blues", vmin=0, vmax=1)
+    for (row, col), count in np.ndenumerate(counts):
+        ink = "white" if share[row, col] > 0.6 else "black"
+        axis.text(col, row, f"{share[row, col]:.2f}\n({count})", ha="center", va="center", color=ink, fontsize=8)
+    grades = TASKS["0/1/2"]
+    axis.set_xticks(range(len(grades)), [str(grade) for grade in grades])
+    axis.set_yticks(range(len(grades)), [str(grade) for grade in grades])
+
+
+def _shown(arm: tuple[str, str]) -> bool:
+    scenario, tested_on = arm
+    return scenario in ("within", "cross") or (scenario == "multi" and tested_on == "all")
+
+
+def _dashed(tests: list[str]) -> list[tuple[Any, str]]:
+    return list(zip(_DASHES, tests, strict=False))
+
+
+def plain(name: str) -> str:
+    """A protocol as it is written."""
+    return "all protocols" if name == "all" else name.replace("_", " ")
+
+
+def png(figure: Figure) -> bytes:
+    """The figure as a file; the same numbers give the same bytes."""
+    buffer = BytesIO()
+    # The library would put its name and version in it.
+    figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": None})
+    return buffer.getvalue()

@@ -1,0 +1,1 @@
+"""From predictions and features to numbers with intervals."""

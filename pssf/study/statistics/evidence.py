@@ -1,0 +1,90 @@
+"""From predictions and features to the tables of the study."""
+
+import pandas as pd
+
+from ...radiomics.features import family
+from ...radiomics.ibsi import departure_of, tag_of
+from .. import StudySettings
+from ..learn.importance import by_feature
+from ..learn.scenarios import ARM, Outcome, score_splits, summarise
+from ..learn.selection import is_degenerate
+from . import localisation
+from .calibration import calibration, confusions, reliability_curve
+from .intervals import differences, intervals, resample
+from .parameters import follows, morphology, parameters_of
+from .reliability import reliability, repeatability
+from .subgroups import subgroups
+
+Tables = dict[str, pd.DataFrame]
+
+
+def tables_of_models(outcomes: list[Outcome], settings: StudySettings) -> Tables:
+    """subjects (part of each in each split), splits, scores (with intervals), differences, confusion, calibration,
+    calibration_curve, importance, permutation.
+
+    outcomes  one a split, of `scenarios.one_split`
+    """
+    predictions = joined([outcome.predictions for outcome in outcomes])
+    importances = joined([outcome.importances for outcome in outcomes])
+    permutation = joined([outcome.permutation for outcome in outcomes])
+    splits = score_splits(predictions)
+    replicates = resample(predictions, replicates=settings.replicates, seed=settings.seed)
+    within = importances[(importances["task"] == "0 vs 2") & (importances["trained_on"] == settings.reference)]
+    return {
+        "subjects": joined([outcome.subjects for outcome in outcomes]),
+        "splits": splits,
+        "scores": summarise(splits).merge(intervals(replicates), on=ARM, how="left", validate="one_to_one"),
+        "differences": differences(replicates),
+        "confusion": confusions(predictions),
+        "calibration": calibration(predictions),
+        "calibration_curve": reliability_curve(predictions),
+        "importance": by_feature(within, settings.repeats),
+        "permutation": by_feature(permutation, settings.repeats, "drop"),
+    }
+
+
+def tables_of_features(
+    located: pd.DataFrame, repeated: pd.DataFrame, names: list[str], settings: StudySettings
+) -> Tables:
+    """localisation, dictionary, reliability (across protocols, and across repeats where there are any).
+
+    located   of `localisation.errors`
+    repeated  radiographs taken again, with a region found: kind, turn, knee, features
+    """
+    usable = located[located["status"] == "found"]
+    how = {"replicates": settings.replicates, "seed": settings.seed}
+    across = reliability(usable, names, settings.reference, **how)
+    if len(repeated):
+        again = repeatability(usable, repeated, names, settings.reference)
+        across = pd.concat([across, again], ignore_index=True) if len(across) else again
+    told = {"localisation": localisation.summarise(located), "dictionary": dictionary(usable, names)}
+    return {**told, "reliability": across}
+
+
+def dictionary(usable: pd.DataFrame, names: list[str]) -> pd.DataFrame:
+    """feature, family, ibsi (its tag there), departure, degenerate (yes | no), least, median, most of each feature"""
+    rows = []
+    for name in names:
+        values = usable[name]
+        named = {"feature": name, "family": family(name), "ibsi": tag_of(name), "departure": departure_of(name)}
+        constant = "yes" if is_degenerate(values.to_numpy()) else "no"
+        spread = {"least": values.min(), "median": values.median(), "most": values.max()}
+        rows.append({**named, "degenerate": constant, **spread})
+    return pd.DataFrame(rows)
+
+
+def tables_of_truth(
+    manifest: pd.DataFrame, usable: pd.DataFrame, names: list[str], predictions: pd.DataFrame, settings: StudySettings
+) -> Tables:
+    """morphology (what was drawn, by grade), follows (features against what the knees were built with), subgroups."""
+    parameters = parameters_of(manifest)
+    return {
+        "morphology": morphology(parameters),
+        "follows": follows(usable, names, parameters, settings.reference),
+        "subgroups": subgroups(predictions, parameters, settings),
+    }
+
+
+def joined(parts: list[pd.DataFrame]) -> pd.DataFrame:
+    """The tables one below the other."""
+    return pd.concat(parts, ignore_index=True)

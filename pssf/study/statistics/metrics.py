@@ -1,0 +1,114 @@
+"""How good predictions are. A measure that a test part cannot give is NaN, not a guess."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import rankdata
+from sklearn.metrics import roc_curve
+
+from ...core.checks import Array
+
+_LEVELS = (2.5, 97.5)
+_ROC_POINTS = 401
+METRICS = {"auc": "AUC", "balanced_accuracy": "Balanced accuracy", "macro_f1": "Macro F1"}
+
+
+def score(truth: NDArray[np.int64], probability: Array) -> dict[str, float]:
+    """AUC (of class 1, or the mean of each class against the rest), balanced accuracy, macro F1.
+
+    truth        (rows,) class index
+    probability  (rows, classes)
+    returns      NaN for all three where a class has no row
+    """
+    counts = confusion(truth, probability)
+    if not counts.sum(axis=1).all():
+        return dict.fromkeys(METRICS, float("nan"))
+    ones = range(len(counts)) if len(counts) > 2 else (1,)
+    right = counts.diagonal()
+    return {
+        "auc": float(np.mean([auc(truth == k, probability[:, k]) for k in ones])),
+        "balanced_accuracy": float((right / counts.sum(axis=1)).mean()),
+        # A class that is never predicted has F1 = 0: 2 right / (true + predicted).
+        "macro_f1": float((2 * right / (counts.sum(axis=0) + counts.sum(axis=1))).mean()),
+    }
+
+
+def auc(positive: NDArray[np.bool_], value: Array) -> float:
+    """Share of pairs of a positive and a negative row in which the positive has the larger value, ties a half.
+
+    positive, value   (rows,)
+    returns           NaN without a pair (Hanley & McNeil 1982: the area under the ROC curve, by ranks)
+    """
+    ones = int(positive.sum())
+    pairs = ones * (len(positive) - ones)
+    if not pairs:
+        return float("nan")
+    return float((rankdata(value)[positive].sum() - ones * (ones + 1) / 2) / pairs)
+
+
+def mean_roc(truth: NDArray[np.int64], value: Array, split: NDArray[np.int64]) -> tuple[Array, Array]:
+    """1 - specificity and mean sensitivity over the splits at it (Fawcett 2006, vertical averaging).
+
+    The area under it is the mean AUC; a curve of all splits pooled would mix thresholds of different models.
+
+    truth, value, split  (rows,): 0 or 1, what is large for 1, and the split that a row was tested in
+    returns              (points,) each, from 0, 0 to 1, 1; nothing where no split has both classes
+    """
+    at = np.linspace(0, 1, _ROC_POINTS)
+    curves = []
+    for one in np.unique(split):
+        rows = split == one
+        if len(set(truth[rows])) == 2:
+            false, true, _ = roc_curve(truth[rows], value[rows])
+            curves.append(np.interp(at, false, true))
+    if not curves:
+        return np.empty(0), np.empty(0)
+    return np.concatenate([[0.0], at]), np.concatenate([[0.0], np.mean(curves, axis=0)])
+
+
+def weighted_scores(truth: NDArray[np.int64], probability: Array, weight: Array) -> dict[str, Array]:
+    """`score` of many weighted samples of the same rows at once: a weight of 2 counts a row twice, of 0 not at all.
+
+    truth        (rows,) class index
+    probability  (rows, classes)
+    weight       (rows, samples) whole numbers, so that every sum is exact and no order of adding shows
+    returns      metric -> (samples,); NaN for all three where a class has no weight
+    """
+    classes = probability.shape[1]
+    cell = np.zeros((classes * classes, len(truth)))
+    cell[truth * classes + probability.argmax(axis=1), np.arange(len(truth))] = 1.0
+    counts = (cell @ weight).reshape(classes, classes, -1)
+    true, called, right = counts.sum(axis=1), counts.sum(axis=0), np.einsum("kks->ks", counts)
+    ones = range(classes) if classes > 2 else (1,)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        found = {
+            "auc": np.mean([_weighted_auc(truth == k, probability[:, k], weight) for k in ones], axis=0),
+            "balanced_accuracy": (right / true).mean(axis=0),
+            "macro_f1": (2 * right / (true + called)).mean(axis=0),
+        }
+    lacking = ~(true > 0).all(axis=0)
+    return {metric: np.where(lacking, np.nan, values) for metric, values in found.items()}
+
+
+def _weighted_auc(positive: NDArray[np.bool_], value: Array, weight: Array) -> Array:
+    """(samples,) `auc` with weights: pairs in order over all pairs, each pair counted as often as both its rows."""
+    above, below = value[positive][:, None], value[~positive][None, :]
+    in_order = (above > below) + 0.5 * (above == below)
+    of_positive, of_negative = weight[positive], weight[~positive]
+    wins = np.einsum("ns,ns->s", in_order.T @ of_positive, of_negative)
+    return wins / (of_positive.sum(axis=0) * of_negative.sum(axis=0))
+
+
+def confusion(truth: NDArray[np.int64], probability: Array) -> NDArray[np.int64]:
+    """(classes, classes) counts: rows are the true class, columns the most probable."""
+    counts = np.zeros((probability.shape[1], probability.shape[1]), dtype=np.int64)
+    np.add.at(counts, (truth, probability.argmax(axis=1)), 1)
+    return counts
+
+
+def percentiles(values: Array) -> tuple[float, float]:
+    """The 2.5th and 97.5th percentile of those that are finite; NaN without any."""
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return float("nan"), float("nan")
+    low, high = np.percentile(known, _LEVELS)
+    return float(low), float(high)

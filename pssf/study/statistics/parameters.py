@@ -1,0 +1,109 @@
+"""What every knee was built with, as numbers: the truth that features can be held against."""
+
+import json
+
+import numpy as np
+import pandas as pd
+from scipy.stats import rankdata
+
+from ...core.checks import Array
+from ...data import tables
+from ..learn.baselines import with_measures
+from ..learn.selection import is_degenerate
+
+# Column -> what it is; the first six are those that a KL-like grade is drawn by.
+GRADED = {
+    "jsw_medial_mm": "JSW medial, mm",
+    "jsw_lateral_mm": "JSW lateral, mm",
+    "largest_osteophyte_mm": "largest osteophyte, mm",
+    "osteophyte_count": "osteophyte count",
+    "subchondral_plate": "subchondral plate, relative",
+    "varus_deg": "varus, deg",
+}
+BODY = {
+    "age_years": "age, years",
+    "stature_mm": "stature, mm",
+    "bone_scale": "bone scale",
+    "cortex_scale": "cortex scale",
+    "limb_ap_mm": "limb, mm",
+    "fat_mm": "fat, mm",
+    "tibial_slope_deg": "tibial slope, deg",
+    "flexion_deg": "flexion, deg",
+    "rotation_deg": "rotation, deg",
+    "female": "women (share)",
+}
+PARAMETERS = GRADED | BODY
+
+
+def parameters_of(manifest: pd.DataFrame) -> pd.DataFrame:
+    """One row a knee: knee, subject, grade, and those of PARAMETERS that the manifest tells of."""
+    knees = with_measures(manifest).drop_duplicates("knee").reset_index(drop=True)
+    if "osteophytes" in knees:
+        sizes = knees["osteophytes"].map(lambda text: [float(one["size_mm"]) for one in json.loads(text)])
+        knees = knees.assign(
+            largest_osteophyte_mm=sizes.map(lambda found: max(found, default=0.0)), osteophyte_count=sizes.map(len)
+        )
+    return knees[["knee", "subject", "grade", *(name for name in PARAMETERS if name in knees)]]
+
+
+def composition(table: pd.DataFrame) -> pd.DataFrame:
+    """grade, subjects, knees, protocols (how many and which), radiographs; the last row is of all."""
+    counted = {"subjects": ("subject", "nunique"), "knees": ("knee", "nunique"), "radiographs": ("knee", "size")}
+    rows = table.assign(grade=table["grade"].astype(str)).groupby("grade").agg(**counted).reset_index()
+    total = {"grade": "Total", "subjects": table["subject"].nunique(), "knees": table["knee"].nunique()}
+    found = pd.concat([rows, pd.DataFrame([{**total, "radiographs": len(table)}])], ignore_index=True)
+    names = [str(name).replace("_", " ") for name in table["protocol"].unique()]
+    return found.assign(protocols=f"{len(names)} ({', '.join(names)})")
+
+
+def morphology(parameters: pd.DataFrame) -> pd.DataFrame:
+    """What a grade may be and what was drawn.
+
+    parameters  of `parameters_of`
+    returns     parameter, grade, low, high (NaN where no range is set), least, mean, most
+    """
+    ranges, rows = tables.data("grades")["grade"], []
+    for name, label in PARAMETERS.items():
+        if name not in parameters:
+            continue
+        for grade, part in parameters.groupby("grade"):
+            low, high = ranges.get(str(grade), {}).get(name, (np.nan, np.nan))
+            drawn = {"least": part[name].min(), "mean": part[name].mean(), "most": part[name].max()}
+            rows.append({"parameter": label, "grade": int(grade), "low": low, "high": high, **drawn})
+    columns = ["parameter", "grade", "low", "high", "least", "mean", "most"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def follows(usable: pd.DataFrame, names: list[str], parameters: pd.DataFrame, reference: str) -> pd.DataFrame:
+    """Spearman's rho of every feature with every parameter, under the reference protocol.
+
+    returns  feature, parameter, rho: a row a pair, NaN where either does not vary
+    """
+    columns = [name for name in PARAMETERS if name in parameters]
+    part = usable[usable["protocol"] == reference][["knee", *names]].merge(parameters, on="knee", how="left")
+    ours, theirs = _ranks(part, names), _ranks(part, columns)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rho = ours.T @ theirs / np.sqrt((ours**2).sum(axis=0)[:, None] * (theirs**2).sum(axis=0))
+    rows = [
+        {"feature": feature, "parameter": PARAMETERS[column], "rho": rho[i, j]}
+        for i, feature in enumerate(names)
+        for j, column in enumerate(columns)
+    ]
+    return pd.DataFrame(rows, columns=["feature", "parameter", "rho"])
+
+
+def strongest(table: pd.DataFrame) -> pd.DataFrame:
+    """Of `follows`, the parameter that each feature follows most: feature, parameter, rho."""
+    known = table.dropna(subset="rho")
+    best = known.assign(size=known["rho"].abs()).sort_values("size", ascending=False, kind="stable")
+    return best.drop_duplicates("feature").drop(columns="size").reset_index(drop=True)
+
+
+def _ranks(table: pd.DataFrame, names: list[str]) -> Array:
+    """(rows, names) ranks less their mean; zeros for what does not vary or has a hole"""
+    if not names or table.empty:
+        return np.zeros((len(table), len(names)))
+    columns = [table[name].to_numpy(np.float64) for name in names]
+    return np.column_stack(
+        [np.zeros(len(one)) if is_degenerate(one) else rankdata(one) - (len(one) + 1) / 2 for one in columns]
+    )

@@ -1,0 +1,214 @@
+"""How far a feature keeps its value when the protocol, the noise or the position changes: intraclass correlation."""
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.stats import f as f_distribution
+
+from ...core.checks import Array
+from ..learn.selection import is_degenerate
+from .icc_by_subject import icc_intervals_by_weights, knee_weights
+
+ICC_FORMS = ("ICC(2,1)", "ICC(3,1)")
+THRESHOLD = 0.90  # "excellent" in Koo & Li 2016, and what the paper counts
+_BANDS = ((0.90, "excellent"), (0.75, "good"), (0.50, "moderate"))
+_COLUMNS = ["feature", "across", "knees", *(f"{form}{end}" for form in ICC_FORMS for end in ("", " low", " high"))]
+_COLUMNS += ["class", "share_knee", "share_condition", "share_residual"]
+REPEATS = {"noise": "repeated noise", "perturbation": "small perturbations"}
+
+
+@dataclass(frozen=True)
+class Squares:
+    """Mean squares of a two-way analysis of variance of standardised values: (knees, conditions), one in a cell."""
+
+    knees: int
+    conditions: int
+    of_knees: float
+    of_conditions: float
+    rest: float
+
+
+def squares(values: Array) -> Squares | None:
+    """Mean squares of (knees, conditions), or None where nothing varies."""
+    knees, conditions = values.shape
+    if knees < 2 or conditions < 2 or is_degenerate(values.ravel()):
+        return None
+    values = (values - values.mean()) / values.std()  # keeps squares of large features within the digits of a float
+    rows, columns = values.mean(axis=1), values.mean(axis=0)
+    rest = values - rows[:, None] - columns[None, :]
+    return Squares(
+        knees=knees,
+        conditions=conditions,
+        of_knees=conditions * float((rows**2).sum()) / (knees - 1),
+        of_conditions=knees * float((columns**2).sum()) / (conditions - 1),
+        rest=float((rest**2).sum()) / ((knees - 1) * (conditions - 1)),
+    )
+
+
+def icc(values: Array) -> tuple[float, float]:
+    """ICC(2,1), absolute agreement, and ICC(3,1), consistency; single measure (Shrout & Fleiss 1979).
+
+    values   (knees, conditions)
+    returns  NaN, NaN where nothing varies: 0/0
+    """
+    found = squares(values)
+    return (float("nan"), float("nan")) if found is None else _forms(found)
+
+
+def icc_intervals(values: Array, level: float = 0.95) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Intervals of ICC(2,1) and ICC(3,1) by the F distribution (McGraw & Wong 1996, table 7).
+
+    values   (knees, conditions)
+    returns  (low, high) of each; NaN where nothing varies, and 1 where the conditions agree to the last digit
+    """
+    s = squares(values)
+    if s is None:
+        return (float("nan"),) * 2, (float("nan"),) * 2
+    n, k, tail = s.knees, s.conditions, (1 + level) / 2
+    if s.rest < 1e-20:  # of values of unit variance: rounding
+        consistency = (1.0, 1.0)
+    else:
+        ratio, rest = s.of_knees / s.rest, (n - 1) * (k - 1)
+        low, high = ratio / f_distribution.ppf(tail, n - 1, rest), ratio * f_distribution.ppf(tail, rest, n - 1)
+        consistency = ((low - 1) / (low + k - 1), (high - 1) / (high + k - 1))
+    agreement = _forms(s)[0]
+    of_conditions = k * agreement * s.of_conditions
+    of_rest = (n * (1 + (k - 1) * agreement) - k * agreement) * s.rest
+    if abs(of_conditions) + abs(of_rest) < 1e-20:
+        return (1.0, 1.0), consistency
+    # Degrees of freedom after Satterthwaite.
+    free = (of_conditions + of_rest) ** 2 / (of_conditions**2 / (k - 1) + of_rest**2 / ((n - 1) * (k - 1)))
+    above, below = f_distribution.ppf(tail, n - 1, free), f_distribution.ppf(tail, free, n - 1)
+    error = k * s.of_conditions + (k * n - k - n) * s.rest
+    low = n * (s.of_knees - above * s.rest) / (above * error + n * s.of_knees)
+    high = n * (below * s.of_knees - s.rest) / (error + n * below * s.of_knees)
+    return (low, high), consistency
+
+
+def variance_shares(values: Array) -> tuple[float, float, float]:
+    """Shares of the variance of one radiograph: knee, condition, rest (their interaction and noise); they sum to 1.
+
+    Components of the two-way random model from its mean squares; a negative estimate is set to 0 (Searle 1992).
+
+    values  (knees, conditions)
+    """
+    s = squares(values)
+    if s is None:
+        return (float("nan"),) * 3
+    of_knee = max(0.0, (s.of_knees - s.rest) / s.conditions)
+    of_condition = max(0.0, (s.of_conditions - s.rest) / s.knees)
+    total = of_knee + of_condition + s.rest
+    return of_knee / total, of_condition / total, s.rest / total
+
+
+def grid(table: pd.DataFrame, names: list[str], by: str, conditions: list[str]) -> tuple[Array, NDArray[np.int64]]:
+    """(knees, conditions, features) of the knees that have every condition, and (knees,) their subjects."""
+    wide = table[table[by].isin(conditions)].pivot(index="knee", columns=by, values=names)
+    found = np.stack([wide[name].reindex(columns=conditions).to_numpy(np.float64) for name in names], axis=2)
+    counts = table[table[by].isin(conditions)].groupby("knee")[by].nunique().reindex(wide.index)
+    whole = (counts == len(conditions)).to_numpy()
+    subjects = table.groupby("knee")["subject"].first().reindex(wide.index)[whole]
+    return found[whole], subjects.to_numpy(np.int64)
+
+
+def reliability(
+    table: pd.DataFrame, names: list[str], reference: str, *, replicates: int = 2000, seed: int = 0
+) -> pd.DataFrame:
+    """ICC of every feature across all protocols, and across the reference and each other one.
+
+    Intervals are by the F distribution, or, where a subject has two knees, by a bootstrap of subjects.
+
+    table    one row a radiograph: knee, subject, protocol, features; knees that lack a protocol are left out
+    returns  a row a feature and set: feature, across, knees, each form with its interval, class (of Koo & Li 2016, by
+             the lower bound of ICC(2,1)), share_knee, share_condition, share_residual
+    """
+    protocols = protocols_of(table, reference)
+    sets = [protocols] if len(protocols) == 2 else [protocols, *([a, b] for a, b in combinations(protocols, 2))]
+    rows = []
+    for chosen in sets:
+        if len(chosen) >= 2 and reference in chosen:
+            label = "all protocols" if chosen == protocols else f"{chosen[0]} and {chosen[1]}"
+            values, subjects = grid(table, names, "protocol", chosen)
+            weights = None
+            if len(set(subjects)) < len(subjects):
+                weights = knee_weights(subjects, replicates=replicates, seed=seed)
+            rows += _rows(values, names, label, weights)
+    return pd.DataFrame(rows, columns=_COLUMNS)
+
+
+def repeatability(table: pd.DataFrame, again: pd.DataFrame, names: list[str], reference: str) -> pd.DataFrame:
+    """`reliability` across repeats of the same knees under the reference protocol.
+
+    table  of `reliability`; it has the first radiograph of every knee, of which no two are one subject's
+    again  radiographs of some knees taken again: knee (as in the table), kind (noise | perturbation), turn, features
+    """
+    rows = []
+    for kind, label in REPEATS.items():
+        part = again[again["kind"] == kind]
+        first = table[(table["protocol"] == reference) & table["knee"].isin(part["knee"])]
+        both = pd.concat([first.assign(turn="first"), part.assign(turn=part["turn"].astype(str))])
+        turns = ["first", *sorted(set(part["turn"].astype(str)))]
+        if len(turns) > 1 and len(first):
+            rows += _rows(grid(both, names, "turn", turns)[0], names, label)
+    return pd.DataFrame(rows, columns=_COLUMNS)
+
+
+def count_stable(table: pd.DataFrame) -> pd.DataFrame:
+    """For each set of conditions: features with an ICC of 0.90 or more, by estimate and by lower bound; how many vary.
+
+    returns  across, knees, degenerate; <form>, <form> low, <form> of; share_knee, share_condition, share_residual
+             (medians)
+    """
+    rows = []
+    for label, part in table.groupby("across", sort=False):
+        undefined = int(part[ICC_FORMS[0]].isna().sum())
+        row = {"across": label, "knees": int(part["knees"].max()), "degenerate": undefined}
+        for form in ICC_FORMS:
+            row[form] = int((part[form] >= THRESHOLD).sum())
+            row[f"{form} low"] = int((part[f"{form} low"] >= THRESHOLD).sum())
+            row[f"{form} of"] = int(part[form].notna().sum())
+        shares = ("share_knee", "share_condition", "share_residual")
+        rows.append(row | {name: float(part[name].median()) for name in shares})
+    return pd.DataFrame(rows)
+
+
+def protocols_of(table: pd.DataFrame, reference: str) -> list[str]:
+    """The protocols of a table: the reference first, then as they come."""
+    return sorted(table["protocol"].unique(), key=lambda name: name != reference)
+
+
+def _rows(values: Array, names: list[str], label: str, weights: Array | None = None) -> list[dict[str, object]]:
+    rows = []
+    for index, name in enumerate(names):
+        whole = np.isfinite(values[:, :, index]).all(axis=1)
+        one = values[whole, :, index]
+        forms, bounds = icc(one), icc_intervals(one)
+        if weights is not None and np.isfinite(forms[0]):
+            bounds = icc_intervals_by_weights(one, weights[:, whole])
+        row: dict[str, object] = {"feature": name, "across": label, "knees": len(one)}
+        for form, value, (low, high) in zip(ICC_FORMS, forms, bounds, strict=True):
+            row |= {form: value, f"{form} low": low, f"{form} high": high}
+        row["class"] = _band(bounds[0][0])
+        shares = zip(("share_knee", "share_condition", "share_residual"), variance_shares(one), strict=True)
+        rows.append(row | dict(shares))
+    return rows
+
+
+def _band(low: float) -> str:
+    if np.isnan(low):
+        return "undefined"
+    return next((name for bound, name in _BANDS if low >= bound), "poor")
+
+
+def _forms(s: Squares) -> tuple[float, float]:
+    between = s.of_knees - s.rest
+    consistency = s.of_knees + (s.conditions - 1) * s.rest
+    agreement = consistency + s.conditions * (s.of_conditions - s.rest) / s.knees
+    return _ratio(between, agreement), _ratio(between, consistency)
+
+
+def _ratio(above: float, below: float) -> float:
+    return above / below if below > 0 else float("nan")

@@ -1,0 +1,57 @@
+"""How well models do in women and men, and in younger and older subjects: grade 0 against 2, within protocol."""
+
+import numpy as np
+import pandas as pd
+
+from .. import StudySettings
+from ..learn.scenarios import truth_and_probability
+from .intervals import mean_of_splits, subject_weights
+from .metrics import METRICS, percentiles, weighted_scores
+
+COLUMNS = ["model", "selection", "group", "subjects", *(f"{m}{end}" for m in METRICS for end in ("", "_low", "_high"))]
+
+
+def subgroups(predictions: pd.DataFrame, parameters: pd.DataFrame, settings: StudySettings) -> pd.DataFrame:
+    """One row a model, selection and group: COLUMNS; means over the splits, 95 % intervals by a bootstrap of subjects.
+
+    A split whose test part has not both grades in a group gives nothing there.
+
+    predictions  of all splits, as for `intervals.resample`
+    parameters   of `parameters.parameters_of`; without sex and age there are no groups
+    """
+    part = predictions[(predictions["task"] == "0 vs 2") & (predictions["scenario"] == "within")]
+    part = part[part["selection"].isin(settings.selections)]
+    rows = []
+    if len(part):
+        weights = subject_weights(part, replicates=settings.replicates, seed=settings.seed)
+        for (model, selection), of_arm in part.groupby(["model", "selection"], sort=False):
+            for group, subjects in _groups(parameters).items():
+                inside = of_arm[of_arm["subject"].isin(subjects)]
+                row = {"model": model, "selection": selection, "group": group, "subjects": inside["subject"].nunique()}
+                rows.append(row | _scores(inside, weights))
+    return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def _groups(parameters: pd.DataFrame) -> dict[str, set[int]]:
+    """group -> its subjects"""
+    people, found = parameters.drop_duplicates("subject"), dict[str, pd.Series]()
+    if "female" in people:
+        found |= {"women": people["female"] > 0, "men": people["female"] == 0}
+    if "age_years" in people:
+        middle = people["age_years"].median()
+        found |= {f"up to {middle:.0f} years": people["age_years"] <= middle}
+        found |= {f"over {middle:.0f} years": people["age_years"] > middle}
+    return {name: set(people["subject"][chosen]) for name, chosen in found.items()}
+
+
+def _scores(inside: pd.DataFrame, weights: pd.DataFrame) -> dict[str, float]:
+    of_splits = [
+        weighted_scores(*truth_and_probability(split), weights.to_numpy()[weights.index.get_indexer(split["subject"])])
+        for _, split in inside.groupby("repeat", sort=False)
+    ]
+    found = dict[str, float]()
+    for metric in METRICS:
+        scores = mean_of_splits(np.array([one[metric] for one in of_splits])) if of_splits else np.full(2, np.nan)
+        low, high = percentiles(scores[1:])
+        found |= {metric: float(scores[0]), f"{metric}_low": low, f"{metric}_high": high}
+    return found

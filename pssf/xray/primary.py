@@ -1,0 +1,99 @@
+"""Beer-Lambert: what passes the scene and is absorbed in each pixel, over all energies at once."""
+
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.checks import Array
+from ..geometry.view import View
+from .materials import attenuation_per_mm
+from .spectrum import Beam
+
+_BAND_ROWS = 128
+
+
+@dataclass(frozen=True)
+class Signal:
+    """Energy absorbed a pixel, before noise.
+
+    kev         (rows, cols) float32  mean
+    photon_kev  (rows, cols) float32  mean square over mean energy of an absorbed photon: variance over mean of `kev`
+    """
+
+    kev: NDArray[np.float32]
+    photon_kev: NDArray[np.float32]
+
+
+def transmit(path_mm: Mapping[str, NDArray[np.float32]], beam: Beam, view: View, workers: int = 2) -> Signal:
+    """Primary signal of every pixel.
+
+    path_mm  material -> (rows, cols)  path lengths; a material that is absent attenuates nothing
+    workers  threads; the result does not depend on them
+    """
+    mu = np.array([attenuation_per_mm(name, beam.energies_kev) for name in path_mm]).reshape(-1, len(beam.energies_kev))
+    kev = np.empty((view.rows, view.cols), np.float32)
+    photon_kev = np.empty((view.rows, view.cols), np.float32)
+    weights = beam.photons_per_mm2 * beam.signal_kev, beam.photons_per_mm2 * beam.square_kev2
+    source, corner = np.asarray(view.source_mm), np.asarray(view.corner_mm)
+
+    def band(start: int) -> None:
+        stop = min(start + _BAND_ROWS, view.rows)
+        # Copied band by band: all maps of a large detector in one piece would double the memory.
+        stack = np.empty((len(path_mm), stop - start, view.cols), np.float32)
+        for part, lengths in zip(stack, path_mm.values(), strict=True):
+            part[:] = lengths[start:stop]
+        _transmit(stack, mu, *weights, source, corner, view.pixel_mm, start, stop, kev, photon_kev)
+
+    with ThreadPoolExecutor(workers) as pool:
+        list(pool.map(band, range(0, view.rows, _BAND_ROWS)))
+    return Signal(kev, photon_kev)
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
+def _transmit(
+    stack: NDArray[np.float32],
+    mu: Array,
+    signal: Array,
+    square: Array,
+    source: Array,
+    corner: Array,
+    pixel_mm: float,
+    start: int,
+    stop: int,
+    kev: NDArray[np.float32],
+    photon_kev: NDArray[np.float32],
+) -> None:
+    materials, nodes = mu.shape
+    open_signal, open_square = signal.sum(), square.sum()
+    depth = corner[1] - source[1]
+    exponent = np.empty(nodes)
+    for row in range(start, stop):
+        dz = corner[2] - row * pixel_mm - source[2]
+        for col in range(kev.shape[1]):
+            dx = corner[0] + col * pixel_mm - source[0]
+            distance2 = dx * dx + depth * depth + dz * dz
+            # Inverse square from 1 m, and the pixel seen at a slant.
+            area = pixel_mm * pixel_mm * 1e6 / distance2 * depth / np.sqrt(distance2)
+            exponent[:] = 0.0
+            empty = True
+            for m in range(materials):
+                length = stack[m, row - start, col]
+                if length != 0.0:
+                    empty = False
+                    for k in range(nodes):
+                        exponent[k] -= mu[m, k] * length
+            if empty:
+                kev[row, col] = open_signal * area
+                photon_kev[row, col] = open_square / open_signal if open_signal > 0.0 else 0.0
+                continue
+            first, second = 0.0, 0.0
+            for k in range(nodes):
+                passed = np.exp(exponent[k])
+                first += signal[k] * passed
+                second += square[k] * passed
+            kev[row, col] = first * area
+            photon_kev[row, col] = second / first if first > 0.0 else 0.0

@@ -1,0 +1,106 @@
+"""The beam: photons a square millimetre and mAs, at one metre, by energy (SpekPy), and their weight in the detector."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from ..core.checks import Array
+from ..data import tables
+from ..model.protocol import Protocol
+from .materials import absorbed_fraction, attenuation_per_mm
+from .quadrature import TOLERANCE, few_nodes
+
+_ROUND_MM = 20.0
+_MONO_PHOTONS_PER_MM2_MAS = 1e6
+# Places along the anode-cathode axis between which the heel effect is interpolated.
+_HEEL_POINTS = 9
+
+
+@dataclass(frozen=True)
+class Beam:
+    """Energies and photons of a beam at 1 m without an object, and what the detector makes of a photon.
+
+    energies_kev     (nodes,)
+    photons_per_mm2  (nodes,)  for the protocol's mAs
+    signal_kev       (nodes,)  energy absorbed a photon: interaction probability times energy
+    square_kev2      (nodes,)  its second moment: interaction probability times energy squared
+    """
+
+    energies_kev: Array
+    photons_per_mm2: Array
+    signal_kev: Array
+    square_kev2: Array
+
+
+def beam_of(protocol: Protocol) -> Beam:
+    """The beam of a protocol in bins of 0.5 keV, or one when monochromatic."""
+    if protocol.mono_kev is not None:
+        energies, photons = np.array([protocol.mono_kev]), np.array([_MONO_PHOTONS_PER_MM2_MAS])
+    else:
+        energies, photons = tube_spectrum(protocol.tube_kv, protocol.anode_angle_deg, protocol.filtration_mm_al)
+    return Beam(energies, photons * protocol.mas, *_response(energies, protocol.detector))
+
+
+def beam_for(protocol: Protocol, most_mm: Mapping[str, float], tolerance: float = TOLERANCE) -> Beam:
+    """The beam of a protocol, folded to the few energies that a scene needs.
+
+    most_mm    material -> longest path through it, mm
+    tolerance  largest relative error of the signal behind any mixture up to there, against bins of 0.5 keV
+    """
+    # In steps, so that like scenes share a fit.
+    rounded = {name: float(_ROUND_MM * np.ceil(most / _ROUND_MM)) for name, most in most_mm.items() if most > 0}
+    return _folded(replace(protocol, name="beam"), tuple(sorted(rounded.items())), tolerance)
+
+
+@lru_cache(maxsize=64)
+def _folded(protocol: Protocol, most_mm: tuple[tuple[str, float], ...], tolerance: float) -> Beam:
+    beam = beam_of(replace(protocol, mas=1.0))
+    photons, signal, square = beam.photons_per_mm2, beam.signal_kev, beam.square_kev2
+    mu = np.array([attenuation_per_mm(name, beam.energies_kev) for name, _ in most_mm]).reshape(-1, len(photons))
+    most = np.array([most for _, most in most_mm])
+    bins, first, second, _ = few_nodes(photons * signal, photons * square, mu, most, tolerance)
+    counts = first / signal[bins] * protocol.mas
+    return Beam(beam.energies_kev[bins], counts, signal[bins], second / first * signal[bins])
+
+
+def heel_factor(protocol: Protocol) -> Array:
+    """(rows,)  signal of the open beam over that on the central ray, less inverse square: self-absorption in the anode
+
+    Of the intensity, with the detector's response; that the beam is some 0.5 keV harder towards the anode is left out.
+    """
+    row = (np.arange(protocol.rows) - (protocol.rows - 1) / 2) * protocol.pixel_mm / protocol.sdd_mm
+    sign = 1.0 if protocol.heel == "anode_proximal" else -1.0
+    slopes = np.linspace(row[0], row[-1], _HEEL_POINTS)
+    signals = []
+    for slope in (*slopes, 0.0):
+        beam = (protocol.tube_kv, protocol.anode_angle_deg, protocol.filtration_mm_al)
+        energies, photons = tube_spectrum(*beam, off_axis=round(sign * float(slope), 9))
+        signals.append((photons * _response(energies, protocol.detector)[0]).sum() * (1 + slope**2))
+    return np.asarray(CubicSpline(slopes, signals[:-1])(row) / signals[-1])
+
+
+@lru_cache(maxsize=64)
+def tube_spectrum(
+    tube_kv: float, anode_angle_deg: float, filtration_mm_al: float, off_axis: float = 0.0
+) -> tuple[Array, Array]:
+    """(bins,) keV and (bins,) photons/mm2/mAs at 1 m: tungsten behind aluminium, no air (SpekPy 2, "casim").
+
+    off_axis  tangent of the angle from the central ray, positive away from the anode
+    """
+    from spekpy import Spek  # slow to import, and a monochromatic protocol does without
+
+    source = Spek(kvp=tube_kv, th=anode_angle_deg, dk=0.5, mas=1.0, x=100.0 * off_axis, z=100.0)
+    source.filter("Al", filtration_mm_al)
+    energies, per_kev_cm2 = source.get_spectrum(edges=False)
+    keep = per_kev_cm2 > per_kev_cm2.max() * 1e-9
+    return energies[keep], per_kev_cm2[keep] * 0.5 / 100.0
+
+
+def _response(energies_kev: Array, detector: str) -> tuple[Array, Array]:
+    table = tables.data("detector")[detector]
+    mg_per_cm2 = table["density"] * table["packing"] * table["thickness_mm"] * 100.0
+    fraction = absorbed_fraction(table["formula"], mg_per_cm2, energies_kev)
+    return fraction * energies_kev, fraction * energies_kev**2
