@@ -12,7 +12,7 @@ import pssf
 from pssf import anatomy
 from pssf.accuracy import morphometry
 from pssf.anatomy import bones, cartilage, femur, implicit, joint
-from pssf.anatomy.solids import checked, edges_of, halved, height_field, loft, mesh_of, ring, solid_of
+from pssf.anatomy.solids import checked, edges_of, split_edges, height_field, loft, mesh_of, ring, solid_of
 from pssf.model.knee import SITES
 
 REFERENCE = pssf.load_protocol("reference")
@@ -61,9 +61,9 @@ def test_knees_at_the_corners_of_their_ranges_build(corner):
 
 
 def test_bones_that_would_overlap_are_refused(knee, monkeypatch):
-    stance = joint.stance_of(knee)
+    stance = joint.assemble(knee)
     sunk = dataclasses.replace(stance, pose=dataclasses.replace(stance.pose, raise_mm=stance.pose.raise_mm - 7.0))
-    monkeypatch.setattr(anatomy, "stance_of", lambda knee: sunk)
+    monkeypatch.setattr(anatomy, "assemble", lambda knee: sunk)
     with pytest.raises(pssf.InputError, match=r"femur and tibia overlap by .* mm3"):
         pssf.build(knee)
 
@@ -127,7 +127,7 @@ def test_halved_edges_leave_a_closed_surface_of_the_same_volume(data):
     edges = edges_of(box.faces)
     chosen = edges[data.draw(st.lists(st.integers(0, len(edges) - 1), min_size=1, unique=True))]
     points = np.vstack((box.vertices, box.vertices[chosen].mean(axis=1)))
-    mesh = trimesh.Trimesh(points, halved(np.asarray(box.faces), chosen, len(box.vertices)), process=False)
+    mesh = trimesh.Trimesh(points, split_edges(np.asarray(box.faces), chosen, len(box.vertices)), process=False)
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
     assert len(mesh.faces) == len(box.faces) + 2 * len(chosen)
@@ -138,8 +138,8 @@ def test_a_resolved_solid_keeps_every_edge_within_tolerance_of_its_field():
     def ball(points):
         return np.linalg.norm(points, axis=1) - 20.0
 
-    coarse = implicit.settle(Manifold.sphere(20.0, 16), ball)
-    fine = implicit.resolved(coarse, ball, 0.05, 6)
+    coarse = implicit.project_solid(Manifold.sphere(20.0, 16), ball)
+    fine = implicit.refine_to_tolerance(coarse, ball, 0.05, 6)
     mesh = mesh_of(fine)
     assert np.abs(ball(mesh.vertices[edges_of(mesh.faces)].mean(axis=1))).max() < 0.06
     assert np.abs(ball(mesh.vertices)).max() < 1e-6

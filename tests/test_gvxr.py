@@ -104,7 +104,7 @@ def ours_mm(mesh):
     return pssf.trace(scene, VIEW, engine="scanline").path_mm["water"].astype(np.float64)
 
 
-def halved(mesh, times):
+def split_edges(mesh, times):
     """The same solid with every edge halved so many times."""
     for _ in range(times):
         mesh = mesh.subdivide()
@@ -192,7 +192,7 @@ def test_gvxr_draws_nearer_with_the_square_of_its_edges(knee_scene):
     # With triangles long enough for the bend to stand above rounding.
     mesh = mesh_of(solid_of(np.array(whole.vertices), np.array(whole.faces), "femur").simplify(0.2))
     ours = ours_mm(mesh)
-    off = [np.percentile(abs(theirs_mm(halved(mesh, times)) - ours)[ours > 0], 99.9) for times in range(4)]
+    off = [np.percentile(abs(theirs_mm(split_edges(mesh, times)) - ours)[ours > 0], 99.9) for times in range(4)]
     assert 0.1 < off[0] < bend_mm(mesh)
     assert_allclose(off, off[0] * 0.25 ** np.arange(4), rtol=0.1)
 
@@ -200,7 +200,7 @@ def test_gvxr_draws_nearer_with_the_square_of_its_edges(knee_scene):
 def test_where_a_box_of_twelve_triangles_differs_ours_is_exact():
     box = trimesh.creation.box(extents=(60, 80, 70))
     box.apply_transform(trimesh.transformations.euler_matrix(*np.deg2rad((20, 33, 47))))
-    exact, fine = exact_mm(box), halved(box, 6)
+    exact, fine = exact_mm(box), split_edges(box, 6)
     assert np.abs(ours_mm(box) - exact).max() < 5e-6
     assert 2.0 < np.abs(theirs_mm(box) - exact).max() < bend_mm(box) + ROUNDED_MM
     assert bend_mm(fine) < 0.001
@@ -208,7 +208,7 @@ def test_where_a_box_of_twelve_triangles_differs_ours_is_exact():
 
 
 def test_of_faces_seen_edge_on_ours_is_exact_and_gvxr_fails_at_a_few_pixels():
-    mesh = halved(frustum(), 4)
+    mesh = split_edges(frustum(), 4)
     exact = exact_mm(frustum())
     assert np.abs(ours_mm(mesh) - exact).max() < 5e-6
     tolerance_mm = bend_mm(mesh) + ROUNDED_MM
@@ -240,7 +240,7 @@ def test_gvxr_makes_the_same_polychromatic_image_of_the_knee(knee_scene):
     # Without trabeculae, for gvxr has no density that varies.
     for material, lengths in pssf.trace(knee_scene, VIEW, engine="scanline", texture=False).path_mm.items():
         # Edges halved twice: the bend of the largest triangles would be 1 % of the image.
-        put(material, halved(part(knee_scene, material), 2), material)
+        put(material, split_edges(part(knee_scene, material), 2), material)
         exponent -= lengths[..., None] * attenuation_per_mm(material, beam.energies_kev)
     ours = (np.exp(exponent) * photons * beam.energies_kev).sum(axis=-1)
     theirs = image(gvxr.computeXRayImage()) * KEV_PER_MEV

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 import pssf
 from pssf import anatomy, raycast
 from pssf.anatomy import femur, implicit, tibia
-from pssf.anatomy.joint import stance_of
+from pssf.anatomy.joint import assemble
 from pssf.anatomy.solids import mesh_of
 from pssf.model.knee import SITES
 
@@ -60,17 +60,17 @@ def test_no_material_of_a_knee_with_every_osteophyte_is_crossed_by_less_than_not
 
 @pytest.mark.parametrize("number", range(6))
 def test_no_triangle_of_an_osteophyte_faces_inwards(number, monkeypatch):
-    left, lay_flat = [], implicit._unfolded
+    left, lay_flat = [], implicit._fix_inverted_faces
 
     def counted(places, faces, free, field):
         flat = lay_flat(places, faces, free, field)
         moved = faces[free[faces].any(axis=1) & (np.abs(flat[faces, 2]) < 200).all(axis=1)]
         left.append(
-            (int(implicit._inwards(places[moved], field).sum()), int(implicit._inwards(flat[moved], field).sum()))
+            (int(implicit._face_inwards(places[moved], field).sum()), int(implicit._face_inwards(flat[moved], field).sum()))
         )
         return flat
 
-    monkeypatch.setattr(implicit, "_unfolded", counted)
+    monkeypatch.setattr(implicit, "_fix_inverted_faces", counted)
     rng = np.random.default_rng(number)
     beaks = [pssf.Osteophyte(site=str(site), size_mm=float(rng.uniform(0.3, 3.0))) for site in SITES]
     anatomy.build(pssf.Knee(jsw_medial_mm=2.8, osteophytes=tuple(beaks), bone_scale=float(rng.uniform(0.9, 1.1))))
@@ -106,7 +106,7 @@ SHARP = pssf.Knee(
 
 
 def test_no_tip_of_an_osteophyte_is_cut_off():
-    stance = stance_of(SHARP)
+    stance = assemble(SHARP)
     beaks = [(grown.outer, beak) for grown in (stance.femur, stance.tibia) for beak in grown.beaks]
     assert len(beaks) == 6
     for outer, beak in beaks:
@@ -131,6 +131,6 @@ def test_folds_are_laid_flat():
             )
         return places
 
-    settled = implicit.settle(ball, field).warp_batch(pull)
+    settled = implicit.project_solid(ball, field).warp_batch(pull)
     assert outwardness(settled, field).min() < 0
-    assert outwardness(implicit.evened(settled, field, 0), field).min() > 0
+    assert outwardness(implicit.laplacian_smooth(settled, field, 0), field).min() > 0

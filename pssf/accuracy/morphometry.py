@@ -7,7 +7,7 @@ import numpy as np
 import trimesh
 
 from ..anatomy import bones_of, build, measured_jsw_mm
-from ..anatomy.joint import Stance, stance_of
+from ..anatomy.joint import KneeAssembly, assemble
 from ..anatomy.solids import mesh_of
 from ..core.checks import Array
 from ..core.parallel import ordered_map
@@ -47,7 +47,7 @@ def measured(knee: Knee) -> Sizes:
     spaces = measured_jsw_mm(knee, build(knee), load_protocol("reference"))
     # Bones alone, as they are measured dry: without osteophytes, and each turned back into its own frame.
     bare = replace(knee, osteophytes=(), rotation_deg=0.0, flexion_deg=0.0, side="right")
-    stance, meshes = stance_of(bare), dict[str, trimesh.Trimesh]()
+    stance, meshes = assemble(bare), dict[str, trimesh.Trimesh]()
     for name, bone in bones_of(bare).items():
         meshes |= {name: mesh_of(bone.outer), f"{name}_trabecular": mesh_of(bone.inner)}
     angle = _femorotibial_deg(meshes)
@@ -62,7 +62,7 @@ def measured(knee: Knee) -> Sizes:
     }
 
 
-def _femur(meshes: Mapping[str, trimesh.Trimesh], stance: Stance) -> Sizes:
+def _femur(meshes: Mapping[str, trimesh.Trimesh], stance: KneeAssembly) -> Sizes:
     """z = 0 at the condyles' distal end."""
     bone, marrow = (_back(meshes[name], stance.pose.femur()) for name in ("femur", "femur_trabecular"))
     s, points = stance.build.scale, bone.vertices
@@ -87,7 +87,7 @@ def _femur(meshes: Mapping[str, trimesh.Trimesh], stance: Stance) -> Sizes:
     }
 
 
-def _tibia(meshes: Mapping[str, trimesh.Trimesh], stance: Stance) -> Sizes:
+def _tibia(meshes: Mapping[str, trimesh.Trimesh], stance: KneeAssembly) -> Sizes:
     """z = 0 at the middle of the plateau."""
     bone, marrow, fibula = (
         _back(meshes[name], stance.pose.tibia()) for name in ("tibia", "tibia_trabecular", "fibula")

@@ -7,7 +7,7 @@ import trimesh
 
 from ..anatomy import femur, tibia
 from ..anatomy.contours import envelope
-from ..anatomy.implicit import settle
+from ..anatomy.implicit import project_solid
 from ..anatomy.solids import edges_of, mesh_of
 from ..core.checks import Array
 from ..data import tables
@@ -30,7 +30,7 @@ def tessellation_rows() -> list[Row]:
     """
     rows: list[Row] = []
     for bone, module, lowest in (("femur", femur, 1.0), ("tibia", tibia, -1.0)):
-        exact = mesh_of(settle(module.outer(_EXACT_MM).refine(2), module.field, steps=3))
+        exact = mesh_of(project_solid(module.outer(_EXACT_MM).refine(2), module.field, steps=3))
         usual = tables.data("anatomy")[bone]["tolerance_mm"]
         for tolerance_mm in (0.2, 0.1, 0.05, usual, usual / 2, usual / 4):
             start = perf_counter()

@@ -7,19 +7,20 @@ import numpy as np
 from manifold3d import Manifold
 
 from ..core.checks import Array
-from ..data import tables
+from ..data.bones import BoneShape
+from ..data.records import Rows
 from ..model.knee import Knee, Osteophyte
-from . import femur as femur_shape
-from . import tibia as tibia_shape
-from .implicit import settle
-from .osteophytes import Grown, grow
+from .femur import mean_femur
+from .implicit import project_solid
+from .mean_bone import INNER_MM
+from .osteophytes import BoneWithOsteophytes, grow
 from .solids import checked, column
+from .tibia import above, mean_tibia
 
 # Shafts end here, outside the beam of any protocol in the package and within the soft tissue's own length.
 SHAFT_END_MM = 180.0
-# Straight shafts, inner surfaces and canals, whose edge trabeculae blur, are drawn with fewer triangles, within these.
+# Straight shafts and canals, whose edge trabeculae blur, are drawn with fewer triangles, within these.
 _COARSER_MM = 0.02
-_INNER_MM = 0.03
 _CANAL_MM = 0.05
 # Steps of 1.5 mm at most, down to the inside of the thickest cortex.
 _INWARD_STEPS = 6
@@ -36,8 +37,12 @@ class Bone:
 
 @dataclass(frozen=True)
 class Build:
-    """What shapes the bones of one knee: size over the mean man's, relative cortex and plate, angles in degrees."""
+    """What shapes the bones of one knee: size over the mean man's, relative cortex and plate, angles in degrees.
 
+    shape  of the mean man's bones
+    """
+
+    shape: BoneShape
     scale: float
     cortex: float
     plate: float
@@ -45,28 +50,33 @@ class Build:
     femur_valgus_deg: float
     tibia_varus_deg: float
 
+    @property
+    def half_ml_mm(self) -> float:
+        """Half the medio-lateral width of the tibial plateau."""
+        return self.shape.size.male_tibial_ml_mm / 2 * self.scale
 
-def build_of(knee: Knee) -> Build:
+
+def build_of(knee: Knee, shape: BoneShape) -> Build:
     """What a knee's parameters make of the mean man's bones."""
-    table = tables.data("anatomy")
-    size = table["size"]
-    sex_scale = size["female_over_male"] if knee.sex == "female" else 1.0
+    size = shape.size
+    sex_scale = size.female_over_male if knee.sex == "female" else 1.0
     return Build(
-        scale=sex_scale * knee.bone_scale * knee.stature_mm / size["stature_mm"][knee.sex],
+        shape=shape,
+        scale=sex_scale * knee.bone_scale * knee.stature_mm / getattr(size.stature_mm, knee.sex),
         cortex=knee.cortex_scale,
         plate=knee.subchondral_plate,
         slope_deg=knee.tibial_slope_deg,
-        femur_valgus_deg=table["femur"]["valgus_deg"] - knee.varus_deg / 2,
+        femur_valgus_deg=shape.femur.valgus_deg - knee.varus_deg / 2,
         tibia_varus_deg=knee.varus_deg / 2,
     )
 
 
-def scaled(sections: list[list[float]], scale: float) -> Array:
+def scaled(sections: Rows, scale: float) -> Array:
     """(n, m)  a table of lengths, scaled"""
     return np.asarray(sections, dtype=np.float64) * scale
 
 
-def thickness(table: list[list[float]], scale: float, factor: float) -> Callable[[Array], Array]:
+def thickness(table: Rows, scale: float, factor: float) -> Callable[[Array], Array]:
     """Cortical thickness (mm) as a function of height (mm), from a table of height and thickness."""
     rows = np.asarray(table, dtype=np.float64)
     rows = rows[np.argsort(rows[:, 0])]
@@ -115,32 +125,32 @@ def leaned(solid: Manifold, pivot_mm: float, angle_deg: float, direction: int) -
     return solid.warp_batch(move)
 
 
-def grown_femur(build: Build, osteophytes: tuple[Osteophyte, ...]) -> Grown:
+def grown_femur(build: Build, osteophytes: tuple[Osteophyte, ...]) -> BoneWithOsteophytes:
     """The outer femur at the mean man's size with a straight shaft, osteophytes and all."""
-    return grow(osteophytes, "femur", femur_shape.outer(), femur_shape.field, build.scale)
+    return grow(osteophytes, mean_femur(build.shape.femur), build.shape.osteophytes.femur, build.scale)
 
 
-def grown_tibia(build: Build, osteophytes: tuple[Osteophyte, ...]) -> Grown:
+def grown_tibia(build: Build, osteophytes: tuple[Osteophyte, ...]) -> BoneWithOsteophytes:
     """The outer tibia at the mean man's size with a straight shaft and a level plateau, osteophytes and all."""
-    return grow(osteophytes, "tibia", tibia_shape.outer(), tibia_shape.field, build.scale)
+    return grow(osteophytes, mean_tibia(build.shape.tibia), build.shape.osteophytes.tibia, build.scale)
 
 
-def femur(build: Build, grown: Grown) -> Bone:
+def femur(build: Build, grown: BoneWithOsteophytes) -> Bone:
     """Distal femur; z = 0 at the condyles' distal end, shaft leaning laterally by `femur_valgus_deg`."""
-    table, s = tables.data("anatomy")["femur"], build.scale
-    sections = scaled(table["sections"], s)
-    cortex = thickness(table["cortex"], s, build.cortex)
-    plate = table["plate_mm"] * build.cortex * build.plate
+    table, s, mean = build.shape.femur, build.scale, mean_femur(build.shape.femur)
+    sections = scaled(table.sections, s)
+    cortex = thickness(table.cortex, s, build.cortex)
+    plate = table.plate_mm * build.cortex * build.plate
 
     def depth(points: Array) -> Array:
-        share = np.clip((table["plate_below_z"] - points[:, 2]) / 4.0, 0.0, 1.0)
+        share = np.clip((table.plate_below_z - points[:, 2]) / 4.0, 0.0, 1.0)
         return ((1 - share) * cortex(points[:, 2] * s) + share * plate) / s
 
-    marrow = settle(femur_shape.outer(_INNER_MM), femur_shape.field, depth_mm=depth, steps=_INWARD_STEPS)
-    canal_levels = _levels(table["canal_from_z_mm"] * s, SHAFT_END_MM - 4.0, 2.5)
-    canal = _canal(sections, cortex, canal_levels, table["canal_full_z_mm"] * s, "femur canal")
+    marrow = project_solid(mean.coarser, mean.field, depth_mm=depth, steps=_INWARD_STEPS)
+    canal_levels = _levels(table.canal_from_z_mm * s, SHAFT_END_MM - 4.0, 2.5)
+    canal = _canal(sections, cortex, canal_levels, table.canal_full_z_mm * s, "femur canal")
 
-    canal = leaned(canal, table["shaft_pivot_z_mm"] * s, -build.femur_valgus_deg, +1)
+    canal = leaned(canal, table.shaft_pivot_z_mm * s, -build.femur_valgus_deg, +1)
 
     def standing(solid: Manifold, end_mm: float) -> Manifold:
         stood = solid.warp_batch(lambda points: stand_femur(np.array(points), build))
@@ -148,7 +158,7 @@ def femur(build: Build, grown: Grown) -> Bone:
 
     return Bone(
         outer=standing(grown.outer, SHAFT_END_MM),
-        inner=standing(grown.filled(marrow, s), SHAFT_END_MM - 2.0).simplify(_INNER_MM),
+        inner=standing(grown.filled(marrow, s), SHAFT_END_MM - 2.0).simplify(INNER_MM),
         canal=checked(canal, "femur canal").simplify(_CANAL_MM),
     )
 
@@ -168,32 +178,32 @@ def _canal(sections: Array, cortex: Callable[[Array], Array], levels: Array, ful
 
 def tibia_column(build: Build, grow_mm: float) -> Manifold:
     """The tibia's shaft and flare alone, grown by `grow_mm`; used to keep the fibula clear of it."""
-    table, s = tables.data("anatomy")["tibia"], build.scale
-    sections = lean(scaled(table["sections"], s), table["shaft_pivot_z_mm"] * s, build.tibia_varus_deg, -1)
+    table, s = build.shape.tibia, build.scale
+    sections = lean(scaled(table.sections, s), table.shaft_pivot_z_mm * s, build.tibia_varus_deg, -1)
     return column(
         sections, lambda z: np.full_like(z, -grow_mm), _levels(-SHAFT_END_MM - 10.0, 4.0, 3.0), "tibia column"
     )
 
 
-def tibia(build: Build, grown: Grown) -> Bone:
+def tibia(build: Build, grown: BoneWithOsteophytes) -> Bone:
     """Proximal tibia; z = 0 at the middle of the plateau, shaft leaning medially by `tibia_varus_deg`."""
-    table, s = tables.data("anatomy")["tibia"], build.scale
-    sections = scaled(table["sections"], s)
-    cortex = thickness(table["cortex"], s, build.cortex)
-    plate = table["plate_mm"] * build.cortex * build.plate
+    table, s, mean = build.shape.tibia, build.scale, mean_tibia(build.shape.tibia)
+    sections = scaled(table.sections, s)
+    cortex = thickness(table.cortex, s, build.cortex)
+    plate = table.plate_mm * build.cortex * build.plate
 
     def depth(points: Array) -> Array:
         # The plate under the cartilage passes into the cortex of the sides over its own first millimetres.
-        share = np.clip(1 + tibia_shape.above(points) / 3.0, 0.0, 1.0)
+        share = np.clip(1 + above(points, table.relief) / 3.0, 0.0, 1.0)
         return ((1 - share) * cortex(points[:, 2] * s) + share * plate) / s
 
-    marrow = settle(tibia_shape.outer(_INNER_MM), tibia_shape.field, depth_mm=depth, steps=_INWARD_STEPS)
-    canal_levels = _levels(-SHAFT_END_MM + 4.0, table["canal_from_z_mm"] * s, 2.5)
-    canal = _canal(sections, cortex, canal_levels, table["canal_full_z_mm"] * s, "tibia canal")
+    marrow = project_solid(mean.coarser, mean.field, depth_mm=depth, steps=_INWARD_STEPS)
+    canal_levels = _levels(-SHAFT_END_MM + 4.0, table.canal_from_z_mm * s, 2.5)
+    canal = _canal(sections, cortex, canal_levels, table.canal_full_z_mm * s, "tibia canal")
     return Bone(
         outer=standing(grown.outer, build),
-        inner=standing(grown.filled(marrow, s), build, 2.0).simplify(_INNER_MM),
-        canal=leaned(canal, table["shaft_pivot_z_mm"] * s, build.tibia_varus_deg, -1).simplify(_CANAL_MM),
+        inner=standing(grown.filled(marrow, s), build, 2.0).simplify(INNER_MM),
+        canal=leaned(canal, table.shaft_pivot_z_mm * s, build.tibia_varus_deg, -1).simplify(_CANAL_MM),
     )
 
 
@@ -206,7 +216,7 @@ def standing(solid: Manifold, build: Build, short_mm: float = 0.0) -> Manifold:
 def stand_tibia(points: Array, build: Build) -> Array:
     """(n, 3)  places of the mean man's tibia in this one: at its size, plateau falling backwards, shaft leaning"""
     places = sloped(points * build.scale, build)
-    pivot_mm = tables.data("anatomy")["tibia"]["shaft_pivot_z_mm"] * build.scale
+    pivot_mm = build.shape.tibia.shaft_pivot_z_mm * build.scale
     places[:, 0] += sideways(places[:, 2], pivot_mm, build.tibia_varus_deg, -1)
     return places
 
@@ -214,7 +224,7 @@ def stand_tibia(points: Array, build: Build) -> Array:
 def stand_femur(points: Array, build: Build) -> Array:
     """(n, 3)  places of the mean man's femur in this one: at its size, shaft leaning"""
     places = points * build.scale
-    pivot_mm = tables.data("anatomy")["femur"]["shaft_pivot_z_mm"] * build.scale
+    pivot_mm = build.shape.femur.shaft_pivot_z_mm * build.scale
     places[:, 0] += sideways(places[:, 2], pivot_mm, -build.femur_valgus_deg, +1)
     return places
 
@@ -229,11 +239,11 @@ def sloped(points_mm: Array, build: Build) -> Array:
 
 def fibula(build: Build) -> Bone:
     """Fibula in the tibia's frame, cut clear of the tibia by a joint gap."""
-    table, s = tables.data("anatomy")["fibula"], build.scale
-    sections = lean(scaled(table["sections"], s), -25.0 * s, build.tibia_varus_deg, -1)
-    cortex = thickness(table["cortex"], s, build.cortex)
+    table, s = build.shape.fibula, build.scale
+    sections = lean(scaled(table.sections, s), -25.0 * s, build.tibia_varus_deg, -1)
+    cortex = thickness(table.cortex, s, build.cortex)
     low, high = -SHAFT_END_MM, sections[:, 0].max()
-    gap = table["gap_to_tibia_mm"]
+    gap = table.gap_to_tibia_mm
     levels = _levels(low, high, 1.5)
     # Rings at the same heights, so that between them too the inner loft lies within the outer one.
     within = levels[(levels > low + 1.4) & (levels < high - 0.7)]
@@ -248,11 +258,11 @@ def fibula(build: Build) -> Bone:
 
 def patella(build: Build) -> Bone:
     """Patella in the femur's frame."""
-    table, s = tables.data("anatomy")["patella"], build.scale
-    sections = scaled(table["sections"], s)
-    cortex = thickness(table["cortex"], s, build.cortex)
+    table, s = build.shape.patella, build.scale
+    sections = scaled(table.sections, s)
+    cortex = thickness(table.cortex, s, build.cortex)
     low, high = sections[:, 0].min(), sections[:, 0].max()
-    place = tuple(s * c for c in table["centre_mm"])
+    place = tuple(s * c for c in table.centre_mm)
     outer = column(sections, _none, _levels(low, high, 1.0), "patella", power=2.1).simplify(_COARSER_MM / 2)
     inner = column(sections, cortex, _levels(low + 1.2, high - 1.2, 1.0), "patella marrow", power=2.1).simplify(
         _COARSER_MM

@@ -7,11 +7,12 @@ from manifold3d import Manifold
 from numpy.typing import NDArray
 
 from ..core.checks import Array
-from ..data import tables
-from . import femur as femur_shape
-from . import tibia as tibia_shape
-from .implicit import Field, onto
-from .solids import edges_of, loft, mesh_of, ring, solid_of, widened
+from ..data.bones import BoneShape, Menisci, Meniscus
+from ..data.records import Pair
+from .femur import mean_femur
+from .implicit import Field, project_to_surface
+from .solids import dilate_rings, edges_of, loft, mesh_of, ring, solid_of
+from .tibia import above, mean_tibia
 
 # Farther than this from the bare bone's surface is osteophyte, which bears no cartilage.
 _BARE_MM = 0.02
@@ -48,67 +49,74 @@ class Layer:
         return np.vstack((self.bone, self.top)), np.vstack((upper[chosen], chosen[:, ::-1]))
 
 
-def on_femur(outer: Manifold, scale: float, spaces_mm: tuple[float, float]) -> Layer:
+def on_femur(outer: Manifold, shape: BoneShape, scale: float, spaces_mm: tuple[float, float]) -> Layer:
     """Cartilage on an outer femur at the mean man's size.
 
+    shape      of the mean man's bones
     spaces_mm  medial and lateral joint space, of which the femur's cartilage takes its share
     """
-    limits = tables.data("anatomy")["cartilage"]["femur"]
+    limits = shape.cartilage.femur
 
     def zone(points: Array) -> Array:
         x, y, z = points.T
-        below = z - limits["below_z"]
-        behind = np.maximum(limits["behind_y"] - y, z - limits["behind_z"])
-        before = np.max([y - limits["before_y"], z - limits["before_z"], np.abs(x) - limits["before_x"]], axis=0)
-        notch = np.minimum(limits["notch_x"] - np.abs(x), y - limits["notch_y"])
+        below = z - limits.below_z
+        behind = np.maximum(limits.behind_y - y, z - limits.behind_z)
+        before = np.max([y - limits.before_y, z - limits.before_z, np.abs(x) - limits.before_x], axis=0)
+        notch = np.minimum(limits.notch_x - np.abs(x), y - limits.notch_y)
         return np.asarray(np.maximum(np.min([below, behind, before], axis=0), notch))
 
-    return _layer(outer, femur_shape.field, zone, scale, spaces_mm)
+    return _layer(outer, mean_femur(shape.femur).field, zone, _full_mm(shape, scale, spaces_mm))
 
 
-def on_tibia(outer: Manifold, scale: float, spaces_mm: tuple[float, float]) -> Layer:
+def on_tibia(outer: Manifold, shape: BoneShape, scale: float, spaces_mm: tuple[float, float]) -> Layer:
     """Cartilage on an outer tibia at the mean man's size, level; arguments as in `on_femur`."""
-    parts = tables.data("anatomy")["cartilage"]["tibia"]
+    parts = shape.cartilage.tibia
 
     def zone(points: Array) -> Array:
         ovals = [
-            (np.hypot((points[:, 0] - p["x"]) / p["half_x"], (points[:, 1] - p["y"]) / p["half_y"]) - 1) * p["half_x"]
-            for p in parts
+            (np.hypot((points[:, 0] - p.x) / p.half_x, (points[:, 1] - p.y) / p.half_y) - 1) * p.half_x for p in parts
         ]
-        return np.asarray(np.maximum(np.min(ovals, axis=0), -2.5 - tibia_shape.above(points)))
+        return np.asarray(np.maximum(np.min(ovals, axis=0), -2.5 - above(points, shape.tibia.relief)))
 
-    return _layer(outer, tibia_shape.field, zone, scale, spaces_mm)
+    return _layer(outer, mean_tibia(shape.tibia).field, zone, _full_mm(shape, scale, spaces_mm))
 
 
-def menisci(scale: float) -> list[Manifold]:
+def menisci(table: Menisci, scale: float) -> list[Manifold]:
     """Medial and lateral ring, open to the spines, in the tibia's frame; bones and cartilage leave wedges of them."""
-    table = tables.data("anatomy")["menisci"]
     rings = []
-    for part in (table["medial"], table["lateral"]):
-        outer, inner = (_disc(part, half, table["height_mm"]) for half in (part["outer"], part["inner"]))
-        middle = float(np.sign(part["x"])) * table["gap_mm"] / 2
-        gap = Manifold.cube((table["gap_mm"], 18.0, 40.0), True).translate((middle, part["y"], 0.0))
+    for part in (table.medial, table.lateral):
+        outer, inner = (_disc(part, half, table.height_mm) for half in (part.outer, part.inner))
+        middle = float(np.sign(part.x)) * table.gap_mm / 2
+        gap = Manifold.cube((table.gap_mm, 18.0, 40.0), True).translate((middle, part.y, 0.0))
         rings.append((outer - inner - gap).scale((scale, scale, scale)))
     return rings
 
 
-def _layer(outer: Manifold, field: Field, zone: Field, scale: float, spaces_mm: tuple[float, float]) -> Layer:
+def _full_mm(shape: BoneShape, scale: float, spaces_mm: tuple[float, float]) -> Field:
+    """Points (n, 3) -> (n,)  thickness of the layer away from its margin, at the mean man's size"""
+
+    def full(points: Array) -> Array:
+        medial = np.clip(0.5 + points[:, 0] / 12.0, 0.0, 1.0)
+        return shape.cartilage.share / scale * (medial * spaces_mm[0] + (1 - medial) * spaces_mm[1])
+
+    return full
+
+
+def _layer(outer: Manifold, field: Field, zone: Field, full_mm: Field) -> Layer:
     mesh = mesh_of(outer)
     points = np.array(mesh.vertices)
-    medial = np.clip(0.5 + points[:, 0] / 12.0, 0.0, 1.0)
-    full = tables.data("anatomy")["cartilage"]["share"] / scale * (medial * spaces_mm[0] + (1 - medial) * spaces_mm[1])
     # From the margin inwards it grows to its full thickness over 4 mm.
-    thickness = full * np.clip(-zone(points) / 4.0, 0.0, 1.0)
+    thickness = full_mm(points) * np.clip(-zone(points) / 4.0, 0.0, 1.0)
     thickness[thickness < _THINNEST_MM] = 0.0
     candidates = np.flatnonzero(thickness)
     faces = np.asarray(mesh.faces)
     grown = np.zeros(len(points), np.bool_)
     grown[candidates] = np.abs(field(points[candidates])) > _BARE_MM
-    thickness[widened(grown, faces, _RINGS)] = 0.0
+    thickness[dilate_rings(grown, faces, _RINGS)] = 0.0
     while len(pinched := _pinched(faces, thickness > 0)):
         thickness[pinched] = _THINNEST_MM
     bearing = np.flatnonzero(thickness)
-    way = onto(points[bearing], field, lambda _: -thickness[bearing], _STEPS) - points[bearing]
+    way = project_to_surface(points[bearing], field, lambda _: -thickness[bearing], _STEPS) - points[bearing]
     way /= np.linalg.norm(way, axis=1)[:, None]
     thickness[bearing] = np.minimum(thickness[bearing], _room(points, bearing, way, faces))
     top = points.copy()
@@ -151,6 +159,6 @@ def _pinched(faces: Array, thick: NDArray[np.bool_]) -> NDArray[np.int64]:
     return np.unique(edges[count > 1])
 
 
-def _disc(part: dict, half: list[float], height_mm: list[float]) -> Manifold:
-    centre = (part["x"], part["y"])
+def _disc(part: Meniscus, half: Pair, height_mm: tuple[float, ...]) -> Manifold:
+    centre = (part.x, part.y)
     return loft(np.array([ring(half[0], half[1], (*centre, z), 2.0, 64) for z in height_mm]), "meniscus")

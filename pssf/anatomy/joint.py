@@ -1,19 +1,17 @@
 """The joint: places the femur over the tibia so that the projected joint spaces are what the knee asks for."""
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from manifold3d import Manifold
 
 from ..core.checks import Array, InputError
-from ..data import tables
-from ..geometry.view import View, magnification, project, view_of
+from ..data.bones import BoneShape
+from ..geometry.view import View, magnification, project
 from ..model.knee import Knee
-from ..model.protocol import load_protocol
 from .bones import Build, build_of, grown_femur, grown_tibia, stand_femur, stand_tibia, standing
 from .contours import measure_gap
-from .osteophytes import Grown
+from .osteophytes import BoneWithOsteophytes
 from .solids import edges_of, mesh_of
 
 _TOLERANCE_MM = 1e-4
@@ -71,18 +69,17 @@ def moved(vertices_mm: Array, transform: Array) -> Array:
     return vertices_mm @ transform[:, :3].T + transform[:, 3]
 
 
-def half_ml_mm(scale: float) -> float:
-    """Half the medio-lateral width of the tibial plateau."""
-    return tables.data("anatomy")["size"]["male_tibial_ml_mm"] / 2 * scale
-
-
 @dataclass(frozen=True)
-class Stance:
-    """A knee's build, its outer femur and tibia at the mean man's size, and where they go."""
+class KneeAssembly:
+    """A knee's build, its outer femur and tibia at the mean man's size, and where they go.
 
+    reference  the view that its joint spaces are defined in
+    """
+
+    reference: View
     build: Build
-    femur: Grown
-    tibia: Grown
+    femur: BoneWithOsteophytes
+    tibia: BoneWithOsteophytes
     pose: Pose
 
     def femur_mm(self, points: Array) -> Array:
@@ -94,28 +91,28 @@ class Stance:
         return moved(stand_tibia(points, self.build), self.pose.tibia())
 
 
-@lru_cache(maxsize=4)
-def stance_of(knee: Knee) -> Stance:
-    """How a knee stands; kept, as its labels ask for it after its solids.
+def assemble(knee: Knee, shape: BoneShape, reference: View) -> KneeAssembly:
+    """How a knee stands.
 
-    raises  InputError if the joint spaces cannot be met
+    shape      of the mean man's bones
+    reference  the view that its joint spaces are defined in
+    raises     InputError if the joint spaces cannot be met
     """
-    build = build_of(knee)
+    build = build_of(knee, shape)
     femur, tibia = grown_femur(build, knee.osteophytes), grown_tibia(build, knee.osteophytes)
-    pose = solve_pose(knee, build, femur.outer, standing(tibia.outer, build))
+    pose = solve_pose(knee, build, femur.outer, standing(tibia.outer, build), reference)
     # The femur's tilt closes the joint; its shaft gives that tilt back, so that varus_deg is the angle of the shafts.
     build = replace(build, femur_valgus_deg=build.femur_valgus_deg + pose.tilt_deg)
-    return Stance(build, femur, tibia, pose)
+    return KneeAssembly(reference, build, femur, tibia, pose)
 
 
-def solve_pose(knee: Knee, build: Build, femur: Manifold, tibia: Manifold) -> Pose:
-    """Tilt and height of the femur that give both joint spaces under `reference` (Newton on the projection).
+def solve_pose(knee: Knee, build: Build, femur: Manifold, tibia: Manifold, view: View) -> Pose:
+    """Tilt and height of the femur that give both joint spaces in a view (Newton on the projection).
 
     femur   outer solid at the mean man's size, condyles' distal end at z = 0
     tibia   outer solid of this knee, plateau at z = 0
     raises  InputError if the spaces cannot be met, which the ranges of `Knee` exclude
     """
-    view = view_of(load_protocol("reference"))
     meshes = [_lower(femur, build.scale), _upper(tibia)]
     wanted = np.array([knee.jsw_medial_mm, knee.jsw_lateral_mm])
     pose = Pose(
@@ -123,7 +120,7 @@ def solve_pose(knee: Knee, build: Build, femur: Manifold, tibia: Manifold) -> Po
     )
     for _ in range(40):
         placed = [(moved(v, t), e) for (v, e), t in zip(meshes, (pose.femur(), pose.tibia()), strict=True)]
-        gaps = [measure_gap(placed[0], placed[1], view, side, half_ml_mm(build.scale)) for side in (+1, -1)]
+        gaps = [measure_gap(placed[0], placed[1], view, side, build.half_ml_mm) for side in (+1, -1)]
         error = wanted - np.array([gap.jsw_mm for gap in gaps])
         middle = _middle_mm(gaps, view)
         if np.abs(error).max() < _TOLERANCE_MM and abs(middle) < 1e-3:

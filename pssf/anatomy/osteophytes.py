@@ -7,9 +7,11 @@ from manifold3d import Manifold
 from numpy.typing import NDArray
 
 from ..core.checks import Array
-from ..data import tables
+from ..data.bones import Margin
 from ..model.knee import Osteophyte
-from .implicit import Field, blend, evened
+from .implicit import blend
+from .mean_bone import MeanBone
+from .remesh import laplacian_smooth
 from .solids import checked, mesh_of
 
 _CORTEX_MM = 0.5
@@ -23,7 +25,7 @@ _CONES = 17
 
 
 @dataclass(frozen=True)
-class Beak:
+class OsteophyteShape:
     """Cones from three feet within the bone to one tip, whose farthest point stands out by the osteophyte's size.
 
     feet  (3, 3)  centres and the radius of the balls there; tip (3,) likewise; mm
@@ -70,11 +72,11 @@ class Beak:
 
 
 @dataclass(frozen=True)
-class Grown:
+class BoneWithOsteophytes:
     """A bone's outer solid with its beaks, in its frame at the mean man's size."""
 
     outer: Manifold
-    beaks: tuple[Beak, ...] = ()
+    beaks: tuple[OsteophyteShape, ...] = ()
 
     def filled(self, inner: Manifold, scale: float) -> Manifold:
         """The trabecular solid of the bone with what is inside its beaks."""
@@ -83,23 +85,26 @@ class Grown:
         return inner
 
 
-def grow(osteophytes: tuple[Osteophyte, ...], bone: str, bare: Manifold, field: Field, scale: float) -> Grown:
+def grow(osteophytes: tuple[Osteophyte, ...], mean: MeanBone, margin: Margin, scale: float) -> BoneWithOsteophytes:
     """A bone with the osteophytes that belong to it.
 
-    bare, field  outer solid and field of the bone at the mean man's size
-    scale        of the knee, whose osteophytes are as large as they say
+    margin  where they are
+    scale   of the knee, whose osteophytes are as large as they say
     """
     beaks = []
     for osteophyte in osteophytes:
         side, where = osteophyte.site.split("_")
-        if BONE[where] == bone:
-            make = _on_spine if where == "spine" else _at_margin
-            beaks.append(make(where, 1.0 if side == "medial" else -1.0, bare, osteophyte.size_mm / scale))
+        if BONE[where] == mean.name:
+            direction, size_mm = 1.0 if side == "medial" else -1.0, osteophyte.size_mm / scale
+            if where == "spine":
+                beaks.append(_on_spine(direction, mean.outer, size_mm))
+            else:
+                beaks.append(_at_margin(margin, direction, mean.outer, size_mm))
     if not beaks:
-        return Grown(bare)
+        return BoneWithOsteophytes(mean.outer)
 
     def whole(points: Array) -> Array:
-        shape = field(points)
+        shape = mean.field(points)
         for beak in beaks:
             close = beak.near(points)
             if close.any():
@@ -109,33 +114,32 @@ def grow(osteophytes: tuple[Osteophyte, ...], bone: str, bare: Manifold, field: 
     def near(points: Array) -> NDArray[np.bool_]:
         return np.asarray(np.any([beak.near(points) for beak in beaks], axis=0))
 
-    rough = bare
+    rough = mean.outer
     for beak in beaks:
         rough = rough + beak.solid(0.0).refine_to_length(1.0)
-    even = evened(rough, whole, _ROUNDS, near, [beak.farthest for beak in beaks])
-    return Grown(checked(even, f"{bone} with osteophytes"), tuple(beaks))
+    even = laplacian_smooth(rough, whole, _ROUNDS, near, [beak.farthest for beak in beaks])
+    return BoneWithOsteophytes(checked(even, f"{mean.name} with osteophytes"), tuple(beaks))
 
 
-def _at_margin(where: str, direction: float, bare: Manifold, size_mm: float) -> Beak:
-    table = tables.data("anatomy")["osteophytes"][where]
+def _at_margin(table: Margin, direction: float, bare: Manifold, size_mm: float) -> OsteophyteShape:
     points = mesh_of(bare).vertices
-    band = points[(points[:, 2] >= table["band_z"][0]) & (points[:, 2] <= table["band_z"][1])]
+    band = points[(points[:, 2] >= table.band_z[0]) & (points[:, 2] <= table.band_z[1])]
     margin = float((band[:, 0] * direction).max())
     tip_mm, foot_mm, width = 0.35 + 0.15 * size_mm, 1.6 + 0.5 * size_mm, 4.0 + 2.0 * size_mm
     inward = margin - foot_mm - 1.2 - 1.5 * np.array([1.0, 0.0, 1.0])
-    feet = np.column_stack((direction * inward, [-width, 0.0, width], np.full(3, table["foot_z"])))
-    tip = np.array([direction * (margin + size_mm - tip_mm), 0.0, table["tip_z"]])
-    return Beak(feet, foot_mm, tip, tip_mm, size_mm, np.array([direction, 0.0, 0.0]))
+    feet = np.column_stack((direction * inward, [-width, 0.0, width], np.full(3, table.foot_z)))
+    tip = np.array([direction * (margin + size_mm - tip_mm), 0.0, table.tip_z])
+    return OsteophyteShape(feet, foot_mm, tip, tip_mm, size_mm, np.array([direction, 0.0, 0.0]))
 
 
-def _on_spine(where: str, direction: float, bare: Manifold, size_mm: float) -> Beak:
+def _on_spine(direction: float, bare: Manifold, size_mm: float) -> OsteophyteShape:
     points = mesh_of(bare).vertices
     side = points[points[:, 0] * direction > 1.0]
     top = side[side[:, 2].argmax()]
     tip_mm, foot_mm = 0.35 + 0.15 * size_mm, 1.0 + 0.3 * size_mm
     feet = top - [0.0, 0.0, foot_mm + 0.6] + np.array([[0.0, -3.0, -0.6], [0.0, 0.0, 0.0], [0.0, 3.0, -0.6]])
     tip = top + np.array([0.0, 0.0, size_mm - tip_mm])
-    return Beak(feet, foot_mm, tip, tip_mm, size_mm, np.array([0.0, 0.0, 1.0]))
+    return OsteophyteShape(feet, foot_mm, tip, tip_mm, size_mm, np.array([0.0, 0.0, 1.0]))
 
 
 def _cones(points: Array, feet: Array, foot_mm: float, tip: Array, tip_mm: float) -> Array:

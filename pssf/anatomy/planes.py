@@ -4,7 +4,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from ..core.checks import Array
-from ..data import tables
+from ..data.bones import BoneShape, FatPad, Tendon
 from .joint import moved
 from .solids import checked, column
 
@@ -12,31 +12,29 @@ from .solids import checked, column
 _COARSER_MM = 0.03
 
 
-def fat_pad(scale: float, tibia_frame: Array) -> Manifold:
+def fat_pad(part: FatPad, scale: float, tibia_frame: Array) -> Manifold:
     """The infrapatellar fat pad, before bones are taken out of it."""
-    part = tables.data("anatomy")["fat_pad"]
-    half, centre = (np.array(part[key]) * scale for key in ("half", "centre"))
+    half, centre = np.array(part.half) * scale, np.array(part.centre) * scale
     return Manifold.sphere(1.0, 36).scale(half).translate(centre).transform(tibia_frame)
 
 
-def tendon(scale: float, femur_frame: Array, tibia_frame: Array) -> Manifold:
+def tendon(part: Tendon, scale: float, femur_frame: Array, tibia_frame: Array) -> Manifold:
     """The patellar tendon, a strap from the patella's apex to the tuberosity, before bones are taken out of it."""
-    part = tables.data("anatomy")["tendon"]
     ends = []
-    for key, frame in (("patella", femur_frame), ("tuberosity", tibia_frame)):
-        place = moved(np.array([part[key]]) * scale, frame)[0]
-        ends.append(Manifold.sphere(1.0, 32).scale(np.array(part["half"]) * scale).translate(place))
+    for end, frame in ((part.patella, femur_frame), (part.tuberosity, tibia_frame)):
+        place = moved(np.array([end]) * scale, frame)[0]
+        ends.append(Manifold.sphere(1.0, 32).scale(np.array(part.half) * scale).translate(place))
     return checked(Manifold.batch_hull(ends), "patellar tendon")
 
 
-def fat_planes(scale: float) -> list[Manifold]:
+def fat_planes(shape: BoneShape, scale: float) -> list[Manifold]:
     """Thin sheets along the limb, in the leg's frame."""
     sheets = []
-    for part in tables.data("anatomy")["fat_planes"]:
-        rows = np.array(part["sections"]) * scale
+    for part in shape.fat_planes:
+        rows = np.array(part.sections) * scale
         heights = np.linspace(rows[:, 0].min(), rows[:, 0].max(), 24)
         sheet = column(rows, np.zeros_like, heights, "fat plane", power=2.0, count=48).simplify(_COARSER_MM)
         middle = rows[:, [4, 3]].mean(axis=0)
-        turned = sheet.translate((-middle[0], -middle[1], 0.0)).rotate((0.0, 0.0, part["turn_deg"]))
+        turned = sheet.translate((-middle[0], -middle[1], 0.0)).rotate((0.0, 0.0, part.turn_deg))
         sheets.append(turned.translate((middle[0], middle[1], 0.0)))
     return sheets

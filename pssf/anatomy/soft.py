@@ -5,7 +5,6 @@ from manifold3d import Manifold
 from scipy import ndimage
 
 from ..core.checks import Array
-from ..data import tables
 from ..model.knee import Knee
 from .bones import Build, lean
 from .solids import column
@@ -22,11 +21,11 @@ def layers(knee: Knee, build: Build, bone_points_mm: Array) -> dict[str, Manifol
 
     bone_points_mm  (n, 3)  vertices of all bones in the leg's frame; the limb is made thick enough to hold them
     """
-    table, size = tables.data("anatomy")["soft"], tables.data("anatomy")["size"]
-    fat, skin = knee.fat_mm, table["skin_mm"]
-    wrap_ml, wrap_ap = fat + skin, max(2.0, fat * table["anterior_fat_share"]) + skin
-    half_ml = size["male_tibial_ml_mm"] / 2 * build.scale + table["capsule_mm"] + wrap_ml
-    rows = [[z, half_ml + more, knee.limb_ap_mm / 2 * share, y, 0.0] for z, more, share, y in table["sections"]]
+    table, size = build.shape.soft, build.shape.size
+    fat, skin = knee.fat_mm, table.skin_mm
+    wrap_ml, wrap_ap = fat + skin, max(2.0, fat * table.anterior_fat_share) + skin
+    half_ml = size.male_tibial_ml_mm / 2 * build.scale + table.capsule_mm + wrap_ml
+    rows = [[z, half_ml + more, knee.limb_ap_mm / 2 * share, y, 0.0] for z, more, share, y in table.sections]
     coarse = _follow_shafts(np.array(rows), knee, build)
     # The patella stands in front of the limb's middle: where bone needs room the section moves there before it grows.
     fascia = _hold(_resample(coarse) - np.array([0.0, wrap_ml, wrap_ap, 0.0, 0.0]), bone_points_mm)

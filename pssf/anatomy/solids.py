@@ -52,7 +52,7 @@ def edges_of(faces: Array) -> Array:
     return np.column_stack((key // number, key % number))
 
 
-def widened(chosen: NDArray[np.bool_], faces: Array, rings: int) -> NDArray[np.bool_]:
+def dilate_rings(chosen: NDArray[np.bool_], faces: Array, rings: int) -> NDArray[np.bool_]:
     """(n,)  which vertices are chosen, or within so many edges of one that is"""
     wide = chosen.copy()
     for _ in range(rings):
@@ -60,8 +60,8 @@ def widened(chosen: NDArray[np.bool_], faces: Array, rings: int) -> NDArray[np.b
     return wide
 
 
-def halved(faces: Array, edges: Array, first: int) -> Array:
-    """(k, 3)  faces of a closed mesh with some of its edges halved, each neighbour split to fit
+def split_edges(faces: Array, edges: Array, first: int) -> Array:
+    """(k, 3)  faces of a closed mesh with some of its edges split in half, each neighbour cut to fit
 
     faces  (m, 3)
     edges  (n, 2)  those to halve, the smaller vertex first; their middles are vertices first, first + 1, ...

@@ -10,7 +10,7 @@ from manifold3d import Manifold
 from ..core.checks import Array
 from ..model.knee import Knee
 from . import bones, cartilage
-from .joint import Stance
+from .joint import KneeAssembly
 from .planes import fat_pad, fat_planes, tendon
 from .solids import mesh_of
 
@@ -29,18 +29,19 @@ class Part:
     mesh: trimesh.Trimesh
 
 
-def between(knee: Knee, stance: Stance, placed: dict[str, bones.Bone], muscle: Manifold) -> list[Part]:
+def between(knee: Knee, assembly: KneeAssembly, placed: dict[str, bones.Bone], muscle: Manifold) -> list[Part]:
     """Cartilage, menisci, patellar tendon, fat pad and fat planes of a knee, in its frame, none overlapping another.
 
     placed  the bones, in the knee's frame
     muscle  all that lies within the fascia
     """
-    s, pose, spaces_mm = stance.build.scale, stance.pose, (knee.jsw_medial_mm, knee.jsw_lateral_mm)
+    shape, s, pose = assembly.build.shape, assembly.build.scale, assembly.pose
+    spaces_mm = (knee.jsw_medial_mm, knee.jsw_lateral_mm)
     layers = (
-        cartilage.on_femur(stance.femur.outer, s, spaces_mm),
-        cartilage.on_tibia(stance.tibia.outer, s, spaces_mm),
+        cartilage.on_femur(assembly.femur.outer, shape, s, spaces_mm),
+        cartilage.on_tibia(assembly.tibia.outer, shape, s, spaces_mm),
     )
-    moves = (stance.femur_mm, stance.tibia_mm)
+    moves = (assembly.femur_mm, assembly.tibia_mm)
     parts, keep = [], []
     for name, layer, move in zip(("femur_cartilage", "tibia_cartilage"), layers, moves, strict=True):
         vertices, faces = layer.alone()
@@ -49,16 +50,16 @@ def between(knee: Knee, stance: Stance, placed: dict[str, bones.Bone], muscle: M
         parts.append(Part(name, "cartilage", mesh))
         keep.append(_near(layer.covered(), move))
     keep += [_cut(placed[name].outer) for name in ("patella", "fibula")]
-    rings = [solid.transform(pose.tibia()) for solid in cartilage.menisci(s)]
+    rings = [solid.transform(pose.tibia()) for solid in cartilage.menisci(shape.menisci, s)]
     joint = [
         ("medial_meniscus", "cartilage", rings[0]),
         ("lateral_meniscus", "cartilage", rings[1]),
-        ("patellar_tendon", "tendon", tendon(s, pose.femur(), pose.tibia())),
-        ("fat_pad", "adipose", fat_pad(s, pose.tibia())),
+        ("patellar_tendon", "tendon", tendon(shape.tendon, s, pose.femur(), pose.tibia())),
+        ("fat_pad", "adipose", fat_pad(shape.fat_pad, s, pose.tibia())),
     ]
     sheets = [
         (f"fat_plane_{number}", "adipose", sheet.transform(pose.soft()))
-        for number, sheet in enumerate(fat_planes(s), start=1)
+        for number, sheet in enumerate(fat_planes(shape, s), start=1)
     ]
     shafts = [placed[name].outer for name in ("femur", "tibia", "fibula")]
     return parts + _carved(joint, keep, muscle) + _carved(sheets, shafts, muscle)

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core.checks import Array, InputError, require, require_choice, require_seed
-from ..data import tables
+from ..data.records import Triple
+from ..data.spongy import TrabecularBone
 from .lattice import lattice
-from .march import Region, Triple, march
+from .march import Region, march
 
 BONES = ("femur", "tibia", "fibula", "patella")
 # Samples a voxel of the lattice, and samples over which the smooth part is taken as straight.
@@ -27,12 +28,14 @@ class Trabeculae:
 
     region  its smooth part
     seed    of the lattice, which is made when it is first needed
+    voxel_mm  size of its voxels (x, z, y)
     shift   where in the lattice (x, z, y, in voxels) the bone is
     into    rows of the (3, 4) transform from the knee frame into the bone's
     """
 
     region: Region
     seed: int
+    voxel_mm: Triple
     shift: Triple
     into: tuple[float, ...]
 
@@ -48,17 +51,27 @@ class Trabeculae:
         starts, ends = (np.ascontiguousarray(points, np.float64) for points in (starts_mm, ends_mm))
         block, unit = lattice(self.seed)
         frame, shift = np.array(self.into).reshape(3, 4), np.array(self.shift)
-        per_mm = 1 / np.array(tables.data("trabeculae")["lattice"]["voxel_mm"])
+        per_mm = 1 / np.array(self.voxel_mm)
         struts = (block.reshape(-1), block.shape, unit, per_mm, shift)
         march(starts, ends, frame, *struts, self.region, fine, piece, out)
         return out
 
 
 def trabeculae(
-    bone: str, *, seed: int, scale: float, frame: Array, mirror: str, sclerosis: float, age_years: float, sex: str
+    bone: str,
+    table: TrabecularBone,
+    *,
+    seed: int,
+    scale: float,
+    frame: Array,
+    mirror: str,
+    sclerosis: float,
+    age_years: float,
+    sex: str,
 ) -> Trabeculae:
     """The trabecular density of one bone of a knee.
 
+    table      how much spongy bone there is where, and its lattice
     seed       of the knee's texture; its bones take different parts of one lattice
     scale      size of the bone over the mean man's; struts keep their own size
     frame      (3, 4)  rigid transform from the bone's frame to that of a right knee, mm
@@ -74,44 +87,52 @@ def trabeculae(
     require("sclerosis", sclerosis, 0.5, 2.5, "(relative)")
     require("age_years", age_years, 18, 100, "years")
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1 + BONES.index(bone),)))
-    x, z, y = (rng.random(3) * tables.data("trabeculae")["lattice"]["voxels"]).tolist()
+    x, z, y = (rng.random(3) * table.lattice.voxels).tolist()
     return Trabeculae(
-        region=_region(bone, rng.random(3).tolist(), scale, sclerosis, age_years, sex),
+        region=_region(bone, table, rng.random(3).tolist(), scale, sclerosis, age_years, sex),
         seed=int(seed),
+        voxel_mm=table.lattice.voxel_mm,
         shift=(x, z, y),
         into=_inverse(np.asarray(frame, np.float64), mirror),
     )
 
 
-def _region(bone: str, chance: list[float], scale: float, sclerosis: float, age_years: float, sex: str) -> Region:
+def _region(
+    bone: str,
+    table: TrabecularBone,
+    chance: list[float],
+    scale: float,
+    sclerosis: float,
+    age_years: float,
+    sex: str,
+) -> Region:
     """chance  uniform numbers: height of the scar, how strong it is, and where"""
-    table = tables.data("trabeculae")
-    part, hard, scar, ageing, tissue = (table[name] for name in (bone, "sclerosis", "scar", "ageing", "tissue"))
-    excess = part["sclerosis"] * hard["per_plate"] * (sclerosis - 1)
-    plates = [max(0.0, (1 + part["plate"]) * (1 + excess * share) - 1) for share in (1.0, hard["lateral_share"])]
-    years = age_years - ageing["reference_years"]
-    left = (1 - ageing["per_year"] * years) * ageing["mean"][sex]
-    contrast = 1 + ageing["contrast_per_year"][sex] * years
-    same = {name: float(part[name]) for name in Region._fields if isinstance(part.get(name), float)}
-    same |= {name: min(1.0, part[name] * contrast) for name in ("gain", "gain_shaft")}
-    same |= {f"{name}_per_mm": 1 / part[f"{name}_mm"] for name in ("fade", "plate")}
-    same |= {f"{name}_per_mm": 1 / part[f"{name}_half_mm"] for name in ("column", "scar")}
-    dips = [(x, 1 / half, rise) for x, half, rise in part["dips"]]
-    same["scar_bvtv"] *= scar["least"] + (1 - scar["least"]) * chance[1]
+    part, hard, scar, ageing, tissue = getattr(table, bone), table.sclerosis, table.scar, table.ageing, table.tissue
+    excess = part.sclerosis * hard.per_plate * (sclerosis - 1)
+    plates = [max(0.0, (1 + part.plate) * (1 + excess * share) - 1) for share in (1.0, hard.lateral_share)]
+    years = age_years - ageing.reference_years
+    left = (1 - ageing.per_year * years) * ageing.mean[sex]
+    contrast = 1 + ageing.contrast_per_year[sex] * years
+    same = {name: value for name in Region._fields if isinstance(value := getattr(part, name, None), float)}
+    same |= {name: min(1.0, getattr(part, name) * contrast) for name in ("gain", "gain_shaft")}
+    same |= {f"{name}_per_mm": 1 / getattr(part, f"{name}_mm") for name in ("fade", "plate")}
+    same |= {f"{name}_per_mm": 1 / getattr(part, f"{name}_half_mm") for name in ("column", "scar")}
+    dips = [(x, 1 / half, rise) for x, half, rise in part.dips]
+    same["scar_bvtv"] *= scar.least + (1 - scar.least) * chance[1]
     return Region(
         **same,
-        middle_mm=table["side"]["middle_mm"],
+        middle_mm=table.side.middle_mm,
         plate_medial=plates[0],
         plate_lateral=plates[1],
-        joint=tuple(part["joint"]),
+        joint=part.joint,
         dips=(dips[0], dips[1], dips[2]),
-        scar_x=scar["off_mm"] * (2 * chance[2] - 1),
-        scar_z=part["scar_mm"][0] + (part["scar_mm"][1] - part["scar_mm"][0]) * chance[0],
-        scar_wide_per_mm=1 / scar["wide_mm"],
+        scar_x=scar.off_mm * (2 * chance[2] - 1),
+        scar_z=part.scar_mm[0] + (part.scar_mm[1] - part.scar_mm[0]) * chance[0],
+        scar_wide_per_mm=1 / scar.wide_mm,
         scale=float(scale),
         per_scale=1 / scale,
-        marrow=tissue["marrow"],
-        per_bvtv=left * (1 - tissue["marrow"]) / tissue["bvtv"],
+        marrow=tissue.marrow,
+        per_bvtv=left * (1 - tissue.marrow) / tissue.bvtv,
     )
 
 

@@ -6,17 +6,16 @@ from manifold3d import Manifold, OpType
 
 from ..core.checks import Array
 from ..geometry.scene import Scene
-from ..geometry.view import View, project, view_of
+from ..geometry.view import View, project
 from ..model.knee import Knee
-from ..model.protocol import Protocol, load_protocol
 from ..model.radiograph import Truth
-from . import femur as femur_shape
-from . import tibia as tibia_shape
 from .contours import Gap, envelope, measure_gap
-from .implicit import settle
-from .joint import half_ml_mm, stance_of
-from .osteophytes import BONE, Beak
+from .femur import mean_femur
+from .implicit import project_solid
+from .joint import KneeAssembly
+from .osteophytes import BONE, OsteophyteShape
 from .solids import edges_of, mesh_of
+from .tibia import mean_tibia
 
 # Joint space is told at these fractions of the plateau's width from its medial edge, as JSW(x) (Neumann et al. 2009).
 FRACTIONS = (0.15, 0.2, 0.25, 0.3, 0.7, 0.75, 0.8, 0.85)
@@ -27,49 +26,51 @@ _SPINES_MM = 13.0
 _OUT_MM = 0.05
 
 
-def truth_of(knee: Knee, scene: Scene, protocol: Protocol) -> Truth:
-    """What is known about the radiograph of a built knee under a protocol.
+def labels(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> Truth:
+    """What is known about the radiograph of a knee in a view.
 
-    scene   as `build(knee)` gives it
+    assembly  how it stands
+    scene     as it is built
     """
-    view, reference = view_of(protocol), view_of(load_protocol("reference"))
-    gaps = _gaps(knee, scene, view)
+    gaps, reference = _gaps(knee, assembly, scene, view), assembly.reference
+    of_reference = gaps if view == reference else _gaps(knee, assembly, scene, reference)
     return Truth(
         jsw_medial_mm=knee.jsw_medial_mm,
         jsw_lateral_mm=knee.jsw_lateral_mm,
-        jsw_at_mm=_jsw_at_mm(knee, gaps if view == reference else _gaps(knee, scene, reference), reference),
+        jsw_at_mm=_jsw_at_mm(knee, assembly, of_reference),
         grade=knee.grade,
-        landmarks_px=_joint_lines(gaps) | _landmarks(knee, view),
+        landmarks_px=_joint_lines(gaps) | _landmarks(knee, assembly, view),
     )
 
 
-def measured_jsw_mm(knee: Knee, scene: Scene, protocol: Protocol) -> tuple[float, float]:
+def measured_jsw_mm(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> tuple[float, float]:
     """Medial and lateral joint space measured on the projected contours of a built knee, osteophytes and all."""
-    medial, lateral = _gaps(knee, scene, view_of(protocol))
+    medial, lateral = _gaps(knee, assembly, scene, view)
     return medial.jsw_mm, lateral.jsw_mm
 
 
-def osteophytes_of(knee: Knee) -> dict[str, trimesh.Trimesh]:
+def osteophyte_meshes(knee: Knee, assembly: KneeAssembly) -> dict[str, trimesh.Trimesh]:
     """Site -> what an osteophyte adds to its bone, where it stands out by more than 0.05 mm, in the knee frame."""
-    stance = stance_of(knee)
-    bones = {
-        "femur": (stance.femur, femur_shape.outer(), femur_shape.field, stance.femur_mm),
-        "tibia": (stance.tibia, tibia_shape.outer(), tibia_shape.field, stance.tibia_mm),
-    }
-    found = {}
-    for bone, (grown, bare, field, move) in bones.items():
-        sites = [beak.site for beak in knee.osteophytes if BONE[beak.site.split("_")[1]] == bone]
+    shape = assembly.build.shape
+    bones = (
+        (mean_femur(shape.femur), assembly.femur, assembly.femur_mm),
+        (mean_tibia(shape.tibia), assembly.tibia, assembly.tibia_mm),
+    )
+    meshes = {}
+    for mean, grown, move in bones:
+        sites = [beak.site for beak in knee.osteophytes if BONE[beak.site.split("_")[1]] == mean.name]
         if not sites:
             continue
-        added = grown.outer - settle(bare, field, depth_mm=lambda points: np.full(len(points), -_OUT_MM))
+        bare = project_solid(mean.outer, mean.field, depth_mm=lambda points: np.full(len(points), -_OUT_MM))
+        added = grown.outer - bare
         for site, beak in zip(sites, grown.beaks, strict=True):
             mesh = mesh_of(_around(added, beak, grown.beaks))
             faces = mesh.faces if knee.side == "right" else mesh.faces[:, ::-1]
-            found[site] = trimesh.Trimesh(_mirrored(move(mesh.vertices), knee), faces, process=False)
-    return found
+            meshes[site] = trimesh.Trimesh(_mirrored(move(mesh.vertices), knee), faces, process=False)
+    return meshes
 
 
-def _around(added: Manifold, beak: Beak, beaks: tuple[Beak, ...]) -> Manifold:
+def _around(added: Manifold, beak: OsteophyteShape, beaks: tuple[OsteophyteShape, ...]) -> Manifold:
     """Of what several beaks add to a bone, what is nearest to one of them."""
     tips = np.array([other.tip for other in beaks])
     mine = next(k for k, other in enumerate(beaks) if other is beak)
@@ -81,11 +82,11 @@ def _around(added: Manifold, beak: Beak, beaks: tuple[Beak, ...]) -> Manifold:
     return Manifold.batch_boolean(pieces, OpType.Add)
 
 
-def _gaps(knee: Knee, scene: Scene, view: View) -> tuple[Gap, Gap]:
+def _gaps(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> tuple[Gap, Gap]:
     """The medial and the lateral joint space as a detector sees them."""
     meshes = {s.name: s.mesh for s in scene.surfaces if s.name in ("femur", "tibia")}
     femur, tibia = ((m.vertices, edges_of(m.faces)) for m in (meshes["femur"], meshes["tibia"]))
-    medial, half = _medial(knee), half_ml_mm(stance_of(knee).build.scale)
+    medial, half = _medial(knee), assembly.build.half_ml_mm
     return measure_gap(femur, tibia, view, medial, half), measure_gap(femur, tibia, view, -medial, half)
 
 
@@ -95,28 +96,29 @@ def _joint_lines(gaps: tuple[Gap, Gap]) -> dict[str, tuple[float, float]]:
     return {**lines, "joint_centre": (float(row), float(col))}
 
 
-def _jsw_at_mm(knee: Knee, gaps: tuple[Gap, Gap], view: View) -> dict[float, float]:
-    """Fraction of the plateau's width from its medial edge -> joint space there."""
-    half, medial = half_ml_mm(stance_of(knee).build.scale), _medial(knee)
-    found = {}
+def _jsw_at_mm(knee: Knee, assembly: KneeAssembly, gaps: tuple[Gap, Gap]) -> dict[float, float]:
+    """Fraction of the plateau's width from its medial edge -> joint space there, of gaps in the reference view."""
+    half, medial, view = assembly.build.half_ml_mm, _medial(knee), assembly.reference
+    spaces = {}
     for fraction in FRACTIONS:
         gap = gaps[0] if fraction < 0.5 else gaps[1]
         col = project(np.array([[medial * half * (1 - 2 * fraction), 0.0, 0.0]]), view)[0, 1]
         wide_px = np.interp(col, gap.columns_px, gap.tibia_px - gap.femur_px)
-        found[fraction] = float(wide_px * gap.scale_mm)
-    return found
+        spaces[fraction] = float(wide_px * gap.scale_mm)
+    return spaces
 
 
-def _landmarks(knee: Knee, view: View) -> dict[str, tuple[float, float]]:
+def _landmarks(knee: Knee, assembly: KneeAssembly, view: View) -> dict[str, tuple[float, float]]:
     """Edges of the bones without their osteophytes, tips of the spines with them, and the notch's highest point."""
-    stance, medial = stance_of(knee), _medial(knee)
-    femur, tibia, grown = (mesh_of(s) for s in (femur_shape.outer(), tibia_shape.outer(), stance.tibia.outer))
+    shape, medial = assembly.build.shape, _medial(knee)
+    solids = (mean_femur(shape.femur).outer, mean_tibia(shape.tibia).outer, assembly.tibia.outer)
+    femur, tibia, grown = map(mesh_of, solids)
     spots: dict[str, tuple[float, float]] = {}
     for side, sign in (("medial", +1), ("lateral", -1)):
         for name, mesh, band, move in (
-            ("epicondyle", femur, _EPICONDYLES, stance.femur_mm),
-            ("condyle_edge", femur, _CONDYLES, stance.femur_mm),
-            ("plateau_edge", tibia, _PLATEAU, stance.tibia_mm),
+            ("epicondyle", femur, _EPICONDYLES, assembly.femur_mm),
+            ("condyle_edge", femur, _CONDYLES, assembly.femur_mm),
+            ("plateau_edge", tibia, _PLATEAU, assembly.tibia_mm),
         ):
             points = mesh.vertices
             near = (points[:, 2] > band[0]) & (points[:, 2] < band[1]) & (points[:, 0] * sign > 0)
@@ -124,9 +126,9 @@ def _landmarks(knee: Knee, view: View) -> dict[str, tuple[float, float]]:
             spots[f"{side}_{name}"] = _place(seen, (seen[:, 1] * sign * medial).argmax())
         points = grown.vertices
         near = (points[:, 0] * sign > 1.0) & (points[:, 0] * sign < _SPINES_MM)
-        seen = project(_mirrored(stance.tibia_mm(points[near]), knee), view)
+        seen = project(_mirrored(assembly.tibia_mm(points[near]), knee), view)
         spots[f"{side}_spine"] = _place(seen, seen[:, 0].argmin())
-    seen = project(_mirrored(stance.femur_mm(femur.vertices), knee), view)
+    seen = project(_mirrored(assembly.femur_mm(femur.vertices), knee), view)
     centre = (spots["medial_condyle_edge"][1] + spots["lateral_condyle_edge"][1]) / 2
     reach = abs(spots["medial_condyle_edge"][1] - spots["lateral_condyle_edge"][1]) / 8
     columns = np.arange(np.ceil(centre - reach), centre + reach)

@@ -1,0 +1,159 @@
+"""BuiltKnee: a knee, its solids as a scene, and its labels, as one object."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import trimesh
+from manifold3d import Manifold
+
+from ..core.checks import Array, InputError
+from ..data.bones import mean_shape
+from ..data.spongy import TrabecularBone, trabecular_bone
+from ..geometry.scene import Scene, Surface
+from ..geometry.view import view_of
+from ..model.knee import Knee
+from ..model.protocol import Protocol, load_protocol
+from ..model.radiograph import Truth
+from . import bones, soft
+from .joint import KneeAssembly, assemble
+from .solids import checked, mesh_of
+from .tissues import between
+from .trabeculae import BONES, Trabeculae, trabeculae
+from .truth import labels, measured_jsw_mm, osteophyte_meshes
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BuiltKnee:
+    """A knee that is built: its scene and its labels cannot be another's.
+
+    knee      its parameters
+    scene     closed surfaces between named materials, in the knee frame, mm
+    assembly  how its bones stand
+    bones     femur, tibia, fibula and patella of a right knee, by name; a left one is their mirror image in x
+    """
+
+    knee: Knee
+    scene: Scene
+    assembly: KneeAssembly
+    bones: dict[str, bones.Bone]
+
+    def truth(self, protocol: Protocol) -> Truth:
+        """Labels and landmarks on a radiograph of it under a protocol; without masks, which `simulate` casts."""
+        return labels(self.knee, self.assembly, self.scene, view_of(protocol))
+
+    def measured_jsw_mm(self, protocol: Protocol) -> tuple[float, float]:
+        """Medial and lateral joint space measured on the projected contours, osteophytes and all."""
+        return measured_jsw_mm(self.knee, self.assembly, self.scene, view_of(protocol))
+
+    def osteophytes(self) -> dict[str, trimesh.Trimesh]:
+        """Site -> what an osteophyte adds to its bone, in the knee frame, mm."""
+        return osteophyte_meshes(self.knee, self.assembly)
+
+    def solids(self) -> dict[str, trimesh.Trimesh]:
+        """Name -> mesh, mm, of each bone and each osteophyte: what a mask is made of."""
+        solids = {surface.name: surface.mesh for surface in self.scene.surfaces if surface.name in BONES}
+        return solids | {f"{site}_osteophyte": mesh for site, mesh in self.osteophytes().items()}
+
+    def __repr__(self) -> str:
+        return f"BuiltKnee({self.knee!r}, {len(self.scene.surfaces)} surfaces)"
+
+
+def build(knee: Knee) -> BuiltKnee:
+    """The knee as closed surfaces: skin, fat, muscle, what lies between, and cortex, trabeculae and marrow of bones.
+
+    Surfaces are named ("femur", "femur_trabecular", "femur_marrow", "skin", ...), in the knee frame, mm.
+    raises  InputError for what is no Knee, or if a solid fails its checks, which the ranges of `Knee` exclude
+    """
+    if not isinstance(knee, Knee):
+        raise InputError(f"knee = {knee!r}; allowed: a Knee")
+    assembly = assemble(knee, mean_shape(), view_of(load_protocol("reference")))
+    placed = _bones(assembly)
+    scene = Scene(_surfaces(knee, assembly, placed, trabecular_bone()))
+    return BuiltKnee(knee=knee, scene=scene, assembly=assembly, bones=placed)
+
+
+def _surfaces(
+    knee: Knee, assembly: KneeAssembly, placed: dict[str, bones.Bone], spongy_bone: TrabecularBone
+) -> list[Surface]:
+    shape, pose = assembly.build, assembly.pose
+    points_mm = np.vstack([part.outer.to_mesh64().vert_properties[:, :3] for part in placed.values()])
+    limb = soft.layers(knee, shape, points_mm @ pose.soft()[:, :3])
+    wraps = {name: solid.transform(pose.soft()) for name, solid in limb.items()}
+    _check_nesting(placed, wraps["muscle"])
+    surfaces = [
+        _surface(wraps["skin"], "skin", "air", "skin", knee),
+        _surface(wraps["adipose"], "adipose", "skin", "adipose", knee),
+        _surface(wraps["muscle"], "muscle", "adipose", "muscle", knee),
+    ]
+    for tissue in between(knee, assembly, placed, wraps["muscle"]):
+        surfaces.append(_sided(tissue.mesh, tissue.material, "muscle", tissue.name, knee))
+    for name, part in placed.items():
+        density = _texture(knee, name, spongy_bone, shape.scale, pose.bone(name))
+        surfaces.append(_surface(part.outer, "cortical_bone", "muscle", name, knee))
+        spongy = _surface(part.inner, "trabecular_bone", "cortical_bone", f"{name}_trabecular", knee)
+        surfaces.append(replace(spongy, inside_density=density))
+        if part.canal is not None:
+            canal = _surface(part.canal, "marrow", "trabecular_bone", f"{name}_marrow", knee)
+            surfaces.append(replace(canal, outside_density=density))
+    return surfaces
+
+
+def _bones(assembly: KneeAssembly) -> dict[str, bones.Bone]:
+    """Femur, tibia, fibula and patella of a right knee as it stands, by name."""
+    shape = assembly.build
+    parts = {
+        "femur": bones.femur(shape, assembly.femur),
+        "tibia": bones.tibia(shape, assembly.tibia),
+        "fibula": bones.fibula(shape),
+        "patella": bones.patella(shape),
+    }
+    return {name: _placed(part, assembly.pose.bone(name)) for name, part in parts.items()}
+
+
+def _texture(knee: Knee, bone: str, table: TrabecularBone, scale: float, frame: Array) -> Trabeculae:
+    return trabeculae(
+        bone,
+        table,
+        seed=knee.texture_seed,
+        scale=scale,
+        frame=frame,
+        mirror=knee.side,
+        sclerosis=knee.subchondral_plate,
+        age_years=knee.age_years,
+        sex=knee.sex,
+    )
+
+
+def _placed(part: bones.Bone, transform: Array) -> bones.Bone:
+    canal = None if part.canal is None else part.canal.transform(transform)
+    return bones.Bone(outer=part.outer.transform(transform), inner=part.inner.transform(transform), canal=canal)
+
+
+def _check_nesting(placed: dict[str, bones.Bone], muscle: Manifold) -> None:
+    """Refuse shells that leave their host and bones that meet: path lengths would then be wrong in silence."""
+    for name, part in placed.items():
+        shells = [("trabecular bone", part.inner, part.outer), ("cortex", part.outer, muscle)]
+        shells += [("marrow", part.canal, part.inner)] if part.canal is not None else []
+        for what, inside, host in shells:
+            if (inside - host).volume() > 1e-6:
+                raise InputError(
+                    f"{name}: its {what} leaves its host by {(inside - host).volume():.3g} mm3; allowed: 0"
+                )
+    names = list(placed)
+    for i, one in enumerate(names):
+        for other in names[i + 1 :]:
+            shared = (placed[one].outer ^ placed[other].outer).volume()
+            if shared > 1e-6:
+                why = "joint spaces, osteophytes and pose leave them no room"
+                raise InputError(f"{one} and {other} overlap by {shared:.3g} mm3 ({why}); allowed: 0 mm3")
+
+
+def _surface(solid: Manifold, inside: str, outside: str, name: str, knee: Knee) -> Surface:
+    return _sided(mesh_of(checked(solid, name)), inside, outside, name, knee)
+
+
+def _sided(mesh: trimesh.Trimesh, inside: str, outside: str, name: str, knee: Knee) -> Surface:
+    """The surface of a mesh, mirrored for a left knee."""
+    if knee.side == "left":
+        mesh = trimesh.Trimesh(mesh.vertices * [-1.0, 1.0, 1.0], mesh.faces[:, ::-1], process=False)
+    return Surface(mesh, inside=inside, outside=outside, name=name)

@@ -1,0 +1,177 @@
+"""Meshes of solids that lie on the level set of a field: smoothed over it, refined where it bends, free of folds."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+from manifold3d import Manifold
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csr_array, diags_array
+from trimesh.triangles import closest_point
+
+from ..core.checks import Array
+from .implicit import Field, gradient, lengths, project_to_surface, squares
+from .solids import dilate_rings, edges_of, mesh_of, solid_of, split_edges
+
+Choice = Callable[[Array], NDArray[np.bool_]]
+
+# Of a whole bone: rounds of smoothing its mesh, rounds of splitting edges where it bends, and where its shaft begins.
+_ROUNDS, _SPLITS, _SHAFT_FROM_MM = 6, 4, 70.0
+# Shafts are cut off before this height. Rounds of turning inverted faces, and of smoothing in each.
+_USED_MM, _TURNS, _FLATTENINGS = 200.0, 10, 10
+# Of a tip: what is about it, how far middles of edges may be off there, splits, and what may be cut off it.
+_TIP_MM, _TIP_TOLERANCE_MM, _TIP_SPLITS, _CUT_MM = 4.0, 0.02, 3, 1e-4
+
+
+def refined(solid: Manifold, edge_mm: float, shaft_from_mm: float) -> Manifold:
+    """The solid with edges of at most `edge_mm`, and four times that along the shaft, beyond a distance from z = 0."""
+
+    def pressed(factor: float) -> Callable[[Array], Array]:
+        def move(points: Array) -> Array:
+            places = np.array(points)
+            beyond = np.maximum(np.abs(places[:, 2]) - shaft_from_mm, 0.0)
+            places[:, 2] += np.sign(places[:, 2]) * beyond * (factor - 1)
+            return places
+
+        return move
+
+    short = solid.simplify(0.02).warp_batch(pressed(0.25))
+    return short.refine_to_length(edge_mm).warp_batch(pressed(4.0))
+
+
+def mesh_bone(rough: Manifold, field: Field, edge_mm: float, tolerances_mm: Sequence[float]) -> list[Manifold]:
+    """A bone by CSG as its field has it: evenly meshed, and finer where it bends; once for each tolerance.
+
+    edge_mm        longest edge, away from the shaft
+    tolerances_mm  how far middles of edges may be off the field
+    """
+    even = laplacian_smooth(refined(rough, edge_mm, _SHAFT_FROM_MM), field, _ROUNDS)
+    # A tenth of the triangles, in flat places, is not needed.
+    return [
+        refine_to_tolerance(even, field, tolerance_mm, _SPLITS).simplify(0.4 * tolerance_mm)
+        for tolerance_mm in tolerances_mm
+    ]
+
+
+def laplacian_smooth(
+    solid: Manifold,
+    field: Field,
+    rounds: int,
+    near: Choice | None = None,
+    tips: Sequence[Array] = (),
+) -> Manifold:
+    """A solid settled on a field, its vertices spread evenly over it, free of the slivers that CSG leaves at creases.
+
+    near  which vertices may move at all: (n, 3) -> (n,) bool; all of them if None
+    tips  points (3,) of the field's surface that a coarse mesh would cut off
+    """
+    mesh = mesh_of(solid)
+    places = np.array(mesh.vertices)
+    free = np.ones(len(places), np.bool_) if near is None else near(places)
+    faces = np.asarray(mesh.faces)
+    amid = neighbour_means(faces, len(places))[free]
+    places[free] = project_to_surface(places[free], field, None, 5)
+    for _ in range(rounds):
+        places[free] = project_to_surface((places[free] + amid @ places) / 2, field, None, 2)
+    places = _fix_inverted_faces(places, faces, free, field)
+    for tip in tips:
+        places, faces = _add_tip(places, faces, field, tip)
+    return solid_of(places, faces, "evened")
+
+
+def neighbour_means(faces: Array, count: int) -> csr_array:
+    """(count, count)  takes values at vertices to their means over those that share an edge with each"""
+    ends = np.vstack((faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]))
+    beside = coo_array((np.ones(len(ends)), ends.T), shape=(count, count)).tocsr()
+    return csr_array(diags_array(1.0 / beside.sum(axis=1)) @ beside)
+
+
+def _add_tip(places: Array, faces: Array, field: Field, tip: Array) -> tuple[Array, Array]:
+    """Places and faces with a tip of the field's surface, where they cut it off.
+
+    Edges about it are split_edges, then the triangle below it gets a vertex there.
+    """
+    below, away = _below(places, faces, tip)
+    if away >= _CUT_MM:
+        about = partial(_within, tip)
+        places, faces = _split_where_off(places, faces, field, _TIP_TOLERANCE_MM, _TIP_SPLITS, about)
+        below, away = _below(places, faces, tip)
+    if away < _CUT_MM:
+        return places, faces
+    one, two, three = faces[below]
+    new = len(places)
+    pieces = [[one, two, new], [two, three, new], [three, one, new]]
+    return np.vstack((places, tip)), np.vstack((np.delete(faces, below, axis=0), pieces))
+
+
+def _below(places: Array, faces: Array, tip: Array) -> tuple[int, float]:
+    """The triangle that is nearest to a tip, and how far away it is."""
+    about = np.flatnonzero(_within(tip, places[faces].mean(axis=1)))
+    away = lengths(closest_point(places[faces[about]], np.repeat(tip[None], len(about), axis=0)) - tip)
+    return int(about[away.argmin()]), float(away.min())
+
+
+def _within(tip: Array, points: Array) -> NDArray[np.bool_]:
+    return np.asarray(squares(points - tip) < _TIP_MM**2)
+
+
+def _fix_inverted_faces(places: Array, faces: Array, free: NDArray[np.bool_], field: Field) -> Array:
+    """The places with triangles that face inwards laid flat: what is around them is spread evenly once more.
+
+    A patch that stays folded is widened, since a narrow one about a tip has no room to turn.
+    """
+    places = places.copy()
+    amid = neighbour_means(faces, len(places))
+    used = faces[free[faces].any(axis=1) & (np.abs(places[faces, 2]) < _USED_MM).all(axis=1)]
+    suspect = used
+    for turn in range(_TURNS):
+        inside_out = suspect[_face_inwards(places[suspect], field)]
+        if not len(inside_out):
+            break
+        around = np.zeros(len(places), np.bool_)
+        around[inside_out] = True
+        around = free & dilate_rings(around, faces, 2 + turn)
+        suspect = used[around[used].any(axis=1)]  # the others have been found to face outwards, and stay
+        middles = amid[around]
+        for _ in range(_FLATTENINGS):
+            places[around] = project_to_surface(middles @ places, field, None, 1)
+        places[around] = project_to_surface(places[around], field, None, 5)
+    return places
+
+
+def _face_inwards(triangles: Array, field: Field) -> NDArray[np.bool_]:
+    """(n,)  which of (n, 3, 3) corners are in the order of a triangle that faces inwards"""
+    one, two, three = (triangles[:, k] for k in range(3))
+    middle = (one + two + three) / 3
+    outward = gradient(field, middle, field(middle))
+    return np.asarray((np.cross(two - one, three - one) * outward).sum(axis=1) <= 0)
+
+
+def refine_to_tolerance(solid: Manifold, field: Field, tolerance_mm: float, rounds: int) -> Manifold:
+    """A solid settled on a field, with those edges split, up to so many times, whose middles are farther off."""
+    mesh = mesh_of(solid)
+    places, faces = np.array(mesh.vertices), np.asarray(mesh.faces)
+    places, faces = _split_where_off(places, faces, field, tolerance_mm, rounds)
+    places = _fix_inverted_faces(places, faces, np.ones(len(places), np.bool_), field)
+    return solid_of(places, faces, "resolved")
+
+
+def _split_where_off(
+    places: Array, faces: Array, field: Field, tolerance_mm: float, rounds: int, near: Choice | None = None
+) -> tuple[Array, Array]:
+    """Places and faces with those edges split, up to so many times, whose middles are farther off the field.
+
+    near  which vertices both ends of an edge must be among: (n, 3) -> (n,) bool; all of them if None
+    """
+    for _ in range(rounds):
+        edges = edges_of(faces)
+        if near is not None:
+            edges = edges[near(places)[edges].all(axis=1)]
+        middles = places[edges].mean(axis=1)
+        settled = project_to_surface(middles, field, None, 3)
+        off = np.linalg.norm(settled - middles, axis=1) > tolerance_mm
+        if not off.any():
+            break
+        faces = split_edges(faces, edges[off], len(places))
+        places = np.vstack((places, settled[off]))
+    return places, faces

@@ -1,0 +1,245 @@
+"""BoneShape and its like: the mean man's right knee as `data/anatomy.toml` has it; mm, degrees.
+
+Sections are rows of height, half ML, half AP, centre y, centre x; cortex is rows of height and thickness.
+"""
+
+from functools import cache
+
+from .records import Numbers, Pair, Record, Rows, Triple, record
+from .tables import data
+
+
+class Ellipsoid(Record, frozen=True):
+    """A part that is blended into a bone, or carved out of it: its centre, half axes and fillet."""
+
+    centre: Triple
+    half: Triple
+    fillet_mm: float
+
+
+class Notch(Record, frozen=True):
+    """The intercondylar notch. sections: y, height of the roof, curvature of its arch (1/mm), half width."""
+
+    fillet_mm: float
+    sections: Rows
+    flare: float
+
+
+class Condyle(Record, frozen=True):
+    """Centre, half extents, and powers of the coronal outline (2 an ellipse, more is squarer)."""
+
+    x: float
+    y: float
+    back: float
+    front: float
+    up: float
+    down: float
+    outer: float
+    inner: float
+    outer_power: float
+    inner_power: float
+
+
+class Condyles(Record, frozen=True):
+    """Both condyles of the femur."""
+
+    medial: Condyle
+    lateral: Condyle
+
+
+class FemurShape(Record, frozen=True):
+    """Distal femur; z = 0 at the condyles' distal end."""
+
+    valgus_deg: float
+    shaft_pivot_z_mm: float
+    edge_mm: float
+    tolerance_mm: float
+    fillet_mm: float
+    trochlea_end_z: float
+    trochlea_end_bend: float
+    sections: Rows
+    bumps: tuple[Ellipsoid, ...]
+    hollows: tuple[Ellipsoid, ...]
+    cortex: Rows
+    plate_mm: float
+    plate_below_z: float
+    canal_from_z_mm: float
+    canal_full_z_mm: float
+    notch: Notch
+    condyles: Condyles
+
+
+class Bell(Record, frozen=True):
+    """A rise of the plateau, or with a negative height a dish: a Gaussian of half widths."""
+
+    x: float
+    y: float
+    height: float
+    half_x: float
+    half_y: float
+
+
+class TibiaShape(Record, frozen=True):
+    """Proximal tibia; z = 0 at the middle of the plateau."""
+
+    sections: Rows
+    deeper_medially: float
+    deeper_above_z: float
+    shaft_pivot_z_mm: float
+    cortex: Rows
+    plate_mm: float
+    canal_from_z_mm: float
+    canal_full_z_mm: float
+    rim_mm: float
+    edge_mm: float
+    tolerance_mm: float
+    bumps: tuple[Ellipsoid, ...]
+    relief: tuple[Bell, ...]
+
+
+class FibulaShape(Record, frozen=True):
+    """Proximal fibula, in the tibia's frame."""
+
+    sections: Rows
+    cortex: Rows
+    gap_to_tibia_mm: float
+
+
+class PatellaShape(Record, frozen=True):
+    """Patella; sections about its middle, which lies at `centre_mm` in the femur's frame."""
+
+    sections: Rows
+    centre_mm: Triple
+    cortex: Rows
+
+
+class Margin(Record, frozen=True):
+    """Where a bone's margin is looked for, and how high an osteophyte's tip and feet are."""
+
+    band_z: Pair
+    tip_z: float
+    foot_z: float
+
+
+class Margins(Record, frozen=True):
+    """Of the bones that bear osteophytes."""
+
+    femur: Margin
+    tibia: Margin
+
+
+class FemoralCartilage(Record, frozen=True):
+    """Bounds of the articular surface."""
+
+    below_z: float
+    behind_y: float
+    behind_z: float
+    before_y: float
+    before_z: float
+    before_x: float
+    notch_x: float
+    notch_y: float
+
+
+class Oval(Record, frozen=True):
+    """An ellipse on the plateau."""
+
+    x: float
+    y: float
+    half_x: float
+    half_y: float
+
+
+class Cartilage(Record, frozen=True):
+    """Share of the joint space on each bone, and where on them."""
+
+    share: float
+    femur: FemoralCartilage
+    tibia: tuple[Oval, ...]
+
+
+class Meniscus(Record, frozen=True):
+    """Outer and inner half axes of a ring."""
+
+    x: float
+    y: float
+    outer: Pair
+    inner: Pair
+
+
+class Menisci(Record, frozen=True):
+    """Both rings, the heights between which they stand, and the gap by which they are open."""
+
+    medial: Meniscus
+    lateral: Meniscus
+    height_mm: Numbers
+    gap_mm: float
+
+
+class FatPad(Record, frozen=True):
+    """The infrapatellar fat pad, in the tibia's frame."""
+
+    centre: Triple
+    half: Triple
+
+
+class Tendon(Record, frozen=True):
+    """The patellar tendon: its ends in the frames of femur and tibia, and the half axes of its section."""
+
+    patella: Triple
+    tuberosity: Triple
+    half: Triple
+
+
+class FatPlane(Record, frozen=True):
+    """A sheet of fat between muscles, turned about z."""
+
+    turn_deg: float
+    sections: Rows
+
+
+class Limb(Record, frozen=True):
+    """Skin, fat and fascia. sections: z, half ML beyond the bone-related width, half AP over that at the joint, y."""
+
+    sections: Rows
+    capsule_mm: float
+    skin_mm: float
+    anterior_fat_share: float
+
+
+class ByStature(Record, frozen=True):
+    """A length of men and of women."""
+
+    male: float
+    female: float
+
+
+class Size(Record, frozen=True):
+    """What scales the bones."""
+
+    male_tibial_ml_mm: float
+    female_over_male: float
+    stature_mm: ByStature
+
+
+class BoneShape(Record, frozen=True):
+    """All of `data/anatomy.toml`."""
+
+    size: Size
+    femur: FemurShape
+    tibia: TibiaShape
+    osteophytes: Margins
+    fibula: FibulaShape
+    patella: PatellaShape
+    cartilage: Cartilage
+    menisci: Menisci
+    fat_pad: FatPad
+    tendon: Tendon
+    fat_planes: tuple[FatPlane, ...]
+    soft: Limb
+
+
+@cache
+def mean_shape() -> BoneShape:
+    """The mean man's right knee."""
+    return record(BoneShape, data("anatomy"), "anatomy")

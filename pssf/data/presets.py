@@ -1,0 +1,29 @@
+"""Preset: who is in a cohort and how it is taken, as `data/presets.toml` has it."""
+
+from functools import cache
+
+from .records import Record, record
+from .tables import data
+
+
+class Preset(Record, frozen=True):
+    """A cohort by name.
+
+    knees      count of each grade
+    bilateral  subjects who give both knees
+    protocols  names
+    repeats    random splits by subject
+    retested   knees taken again
+    """
+
+    knees: tuple[int, ...]
+    bilateral: int
+    protocols: tuple[str, ...]
+    repeats: int
+    retested: int
+
+
+@cache
+def presets() -> dict[str, Preset]:
+    """Name -> preset, of all that the package has."""
+    return record(dict[str, Preset], data("presets"), "presets")

@@ -1,0 +1,29 @@
+"""A table of the package as a frozen record: every name and type is checked when it is read, once."""
+
+from typing import Any, TypeVar
+
+import msgspec
+
+T = TypeVar("T")
+Numbers = tuple[float, ...]
+Rows = tuple[Numbers, ...]
+Triple = tuple[float, float, float]
+Pair = tuple[float, float]
+
+
+class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What a table holds, by name; hashable, so that what is made from it can be kept under it."""
+
+
+def record(kind: type[T], table: Any, what: str) -> T:
+    """A record, or another typed value, from a mapping as TOML gives it.
+
+    what    how the table is called in a refusal
+    raises  ValueError naming the table and the entry that is missing, unknown or of another type
+    """
+    try:
+        return msgspec.convert(table, kind)
+    except msgspec.ValidationError as error:
+        raise ValueError(
+            f"table {what}: {error}; allowed: {kind.__name__ if isinstance(kind, type) else kind}"
+        ) from None

@@ -1,0 +1,112 @@
+"""Trabecular bone: how much there is where, and the lattice of its struts, as `data/trabeculae.toml` has them."""
+
+from functools import cache
+
+from .records import Pair, Record, Triple, record
+from .tables import data
+
+
+class Mix(Record, frozen=True):
+    """Bone volume over tissue volume at relative density 1, and marrow's attenuation over that of the mix."""
+
+    bvtv: float
+    marrow: float
+
+
+class Lattice(Record, frozen=True):
+    """A periodic block (x, z, y), the spectrum of the field that it is cut from, and the cut."""
+
+    voxel_mm: Triple
+    voxels: tuple[int, int, int]
+    stretch_y: float
+    waves_y: int
+    low_per_mm: float
+    high_per_mm: float
+    rise: float
+    steep: float
+    upright: float
+    level: float
+    any: float
+    length_per_mm: float
+    spread: float
+    cut: float
+    softness: float
+
+
+class Ageing(Record, frozen=True):
+    """Fall of BV/TV and rise of contrast a year, by sex."""
+
+    reference_years: float
+    per_year: float
+    mean: dict[str, float]
+    contrast_per_year: dict[str, float]
+
+
+class Sclerosis(Record, frozen=True):
+    """Rise of BV/TV with the subchondral plate."""
+
+    per_plate: float
+    lateral_share: float
+
+
+class Side(Record, frozen=True):
+    """Width over which medial and lateral pass into each other."""
+
+    middle_mm: float
+
+
+class Scar(Record, frozen=True):
+    """Where the physeal scar may be strongest, and how it falls from there."""
+
+    off_mm: float
+    wide_mm: float
+    least: float
+
+
+class SpongyBone(Record, frozen=True):
+    """The smooth part of one bone's density; what each is, in the table."""
+
+    sclerosis: float
+    shaftward: float
+    bvtv: float
+    shaft: float
+    fade_mm: float
+    medial: float
+    load: float
+    column_mm: float
+    column_half_mm: float
+    plate: float
+    plate_mm: float
+    fan: float
+    fan_mm: float
+    joint: Triple
+    below: float
+    dips: tuple[Triple, Triple, Triple]
+    gain: float
+    gain_shaft: float
+    scar_mm: Pair
+    scar_slope: float
+    scar_bow_per_mm: float
+    scar_bvtv: float
+    scar_half_mm: float
+
+
+class TrabecularBone(Record, frozen=True):
+    """All of `data/trabeculae.toml`."""
+
+    tissue: Mix
+    lattice: Lattice
+    ageing: Ageing
+    sclerosis: Sclerosis
+    side: Side
+    scar: Scar
+    tibia: SpongyBone
+    femur: SpongyBone
+    fibula: SpongyBone
+    patella: SpongyBone
+
+
+@cache
+def trabecular_bone() -> TrabecularBone:
+    """The package's table."""
+    return record(TrabecularBone, data("trabeculae"), "trabeculae")

@@ -1,0 +1,73 @@
+"""What takes seconds to make and depends on the package alone: arrays kept in the user's cache folder.
+
+A kept file has a digest of what it was made by in its name, so that one made by other code, other tables or other
+versions of a library is not found, and made anew. PSSF_CACHE_DIR names another folder; "off" keeps nothing.
+"""
+
+import hashlib
+import os
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from tempfile import NamedTemporaryFile
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+from platformdirs import user_cache_path
+
+Arrays = Mapping[str, NDArray[Any]]
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+_LIBRARIES = ("manifold3d", "numpy", "scipy", "trimesh")
+
+
+def kept(name: str, packages: tuple[str, ...], make: Callable[[], Arrays]) -> Arrays:
+    """The arrays that `make` gives, from the cache folder where they stand there.
+
+    name      of the file
+    packages  of pssf, such as "anatomy", whose code and tables the arrays are made by
+    A folder that cannot be written, or a damaged file, costs the time of making them and nothing else.
+    """
+    folder = _folder()
+    if folder is None:
+        return make()
+    path = folder / f"{name}-{digest_of(packages)[:16]}.npz"
+    with suppress(OSError, ValueError, BadZipFile, KeyError, EOFError), np.load(path, allow_pickle=False) as arrays:
+        return dict(arrays)
+    arrays = make()
+    with suppress(OSError):
+        _write(path, arrays)
+        for stale in folder.glob(f"{name}-*.npz"):
+            if stale != path:
+                stale.unlink()
+    return arrays
+
+
+@cache
+def digest_of(packages: tuple[str, ...]) -> str:
+    """Hash of the code and tables of packages of pssf, and of the versions of the libraries that solids are made by."""
+    digest = hashlib.sha256(repr([(name, version(name)) for name in _LIBRARIES]).encode())
+    for package in packages:
+        for path in sorted((_PACKAGE / package).rglob("*")):
+            if path.suffix in (".py", ".toml"):
+                digest.update(f"{path.relative_to(_PACKAGE).as_posix()}\n".encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+def _folder() -> Path | None:
+    named = os.environ.get("PSSF_CACHE_DIR", "")
+    if named == "off":
+        return None
+    return Path(named) if named else user_cache_path("pssf", appauthor=False)
+
+
+def _write(path: Path, arrays: Arrays) -> None:
+    """Whole or not at all, whoever else writes the same."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as handle:
+        np.savez(handle, **arrays)  # type: ignore[arg-type]
+    os.replace(handle.name, path)
