@@ -1,42 +1,65 @@
 """Knee radiographs from physics, with labels that are true by construction, and the study they exist for.
 
-knee       Knee, Osteophyte, draw_knee                parameters of a knee, checked at birth
-protocol   Protocol, load_protocol                    how it is taken
-anatomy    build(knee)                 -> Scene       closed meshes between named materials
-scene      Scene, Surface                             anybody's closed meshes
-density    PlaneWaves                                 what varies within a material
-raycast    check(scene)                -> Report      what is wrong with meshes, before any image is made
-           trace(scene, protocol)      -> Paths       path length per material and pixel, audited
-simulate   simulate(knee, protocol)    -> Radiograph  pixels and labels
-files      save, load, load_parameters, save_masks,   the only part that touches the disk
-           load_masks, export_meshes
-cohort     plan and make a cohort of radiographs
-radiomics  region and features                        (extra "study")
-study      models, statistics, report                 (extra "study")
+data       the package's tables as typed records     core       checks, timer, progress, parallel work
+model      knee, protocol, radiograph                geometry   views, scenes, densities, mesh repair
+anatomy    knee -> built knee (scene, labels)        raycast    scene, view -> path lengths
+xray       spectrum, materials, primary              scatter    kernel, Monte Carlo, grid
+detector   blur, noise, panel, view for eyes         stages     the chain, in order
+simulation simulate(knee, protocol) -> radiograph    io         the one package that writes to the disk
+cohort     plan and make many                        radiomics  region and features    (extra "study")
+study      models, statistics, report (extra)        experiment a cohort, then its study
+accuracy   error against run time                    quality    a protocol beside references
+cli        the command line
+
+What users need is named in `__all__`, and loaded when it is first asked for.
 """
 
-from .anatomy import build
-from .core.checks import InputError
-from .exposure import present
-from .geometry.density import PlaneWaves
-from .geometry.scene import MeshNotice, Scene, Surface
-from .io.images import load, load_parameters, save
-from .io.masks import load_masks, save_masks
-from .io.meshes import export_meshes
-from .model.knee import Knee, Osteophyte, draw_knee
-from .model.protocol import Protocol, load_protocol
-from .model.radiograph import Radiograph, Truth
-from .raycast import check, trace
-from .simulate import simulate
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .anatomy import BuiltKnee, build
+    from .core.checks import InputError
+    from .detector import present
+    from .geometry.density import Density, PlaneWaves
+    from .geometry.scene import MeshNotice, Scene, Surface
+    from .io.images import load, load_parameters, save
+    from .io.masks import load_masks, save_masks
+    from .io.meshes import export_meshes
+    from .model.knee import Knee, Osteophyte, draw_knee
+    from .model.protocol import Protocol, load_protocol
+    from .model.radiograph import Radiograph, Truth
+    from .raycast import Paths, Report, check, trace
+    from .simulation import simulate
+
+_WHERE = {
+    "anatomy": ("BuiltKnee", "build"),
+    "core.checks": ("InputError",),
+    "detector": ("present",),
+    "geometry.density": ("Density", "PlaneWaves"),
+    "geometry.scene": ("MeshNotice", "Scene", "Surface"),
+    "io.images": ("load", "load_parameters", "save"),
+    "io.masks": ("load_masks", "save_masks"),
+    "io.meshes": ("export_meshes",),
+    "model.knee": ("Knee", "Osteophyte", "draw_knee"),
+    "model.protocol": ("Protocol", "load_protocol"),
+    "model.radiograph": ("Radiograph", "Truth"),
+    "raycast": ("Paths", "Report", "check", "trace"),
+    "simulation": ("simulate",),
+}
 
 __all__ = [
+    "BuiltKnee",
+    "Density",
     "InputError",
     "Knee",
     "MeshNotice",
     "Osteophyte",
+    "Paths",
     "PlaneWaves",
     "Protocol",
     "Radiograph",
+    "Report",
     "Scene",
     "Surface",
     "Truth",
@@ -54,3 +77,16 @@ __all__ = [
     "simulate",
     "trace",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    for module, names in _WHERE.items():
+        if name in names:
+            value = getattr(import_module(f".{module}", __name__), name)
+            globals()[name] = value
+            return value
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -92,7 +92,7 @@ def simulate(
     from .io.images import BORDERS, KINDS, save_kinds
     from .model.protocol import load_protocol
     from .raycast import ENGINES
-    from .simulate import simulate as run
+    from .simulation import simulate as run
 
     technique, wanted = load_protocol(protocol), kinds.split(",")
     require_choice("engine", engine, ENGINES)
@@ -126,7 +126,7 @@ def meshes(
 
     subject, name = _knee_of(knee, grade, seed)
     kept = tuple(kinds.split(","))
-    for path in export_meshes(build(subject), out, formats=kept, stem=name, tolerance_mm=tolerance_mm):
+    for path in export_meshes(build(subject).scene, out, formats=kept, stem=name, tolerance_mm=tolerance_mm):
         print(path)
 
 

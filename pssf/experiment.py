@@ -17,7 +17,7 @@ from .io.images import load
 from .io.records import read_manifest
 from .model.knee import Knee
 from .model.protocol import load_protocol
-from .simulate import simulate
+from .simulation import simulate
 from .study import StudyResult, StudySettings, measure, require_extra, run
 from .study.report.cost import Meter
 

@@ -28,8 +28,13 @@ def knee() -> pssf.Knee:
 
 
 @pytest.fixture(scope="session")
-def scene(knee: pssf.Knee) -> pssf.Scene:
+def built(knee: pssf.Knee) -> pssf.BuiltKnee:
     return pssf.build(knee)
+
+
+@pytest.fixture(scope="session")
+def scene(built: pssf.BuiltKnee) -> pssf.Scene:
+    return built.scene
 
 
 @pytest.fixture(scope="session")

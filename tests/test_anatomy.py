@@ -9,14 +9,18 @@ from manifold3d import Manifold
 from numpy.testing import assert_allclose
 
 import pssf
-from pssf import anatomy
 from pssf.accuracy import morphometry
-from pssf.anatomy import bones, cartilage, femur, implicit, joint
-from pssf.anatomy.solids import checked, edges_of, split_edges, height_field, loft, mesh_of, ring, solid_of
+from pssf.anatomy import bones, cartilage, implicit, remesh
+from pssf.anatomy.femur import mean_femur
+from pssf.anatomy.solids import checked, edges_of, height_field, loft, mesh_of, ring, solid_of, split_edges
+from pssf.data.bones import mean_shape
 from pssf.model.knee import SITES
 
 REFERENCE = pssf.load_protocol("reference")
-MEAN = bones.Build(scale=1.0, cortex=1.0, plate=1.0, slope_deg=5.0, femur_valgus_deg=5.0, tibia_varus_deg=0.0)
+SHAPE = mean_shape()
+MEAN = bones.Build(
+    shape=SHAPE, scale=1.0, cortex=1.0, plate=1.0, slope_deg=5.0, femur_valgus_deg=5.0, tibia_varus_deg=0.0
+)
 
 
 def test_a_loft_of_circles_has_the_volume_of_its_prism():
@@ -40,11 +44,9 @@ def test_an_empty_solid_is_refused_with_its_status_and_volume():
 @settings(max_examples=12)
 def test_every_drawn_knee_builds_nested_and_shows_its_joint_spaces(seed, grade):
     knee = pssf.draw_knee(grade=grade, rng=np.random.default_rng(seed))
-    scene = pssf.build(knee)
-    assert_allclose(
-        anatomy.measured_jsw_mm(knee, scene, REFERENCE), [knee.jsw_medial_mm, knee.jsw_lateral_mm], atol=0.01
-    )
-    for surface in scene.surfaces:
+    built = pssf.build(knee)
+    assert_allclose(built.measured_jsw_mm(REFERENCE), [knee.jsw_medial_mm, knee.jsw_lateral_mm], atol=0.01)
+    for surface in built.scene.surfaces:
         assert surface.mesh.is_watertight
         assert surface.mesh.volume > 0
 
@@ -57,34 +59,34 @@ def test_knees_at_the_corners_of_their_ranges_build(corner):
         flexion_deg=15.0, tibial_slope_deg=12.0, jsw_medial_mm=2.5, jsw_lateral_mm=5.5, subchondral_plate=1.6,
         osteophytes=tuple(pssf.Osteophyte(site=site, size_mm=3.0) for site in SITES),
     )  # fmt: skip
-    assert_allclose(anatomy.measured_jsw_mm(knee, pssf.build(knee), REFERENCE), [2.5, 5.5], atol=0.01)
+    assert_allclose(pssf.build(knee).measured_jsw_mm(REFERENCE), [2.5, 5.5], atol=0.01)
 
 
-def test_bones_that_would_overlap_are_refused(knee, monkeypatch):
-    stance = joint.assemble(knee)
-    sunk = dataclasses.replace(stance, pose=dataclasses.replace(stance.pose, raise_mm=stance.pose.raise_mm - 7.0))
-    monkeypatch.setattr(anatomy, "assemble", lambda knee: sunk)
+def test_bones_that_would_overlap_are_refused(knee, built, monkeypatch):
+    pose = built.assembly.pose
+    sunk = dataclasses.replace(built.assembly, pose=dataclasses.replace(pose, raise_mm=pose.raise_mm - 7.0))
+    monkeypatch.setattr("pssf.anatomy.built.assemble", lambda knee, shape, reference: sunk)
     with pytest.raises(pssf.InputError, match=r"femur and tibia overlap by .* mm3"):
         pssf.build(knee)
 
 
 def test_a_left_knee_is_the_mirror_image_of_a_right_one(knee, scene):
-    mirrored = pssf.build(dataclasses.replace(knee, side="left"))
+    mirrored = pssf.build(dataclasses.replace(knee, side="left")).scene
     for right, left in zip(scene.surfaces, mirrored.surfaces, strict=True):
         assert_allclose(left.mesh.vertices * [-1, 1, 1], right.mesh.vertices, atol=1e-12)
         assert_allclose(left.mesh.volume, right.mesh.volume, rtol=1e-9)
 
 
-def test_landmarks_of_a_left_knee_mirror_those_of_a_right_one(knee, scene):
+def test_landmarks_of_a_left_knee_mirror_those_of_a_right_one(knee, built):
     left = dataclasses.replace(knee, side="left")
-    there = anatomy.truth_of(knee, scene, REFERENCE).medial_joint_line_px
-    here = anatomy.truth_of(left, pssf.build(left), REFERENCE).medial_joint_line_px
+    there = built.truth(REFERENCE).medial_joint_line_px
+    here = pssf.build(left).truth(REFERENCE).medial_joint_line_px
     assert here[1] == pytest.approx(REFERENCE.cols - 1 - there[1], abs=1e-6)
     assert here[0] == pytest.approx(there[0], abs=1e-6)
 
 
-def test_the_joint_line_lies_at_the_origin(knee, scene):
-    row, _ = anatomy.truth_of(knee, scene, REFERENCE).landmarks_px["joint_centre"]
+def test_the_joint_line_lies_at_the_origin(built):
+    row, _ = built.truth(REFERENCE).landmarks_px["joint_centre"]
     assert row == pytest.approx((REFERENCE.rows - 1) / 2, abs=0.5)
 
 
@@ -117,8 +119,8 @@ def test_a_thicker_subchondral_plate_takes_its_volume_from_trabecular_bone():
 @pytest.mark.parametrize("varus", [-5.0, 0.0, 5.0])
 def test_varus_is_the_angle_of_the_shafts_whatever_the_joint_spaces(varus):
     for medial in (2.5, 5.0):
-        found = morphometry.measured(pssf.Knee(varus_deg=varus, jsw_medial_mm=medial))
-        assert abs(found["error of varus_deg"]) < 0.1
+        sizes = morphometry.measured(pssf.Knee(varus_deg=varus, jsw_medial_mm=medial))
+        assert abs(sizes["error of varus_deg"]) < 0.1
 
 
 @given(data=st.data())
@@ -139,7 +141,7 @@ def test_a_resolved_solid_keeps_every_edge_within_tolerance_of_its_field():
         return np.linalg.norm(points, axis=1) - 20.0
 
     coarse = implicit.project_solid(Manifold.sphere(20.0, 16), ball)
-    fine = implicit.refine_to_tolerance(coarse, ball, 0.05, 6)
+    fine = remesh.refine_to_tolerance(coarse, ball, 0.05, 6)
     mesh = mesh_of(fine)
     assert np.abs(ball(mesh.vertices[edges_of(mesh.faces)].mean(axis=1))).max() < 0.06
     assert np.abs(ball(mesh.vertices)).max() < 1e-6
@@ -159,7 +161,7 @@ def test_soft_structures_lie_clear_of_bones_and_of_each_other_within_the_fascia(
 
 def test_cartilage_takes_its_share_of_the_joint_space():
     for space in (2.0, 6.0):
-        layer = cartilage.on_femur(femur.outer(), 1.0, (space, space))
+        layer = cartilage.on_femur(mean_femur(SHAPE.femur).outer, SHAPE, 1.0, (space, space))
         thick = np.linalg.norm(layer.top - layer.bone, axis=1)
         assert thick.max() == pytest.approx(0.47 * space, rel=1e-9)
         assert (thick[layer.bone[:, 2] > 60] == 0).all()
@@ -171,6 +173,7 @@ def test_cartilage_keeps_off_an_osteophyte_at_its_margin():
         for site, size in (("lateral_tibia", 2.7548), ("lateral_spine", 1.2385), ("medial_tibia", 1.6925))
     )
     knee = pssf.Knee(jsw_medial_mm=2.8925, jsw_lateral_mm=4.6688, bone_scale=0.9353, osteophytes=beaks)
-    layers = [s for s in pssf.build(knee).surfaces if s.name.endswith("_cartilage")]
+    layers = [s for s in pssf.build(knee).scene.surfaces if s.name.endswith("_cartilage")]
+    assert len(layers) == 2
     for layer in layers:
         assert str(pssf.check(pssf.Scene([layer], "muscle"))) == "no faults"

@@ -30,8 +30,8 @@ def complaints(path):
 
 
 @pytest.fixture(scope="module")
-def radiograph(knee, scene, small):
-    return pssf.simulate(knee, small, seed=7, scene=scene, engine="scanline")
+def radiograph(built, small):
+    return pssf.simulate(built, small, seed=7, engine="scanline")
 
 
 @pytest.fixture(scope="module")

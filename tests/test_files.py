@@ -15,8 +15,8 @@ from pssf.io import atomic, images, meshes, records
 
 
 @pytest.fixture(scope="module")
-def radiograph(knee, scene, small):
-    return pssf.simulate(knee, small, seed=7, scene=scene)
+def radiograph(built, small):
+    return pssf.simulate(built, small, seed=7)
 
 
 def test_a_tiff_reads_back_into_the_same_objects(radiograph, tmp_path):

@@ -4,19 +4,20 @@ import numpy as np
 import pytest
 
 import pssf
-from pssf.scatter.grid import Grid, behind, scatter_passing
+from pssf.scatter.grid import Grid, scatter_passing, transmit_through_grid
 from pssf.xray.spectrum import beam_of
+from pssf.xray.technique import technique_of
 
 
 @pytest.fixture(scope="module")
 def beam():
-    return beam_of(pssf.load_protocol("reference"))
+    return beam_of(technique_of(pssf.load_protocol("reference")))
 
 
 def share(kind, beam):
     """Of the signal that passes between the strips, with the energies of the open beam."""
     weight = beam.signal_kev
-    return (behind(kind, beam).photons_per_mm2 * weight).sum() / (beam.photons_per_mm2 * weight).sum()
+    return (transmit_through_grid(kind, beam).photons_per_mm2 * weight).sum() / (beam.photons_per_mm2 * weight).sum()
 
 
 def test_a_grid_of_10_to_1_cuts_scatter_over_primary_threefold_or_more(beam):

@@ -24,6 +24,7 @@ from pssf.anatomy.solids import mesh_of, solid_of
 from pssf.geometry.view import view_of
 from pssf.xray.materials import _recipe, attenuation_per_mm
 from pssf.xray.spectrum import beam_for
+from pssf.xray.technique import technique_of
 
 # Not only ModuleNotFoundError: gvxr may be there and one of the system's libraries not; the skip then names it.
 gvxr = pytest.importorskip("gvxrPython3", exc_type=ImportError).gvxr
@@ -73,7 +74,7 @@ def stage(context):
 
 @pytest.fixture(scope="module")
 def knee_scene():
-    return pssf.build(pssf.Knee())
+    return pssf.build(pssf.Knee()).scene
 
 
 def put(label, mesh, material="water"):
@@ -230,7 +231,7 @@ def test_gvxr_attenuates_as_our_tissues_do(knee_scene):
 
 
 def test_gvxr_makes_the_same_polychromatic_image_of_the_knee(knee_scene):
-    beam = beam_for(PROTOCOL, dict.fromkeys(knee_scene.materials[1:], 60.0))
+    beam = beam_for(technique_of(PROTOCOL), dict.fromkeys(knee_scene.materials[1:], 60.0))
     photons = beam.photons_per_mm2 / beam.photons_per_mm2.sum()
     gvxr.resetBeamSpectrum()
     for energy, count in zip(beam.energies_kev, photons, strict=True):

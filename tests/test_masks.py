@@ -13,8 +13,8 @@ SUFFIXES = (".tif", ".dcm")
 
 
 @pytest.fixture(scope="module")
-def radiograph(knee, scene, small):
-    return pssf.simulate(knee, small, seed=7, scene=scene, engine="scanline", keep=("masks",))
+def radiograph(built, small):
+    return pssf.simulate(built, small, seed=7, engine="scanline", keep=("masks",))
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import pssf
 from pssf.anatomy.trabeculae import Trabeculae
+from pssf.stages import Chain, LatentImage, expose
+from pssf.xray.technique import technique_of
 
 DIGEST = """
 import dataclasses, hashlib, pssf
@@ -28,58 +30,58 @@ def test_the_same_seed_gives_the_same_bytes_in_two_processes_with_any_number_of_
     assert digest_in_a_new_process(1) == digest_in_a_new_process(2)
 
 
-def test_another_seed_gives_other_noise_of_the_same_scene(knee, scene, small):
-    one, two = (pssf.simulate(knee, small, seed=s, scene=scene, keep=("noise_free",)) for s in (1, 2))
+def test_another_seed_gives_other_noise_of_the_same_scene(built, small):
+    one, two = (pssf.simulate(built, small, seed=s, keep=("noise_free",)) for s in (1, 2))
     assert (one.kept["noise_free"] == two.kept["noise_free"]).all()
     assert (one.pixels != two.pixels).mean() > 0.5
 
 
-def test_both_engines_give_the_same_noise_free_image(knee, scene, small):
+def test_both_engines_give_the_same_noise_free_image(built, small):
     quiet = dataclasses.replace(small, noise="none")
-    one, two = (pssf.simulate(knee, quiet, scene=scene, engine=e).pixels.astype(int) for e in ("embree", "scanline"))
+    one, two = (pssf.simulate(built, quiet, engine=e).pixels.astype(int) for e in ("embree", "scanline"))
     assert abs(one - two).max() <= 1
 
 
-def test_only_what_is_listed_is_kept(knee, scene, small):
-    assert pssf.simulate(knee, small, scene=scene).kept == {}
+def test_only_what_is_listed_is_kept(built, small):
+    assert pssf.simulate(built, small).kept == {}
     wanted = ("path_mm", "primary", "scatter", "noise_free")
-    kept = pssf.simulate(knee, small, scene=scene, keep=wanted).kept
+    kept = pssf.simulate(built, small, keep=wanted).kept
     assert tuple(sorted(kept)) == tuple(sorted(wanted))
     assert kept["path_mm"]["cortical_bone"].shape == (256, 256)
     assert kept["path_mm"]["cortical_bone"].dtype == np.float32
 
 
-def test_an_unknown_name_in_keep_is_refused(knee, scene, small):
+def test_an_unknown_name_in_keep_is_refused(built, small):
     with pytest.raises(pssf.InputError, match="keep = 'path'"):
-        pssf.simulate(knee, small, scene=scene, keep=("path",))
+        pssf.simulate(built, small, keep=("path",))
 
 
-def test_no_ray_is_left_unrepaired_under_any_protocol(knee, scene):
+def test_no_ray_is_left_unrepaired_under_any_protocol(built):
     for name in ("reference", "low_dose", "geometry_shift"):
         protocol = dataclasses.replace(pssf.load_protocol(name), rows=256, cols=256, pixel_mm=1.2)
-        assert pssf.simulate(knee, protocol, scene=scene).audit["unrepaired"] == 0
+        assert pssf.simulate(built, protocol).audit["unrepaired"] == 0
 
 
-def test_truth_carries_labels_and_the_medial_joint_line(knee, scene, small):
-    truth = pssf.simulate(knee, small, scene=scene).truth
+def test_truth_carries_labels_and_the_medial_joint_line(built, small):
+    truth = pssf.simulate(built, small).truth
     assert (truth.jsw_medial_mm, truth.jsw_lateral_mm, truth.grade) == (3.1, 5.0, 2)
     row, col = truth.medial_joint_line_px
     assert row == pytest.approx(127.5, abs=2)
     assert col > 140
 
 
-def test_the_joint_space_is_darker_bone_than_the_bones_above_and_below(knee, scene, small):
+def test_the_joint_space_is_darker_bone_than_the_bones_above_and_below(built, knee, scene, small):
     bare = dataclasses.replace(small, noise="none", scatter="none", detector_blur="none", focal_spot_mm=0.0)
-    kept = pssf.simulate(knee, bare, scene=scene, keep=("path_mm",)).kept["path_mm"]
+    kept = pssf.simulate(built, bare, keep=("path_mm",)).kept["path_mm"]
     bone = kept["cortical_bone"] + kept["trabecular_bone"]
-    row, col = (round(v) for v in anatomy_spot(knee, scene, small))
+    row, col = (round(v) for v in spot_of(built, small))
     assert bone[row, col] == 0
     assert bone[row - 12, col] > 20
     assert bone[row + 12, col] > 20
 
 
-def anatomy_spot(knee, scene, protocol):
-    return pssf.simulate(knee, protocol, scene=scene).truth.medial_joint_line_px
+def spot_of(built, protocol):
+    return pssf.simulate(built, protocol).truth.medial_joint_line_px
 
 
 def test_anybodys_meshes_make_a_radiograph_without_labels(small):
@@ -102,10 +104,10 @@ def test_an_unknown_material_is_refused_by_name(small):
         pssf.simulate(scene, small)
 
 
-def test_halving_the_current_halves_the_signal(knee, scene, small):
+def test_halving_the_current_halves_the_signal(built, small):
     quiet = dataclasses.replace(small, noise="none")
     half = dataclasses.replace(quiet, mas=1.0)
-    full_px, half_px = (pssf.simulate(knee, p, scene=scene).pixels.astype(float) - 100 for p in (quiet, half))
+    full_px, half_px = (pssf.simulate(built, p).pixels.astype(float) - 100 for p in (quiet, half))
     assert_allclose(half_px, full_px / 2, atol=1.01)
 
 
@@ -143,15 +145,15 @@ def test_parameters_may_be_numpys_numbers(small, tmp_path):
     assert (back.knee, back.seed, back.protocol.rows) == (knee, 5, 64)
 
 
-def test_texture_is_left_out_when_it_is_not_asked_for(knee, scene, small, monkeypatch):
-    textured = pssf.simulate(knee, small, scene=scene, engine="scanline", keep=("path_mm",))
+def test_texture_is_left_out_when_it_is_not_asked_for(built, small, monkeypatch):
+    textured = pssf.simulate(built, small, engine="scanline", keep=("path_mm",))
 
     def integrate(*_):
         raise AssertionError
 
     monkeypatch.setattr(Trabeculae, "integrate", integrate)
     smooth = dataclasses.replace(small, texture="none")
-    plain = pssf.simulate(knee, smooth, scene=scene, engine="scanline", keep=("path_mm",))
+    plain = pssf.simulate(built, smooth, engine="scanline", keep=("path_mm",))
     lengths = [image.kept["path_mm"]["trabecular_bone"] for image in (textured, plain)]
     # Spongy bone varies about its material's own density, and what is elsewhere stays as it was.
     assert 0.5 < lengths[0].sum() / lengths[1].sum() < 2
@@ -190,20 +192,20 @@ def test_a_sampled_focal_spot_blurs_by_depth(small):
         assert width == pytest.approx(np.sqrt(0.6) * penumbra, abs=0.07)
 
 
-def test_monte_carlo_scatter_agrees_with_the_kernel_and_comes_with_its_error(knee, scene, small):
+def test_monte_carlo_scatter_agrees_with_the_kernel_and_comes_with_its_error(built, small):
     slow = dataclasses.replace(small, scatter="monte_carlo", scatter_photons=1_000_000)
-    one, two = (pssf.simulate(knee, slow, seed=3, scene=scene, keep=("scatter",), workers=w) for w in (1, 2))
+    one, two = (pssf.simulate(built, slow, seed=3, keep=("scatter",), workers=w) for w in (1, 2))
     assert_array_equal(one.pixels, two.pixels)
-    fast = pssf.simulate(knee, small, scene=scene, keep=("scatter",))
+    fast = pssf.simulate(built, small, keep=("scatter",))
     middle = np.s_[96:160, 104:152]
     assert 0.005 < one.kept["scatter_error"] < 0.1
     # A third of a per cent over so many cells; the kernel is within 5 % of the mean.
     assert one.kept["scatter"][middle].mean() / fast.kept["scatter"][middle].mean() == pytest.approx(1, abs=0.06)
 
 
-def test_a_grid_takes_scatter_and_some_of_the_primary(knee, scene, small):
+def test_a_grid_takes_scatter_and_some_of_the_primary(built, small):
     kept = [
-        pssf.simulate(knee, dataclasses.replace(small, grid_ratio=ratio), scene=scene, keep=("primary", "scatter")).kept
+        pssf.simulate(built, dataclasses.replace(small, grid_ratio=ratio), keep=("primary", "scatter")).kept
         for ratio in (0.0, 10.0)
     ]
     middle = np.s_[96:160, 104:152]
@@ -212,14 +214,16 @@ def test_a_grid_takes_scatter_and_some_of_the_primary(knee, scene, small):
     assert scatter < primary / 3
 
 
-def test_without_scatter_a_grid_weakens_the_primary_alone(knee, scene, small):
+def test_without_scatter_a_grid_weakens_the_primary_alone(built, small):
     bare = dataclasses.replace(small, scatter="none", grid_ratio=8.0)
-    assert "scatter" not in pssf.simulate(knee, bare, scene=scene, keep=("primary", "scatter")).kept
+    assert "scatter" not in pssf.simulate(built, bare, keep=("primary", "scatter")).kept
 
 
 def test_of_the_noise_more_passes_at_high_frequencies_than_of_the_signal(small):
     flat = dataclasses.replace(small, pixel_mm=0.15, rows=512, cols=512, scatter="none", focal_spot_mm=0.0, mas=1.0)
-    pixels = pssf.exposure.expose({}, flat, gap_mm=0.0, seed=np.random.SeedSequence(1))[0].astype(float)
+    image = LatentImage(path_mm={})
+    expose(image, Chain(technique=technique_of(flat), seed=1))
+    pixels = image.pixels.astype(float)
     power = np.abs(np.fft.fft2(pixels - pixels.mean())) ** 2
     f = np.hypot(*np.meshgrid(*2 * [np.fft.fftfreq(512, 0.15)]))
     low, high = (power[abs(f - at) < 0.1].mean() for at in (0.4, 2.0))
@@ -227,7 +231,7 @@ def test_of_the_noise_more_passes_at_high_frequencies_than_of_the_signal(small):
     assert 3.5 < low / high < 6
 
 
-def test_paths_of_one_geometry_serve_several_protocols_and_are_not_harmed(knee, scene, small):
+def test_paths_of_one_geometry_serve_several_protocols_and_are_not_harmed(built, scene, small):
     paths = pssf.trace(scene, small, engine="scanline")
     before = {name: lengths.copy() for name, lengths in paths.path_mm.items()}
     for protocol in (
@@ -235,8 +239,8 @@ def test_paths_of_one_geometry_serve_several_protocols_and_are_not_harmed(knee, 
         dataclasses.replace(small, mas=0.5, grid_ratio=8.0),
         dataclasses.replace(small, noise="none"),
     ):
-        shared = pssf.simulate(knee, protocol, seed=3, engine="scanline", scene=scene, paths=paths)
-        alone = pssf.simulate(knee, protocol, seed=3, engine="scanline", scene=scene)
+        shared = pssf.simulate(built, protocol, seed=3, engine="scanline", paths=paths)
+        alone = pssf.simulate(built, protocol, seed=3, engine="scanline")
         assert_array_equal(shared.pixels, alone.pixels)
         assert shared.audit == alone.audit
     for name, lengths in paths.path_mm.items():
@@ -244,14 +248,14 @@ def test_paths_of_one_geometry_serve_several_protocols_and_are_not_harmed(knee, 
 
 
 @pytest.mark.parametrize("changed", [{"sdd_mm": 1300.0}, {"rows": 200}, {"texture": "none"}])
-def test_paths_of_another_view_or_texture_are_refused(knee, scene, small, changed):
+def test_paths_of_another_view_or_texture_are_refused(built, scene, small, changed):
     paths = pssf.trace(scene, dataclasses.replace(small, **changed), engine="scanline")
     with pytest.raises(pssf.InputError, match=r"^paths (of|with) "):
-        pssf.simulate(knee, small, scene=scene, paths=paths)
+        pssf.simulate(built, small, paths=paths)
 
 
 @pytest.mark.parametrize(("name", "value"), [("engine", "foo"), ("workers", 0), ("seed", -1), ("keep", ("foo",))])
 def test_what_cannot_be_used_is_refused_before_a_knee_is_built(name, value, monkeypatch):
-    monkeypatch.setattr("pssf.anatomy.build", lambda knee: pytest.fail("built"))
+    monkeypatch.setattr("pssf.simulation.build", lambda knee: pytest.fail("built"))
     with pytest.raises(pssf.InputError, match=f"{name} = "):
         pssf.simulate(pssf.Knee(), pssf.load_protocol("reference"), **{name: value})

@@ -12,6 +12,7 @@ from pssf import InputError
 from pssf.anatomy import lattice as struts
 from pssf.anatomy.trabeculae import BONES, Trabeculae, trabeculae
 from pssf.data import tables
+from pssf.data.spongy import trabecular_bone
 from pssf.geometry.density import Density
 from pssf.geometry.view import View
 
@@ -22,7 +23,7 @@ EVEN = dict(FLAT, gain=1.0, gain_shaft=1.0)
 
 
 def bone(name: str = "tibia", **changed) -> Trabeculae:
-    return trabeculae(name, **{**HEALTHY, **changed})
+    return trabeculae(name, trabecular_bone(), **{**HEALTHY, **changed})
 
 
 def region(density: Trabeculae, **changed) -> Trabeculae:

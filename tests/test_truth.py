@@ -19,12 +19,12 @@ def grown():
     return pssf.simulate(knee, small, engine="scanline", keep=("masks",))
 
 
-def test_joint_space_at_fractions_of_the_plateau_is_no_less_than_the_smallest(knee, scene):
-    truth = anatomy.truth_of(knee, scene, REFERENCE)
+def test_joint_space_at_fractions_of_the_plateau_is_no_less_than_the_smallest(knee, built):
+    truth = built.truth(REFERENCE)
     for fraction, space in truth.jsw_at_mm.items():
         least = knee.jsw_medial_mm if fraction < 0.5 else knee.jsw_lateral_mm
         assert least - 1e-3 <= space < least + 4
-    shifted = anatomy.truth_of(knee, scene, pssf.load_protocol("geometry_shift"))
+    shifted = built.truth(pssf.load_protocol("geometry_shift"))
     assert shifted.jsw_at_mm == truth.jsw_at_mm
 
 
@@ -43,7 +43,7 @@ def test_landmarks_lie_as_in_a_knee(grown):
 def test_masks_are_the_shadows_of_the_bones(grown):
     masks = grown.truth.masks
     assert set(masks) == {*anatomy.BONES, *(f"{beak.site}_osteophyte" for beak in BEAKS)}
-    scene = pssf.build(grown.knee)
+    scene = pssf.build(grown.knee).scene
     for name in anatomy.BONES:
         surface = next(s for s in scene.surfaces if s.name == name)
         paths = pssf.trace(pssf.Scene([surface], "muscle"), grown.protocol, engine="scanline", precision="float64")
@@ -65,15 +65,15 @@ def test_the_mask_of_an_osteophyte_reaches_beyond_the_edge_by_its_size(grown):
 
 def test_masks_of_a_left_knee_mirror_those_of_a_right_one(grown):
     left = dataclasses.replace(grown.knee, side="left")
-    for site, mesh in anatomy.osteophytes_of(left).items():
+    for site, mesh in pssf.build(left).osteophytes().items():
         assert mesh.volume > 0
         seen = raycast.shadow(mesh, grown.protocol)
         assert (seen[:, ::-1] == grown.truth.masks[f"{site}_osteophyte"]).mean() > 0.9999
 
 
-def test_masks_cost_nothing_unless_asked_for_and_are_refused_for_a_scene(knee, scene):
+def test_masks_cost_nothing_unless_asked_for_and_are_refused_for_a_scene(built, scene):
     small = dataclasses.replace(REFERENCE, rows=32, cols=32, pixel_mm=5.0)
-    assert not pssf.simulate(knee, small, scene=scene).truth.masks
+    assert not pssf.simulate(built, small).truth.masks
     with pytest.raises(pssf.InputError, match="keep = masks of a scene"):
         pssf.simulate(scene, small, keep=("masks",))
 

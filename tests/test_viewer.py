@@ -37,8 +37,8 @@ FLAGS = [
 
 
 @pytest.fixture(scope="module")
-def radiograph(knee, scene, small):
-    return pssf.simulate(knee, small, seed=7, scene=scene)
+def radiograph(built, small):
+    return pssf.simulate(built, small, seed=7)
 
 
 @pytest.fixture(scope="module")

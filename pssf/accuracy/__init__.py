@@ -26,7 +26,7 @@ from pathlib import Path
 from ..core.checks import require_choice
 from ..io.atomic import folder, write_bytes
 from ..io.records import write_csv, write_json
-from ..simulate import versions
+from ..simulation import versions
 from .agreement import agreement_rows
 from .builds import build_rows
 from .chain import chain_rows

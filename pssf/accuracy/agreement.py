@@ -24,7 +24,7 @@ def agreement_rows(knees: int, workers: int, side: int = 2048) -> list[Row]:
     for number in range(knees):
         rng = np.random.default_rng(np.random.SeedSequence(2601, spawn_key=(number,)))
         knee = draw_knee(grade=number % 3, rng=rng)
-        scene = _turned(build(knee), trimesh.transformations.random_rotation_matrix(rng.uniform(size=3)))
+        scene = _turned(build(knee).scene, trimesh.transformations.random_rotation_matrix(rng.uniform(size=3)))
         protocol = load_protocol("reference")
         sod_mm = rng.uniform(700.0, 1000.0)
         view = view_of(

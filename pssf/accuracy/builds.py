@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ..anatomy import build, measured_jsw_mm
+from ..anatomy import build
 from ..core.checks import InputError
 from ..core.parallel import ordered_map
 from ..geometry.scene import Scene
@@ -57,16 +57,16 @@ def _built(number: int) -> Row:
     knee = draw_knee(grade=number // 2 % 3, rng=rng) if number % 2 else _wide(rng)
     start = perf_counter()
     try:
-        scene = build(knee)
+        built = build(knee)
     except InputError as error:
         return {"refused": str(error)}
     seconds = perf_counter() - start
-    spaces = measured_jsw_mm(knee, scene, load_protocol("reference"))
+    spaces = built.measured_jsw_mm(load_protocol("reference"))
     return {
         "refused": "",
         "jsw_error_mm": max(abs(spaces[0] - knee.jsw_medial_mm), abs(spaces[1] - knee.jsw_lateral_mm)),
-        "least_path_mm": min(_least_path_mm(scene, name) for name in ("reference", "geometry_shift")),
-        "triangles": sum(len(surface.mesh.faces) for surface in scene.surfaces),
+        "least_path_mm": min(_least_path_mm(built.scene, name) for name in ("reference", "geometry_shift")),
+        "triangles": sum(len(surface.mesh.faces) for surface in built.scene.surfaces),
         "seconds": seconds,
     }
 

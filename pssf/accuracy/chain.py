@@ -5,14 +5,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..anatomy import build
+from ..anatomy import BuiltKnee, build
 from ..geometry.scene import Scene
 from ..model.knee import Knee
 from ..model.protocol import Protocol, load_protocol
 from ..quality.detector import mtf, photon_transfer
 from ..raycast import trace
-from ..simulate import sampled_primary, simulate
+from ..simulation import simulate
+from ..stages import sampled_primary
 from ..xray.quadrature import TOLERANCE
+from ..xray.technique import technique_of
 from .engines import Row
 from .focal import blurred_primary
 from .scatter import Case, scatter_rows
@@ -27,10 +29,9 @@ def chain_rows(workers: int) -> list[Row]:
 
     The error of a stage is measured on the spot against what it stands for: see `_errors`.
     """
-    knee, protocol = Knee(), load_protocol("reference")
-    scene = build(knee)
-    found = {engine: _seconds(knee, scene, protocol, engine, workers) for engine in ("scanline", "embree")}
-    errors = _errors(scene, protocol, workers)
+    built, protocol = build(Knee()), load_protocol("reference")
+    found = {engine: _seconds(built, protocol, engine, workers) for engine in ("scanline", "embree")}
+    errors = _errors(built.scene, protocol, workers)
     rows: list[Row] = []
     for stage in [name for name in found["scanline"] if name != "anatomy"]:
         row: Row = {"stage": stage}
@@ -43,17 +44,16 @@ def chain_rows(workers: int) -> list[Row]:
     return rows
 
 
-def _seconds(knee: Knee, scene: Scene, protocol: Protocol, engine: str, workers: int) -> dict[str, float]:
+def _seconds(built: BuiltKnee, protocol: Protocol, engine: str, workers: int) -> dict[str, float]:
     """Stage -> seconds of the fastest of a few runs, after one that loads what is loaded once."""
-    runs = [
-        dict(simulate(knee, protocol, engine=engine, workers=workers, scene=scene).seconds) for _ in range(_RUNS + 1)
-    ]
+    runs = [dict(simulate(built, protocol, engine=engine, workers=workers).seconds) for _ in range(_RUNS + 1)]
     return min(runs[1:], key=lambda one: sum(one.values()))
 
 
 def _errors(scene: Scene, protocol: Protocol, workers: int) -> dict[str, tuple[str, Callable[[], float]]]:
     """Stage -> what its error is of, and how to measure it."""
     joint = replace(protocol, rows=512, cols=512)
+    technique = technique_of(joint)
 
     def rays() -> float:
         short, exact = (trace(scene, joint, precision=p, workers=workers).path_mm for p in ("float32", "float64"))
@@ -67,8 +67,8 @@ def _errors(scene: Scene, protocol: Protocol, workers: int) -> dict[str, tuple[s
         return abs(row["difference_percent"]) / 100
 
     def focal_spot() -> float:
-        exact = sampled_primary(scene, joint, "scanline", workers, 5).kev
-        return float(np.sqrt(np.mean((blurred_primary(scene, joint, workers) / exact - 1) ** 2)))
+        exact = sampled_primary(scene, technique, "scanline", workers, 5).kev
+        return float(np.sqrt(np.mean((blurred_primary(scene, technique, workers) / exact - 1) ** 2)))
 
     def noise() -> float:
         return float(np.mean([abs(found / meant - 1) for _, found, meant in photon_transfer(protocol)]))

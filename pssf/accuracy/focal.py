@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from ..anatomy import build
 from ..detector.blur import focal_spot_blur
-from ..exposure import primary_of
 from ..geometry.scene import Scene
-from ..geometry.view import view_of
 from ..model.knee import Knee
-from ..model.protocol import Protocol, load_protocol
+from ..model.protocol import load_protocol
 from ..raycast import trace
-from ..simulate import sampled_primary
+from ..stages import sampled_primary
+from ..xray.primary import primary_of
+from ..xray.technique import Technique, technique_of
 from .engines import Row
 
 # What is taken as exact: rays from so many points a side.
@@ -27,16 +27,17 @@ def focal_rows(workers: int) -> list[Row]:
     points  a side of the spot that rays come from; 1 is a point without blur, "blur" the blur at the joint
     rms, p99, max  relative error against rays from 64 points
     """
-    scene, rows = build(Knee()), list[Row]()
+    scene, rows = build(Knee()).scene, list[Row]()
     for spot_mm in (0.6, 1.2):
         protocol = replace(load_protocol("reference"), rows=512, cols=512, focal_spot_mm=spot_mm)
-        exact = sampled_primary(scene, protocol, "scanline", workers, _EXACT).kev
+        technique = technique_of(protocol)
+        exact = sampled_primary(scene, technique, "scanline", workers, _EXACT).kev
         for points in ("blur", 1, 2, 3, 4, 5):
             start = perf_counter()
             if points == "blur":
-                kev = blurred_primary(scene, protocol, workers)
+                kev = blurred_primary(scene, technique, workers)
             else:
-                kev = sampled_primary(scene, protocol, "scanline", workers, int(points)).kev
+                kev = sampled_primary(scene, technique, "scanline", workers, int(points)).kev
             error = np.abs(kev / exact - 1)
             rows.append({
                 "focal_spot_mm": spot_mm, "points": points,
@@ -46,7 +47,8 @@ def focal_rows(workers: int) -> list[Row]:
     return rows
 
 
-def blurred_primary(scene: Scene, protocol: Protocol, workers: int) -> NDArray[np.float32]:
+def blurred_primary(scene: Scene, technique: Technique, workers: int) -> NDArray[np.float32]:
     """(rows, cols)  keV a pixel, of one point, with the blur of the whole spot at the joint"""
-    paths = trace(scene, protocol, engine="scanline", workers=workers).path_mm
-    return focal_spot_blur(primary_of(paths, protocol, workers).kev, protocol.focal_spot_mm, view_of(protocol), workers)
+    paths = trace(scene, technique.protocol, engine="scanline", workers=workers).path_mm
+    kev = primary_of(paths, technique, workers).kev
+    return focal_spot_blur(kev, technique.protocol.focal_spot_mm, technique.view, workers)

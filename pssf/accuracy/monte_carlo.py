@@ -6,12 +6,12 @@ import numpy as np
 
 from ..core.blocks import block_mean
 from ..data import tables
-from ..geometry.view import view_of
 from ..model.protocol import load_protocol
 from ..raycast import trace
 from ..scatter.monte_carlo import count
 from ..xray.primary import transmit
 from ..xray.spectrum import beam_of
+from ..xray.technique import technique_of
 from .scatter import Row, limb, slab
 
 _PHOTONS = 8_000_000
@@ -40,8 +40,9 @@ def _row(kind: str, case: list[float], workers: int, photons: int) -> Row:
     coarse = replace(load_protocol("reference"), rows=rows, cols=cols, pixel_mm=1.0, tube_kv=kv)
     protocol = replace(coarse, sod_mm=1150.0 - gap_mm - thick_mm / 2)
     scene = slab(thick_mm) if kind == "slab" else limb(thick_mm)
-    found = count(scene, protocol, photons=photons, seed=1, workers=workers, cell_mm=_CELL_MM)
-    view, beam = view_of(protocol), beam_of(protocol)
+    technique = technique_of(protocol)
+    found = count(scene, technique, photons=photons, seed=1, workers=workers, cell_mm=_CELL_MM)
+    view, beam = technique.view, beam_of(technique)
     opened = float(transmit({}, beam, view, workers).kev[rows // 2, cols // 2])
     behind = transmit(trace(scene, protocol, workers=workers).path_mm, beam, view, workers).kev
     read = _READ[kind]

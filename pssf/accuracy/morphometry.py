@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import trimesh
 
-from ..anatomy import bones_of, build, measured_jsw_mm
-from ..anatomy.joint import KneeAssembly, assemble
+from ..anatomy import build
+from ..anatomy.joint import KneeAssembly
 from ..anatomy.solids import mesh_of
 from ..core.checks import Array
 from ..core.parallel import ordered_map
@@ -44,16 +44,16 @@ def knee_rows(count: int, workers: int) -> list[Row]:
 
 def measured(knee: Knee) -> Sizes:
     """Sizes of one knee, and the errors of its labels; largest over a cohort they are what `knee_rows` tells."""
-    spaces = measured_jsw_mm(knee, build(knee), load_protocol("reference"))
+    spaces = build(knee).measured_jsw_mm(load_protocol("reference"))
     # Bones alone, as they are measured dry: without osteophytes, and each turned back into its own frame.
     bare = replace(knee, osteophytes=(), rotation_deg=0.0, flexion_deg=0.0, side="right")
-    stance, meshes = assemble(bare), dict[str, trimesh.Trimesh]()
-    for name, bone in bones_of(bare).items():
+    built, meshes = build(bare), dict[str, trimesh.Trimesh]()
+    for name, bone in built.bones.items():
         meshes |= {name: mesh_of(bone.outer), f"{name}_trabecular": mesh_of(bone.inner)}
     angle = _femorotibial_deg(meshes)
     return {
-        **_femur(meshes, stance),
-        **_tibia(meshes, stance),
+        **_femur(meshes, built.assembly),
+        **_tibia(meshes, built.assembly),
         **_patella(meshes),
         "femorotibial_deg": angle,
         "error of jsw_medial_mm": spaces[0] - knee.jsw_medial_mm,
@@ -62,10 +62,10 @@ def measured(knee: Knee) -> Sizes:
     }
 
 
-def _femur(meshes: Mapping[str, trimesh.Trimesh], stance: KneeAssembly) -> Sizes:
+def _femur(meshes: Mapping[str, trimesh.Trimesh], assembly: KneeAssembly) -> Sizes:
     """z = 0 at the condyles' distal end."""
-    bone, marrow = (_back(meshes[name], stance.pose.femur()) for name in ("femur", "femur_trabecular"))
-    s, points = stance.build.scale, bone.vertices
+    bone, marrow = (_back(meshes[name], assembly.pose.femur()) for name in ("femur", "femur_trabecular"))
+    s, points = assembly.build.scale, bone.vertices
     condyles = points[points[:, 2] < 45 * s]
     # As seen from behind, a fifth of the depth in front of the condyles' back.
     behind = condyles[:, 1].max() - 0.2 * np.ptp(condyles[:, 1])
@@ -87,12 +87,12 @@ def _femur(meshes: Mapping[str, trimesh.Trimesh], stance: KneeAssembly) -> Sizes
     }
 
 
-def _tibia(meshes: Mapping[str, trimesh.Trimesh], stance: KneeAssembly) -> Sizes:
+def _tibia(meshes: Mapping[str, trimesh.Trimesh], assembly: KneeAssembly) -> Sizes:
     """z = 0 at the middle of the plateau."""
     bone, marrow, fibula = (
-        _back(meshes[name], stance.pose.tibia()) for name in ("tibia", "tibia_trabecular", "fibula")
+        _back(meshes[name], assembly.pose.tibia()) for name in ("tibia", "tibia_trabecular", "fibula")
     )
-    s, points = stance.build.scale, bone.vertices
+    s, points = assembly.build.scale, bone.vertices
     top = points[points[:, 2] > -15 * s]
     sizes = {
         "tibial_ml_mm": float(np.ptp(top[:, 0])),

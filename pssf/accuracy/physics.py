@@ -7,12 +7,12 @@ import numpy as np
 
 from ..core.checks import Array
 from ..data import tables
-from ..geometry.view import view_of
 from ..model.protocol import load_protocol
 from ..scatter.kernel import scatter_kev
 from ..xray.materials import attenuation_per_mm
 from ..xray.primary import transmit
 from ..xray.spectrum import beam_for, tube_spectrum
+from ..xray.technique import technique_of
 
 Row = dict[str, Any]
 
@@ -42,16 +42,17 @@ def limb_signals(kv: float, thick_mm: float, gap_mm: float) -> tuple[float, floa
     protocol = dataclasses.replace(
         load_protocol("reference"), tube_kv=kv, rows=300, cols=180, pixel_mm=1.0, sod_mm=1150.0 - gap_mm - thick_mm / 2
     )
-    view = view_of(protocol)
+    technique = technique_of(protocol)
+    view = technique.view
     limb = _ellipse_chords(0.6 * thick_mm, 0.5 * thick_mm, protocol.sod_mm)
     core = _ellipse_chords(0.36 * thick_mm, 0.225 * thick_mm, protocol.sod_mm)
     soft = limb - core
     parts = {"muscle": 0.7 * soft, "adipose": 0.3 * soft, "cortical_bone": 0.17 * core, "marrow": 0.83 * core}
     paths = {name: np.tile(line.astype(np.float32), (300, 1)) for name, line in parts.items()}
-    beam = beam_for(protocol, {name: float(lengths.max()) for name, lengths in paths.items()})
+    beam = beam_for(technique, {name: float(lengths.max()) for name, lengths in paths.items()})
     primary = transmit(paths, beam, view).kev
     opened = transmit({}, beam, view).kev[150, 90]
-    scattered = scatter_kev(primary, paths, gap_mm, protocol)
+    scattered = scatter_kev(primary, paths, gap_mm, technique)
     return float(primary[150, 90] / opened), float(scattered[150, 90] / opened)
 
 

@@ -14,7 +14,6 @@ from ..anatomy import build
 from ..core.blocks import block_mean
 from ..core.checks import Array
 from ..geometry.scene import Scene, Surface
-from ..geometry.view import view_of
 from ..model.knee import Knee
 from ..model.protocol import Protocol, load_protocol
 from ..raycast import trace
@@ -23,6 +22,7 @@ from ..scatter.monte_carlo import Counts, count
 from ..xray.materials import elements
 from ..xray.primary import transmit
 from ..xray.spectrum import beam_of
+from ..xray.technique import Technique, technique_of
 
 Row = dict[str, Any]
 Case = tuple[str, float, float, float]
@@ -56,7 +56,7 @@ def scatter_rows(
 ) -> list[Row]:
     """One row a case: scatter over the open beam in the joint region, by Monte Carlo and by kernel.
 
-    exit_gap_mm         what the kernel is told: see `detector.scatter.exit_gap_mm`
+    exit_gap_mm         what the kernel is told: see `scatter.kernel.exit_gap_mm`
     error_percent       of the Monte Carlo's mean over the region, one standard deviation
     difference_percent  of the kernel's mean over the region
     worst_percent       the kernel's largest difference within it, both smoothed by 10 mm
@@ -64,8 +64,8 @@ def scatter_rows(
     rows = []
     for case in cases:
         run = measured(case, photons, workers)
-        opened = float(transmit({}, beam_of(run.protocol), view_of(run.protocol), workers).kev.max())
-        fast = block_mean(scatter_kev(run.primary, run.path_mm, run.gap_mm, run.protocol), run.counts.step) / opened
+        opened = float(transmit({}, beam_of(run.technique), run.technique.view, workers).kev.max())
+        fast = block_mean(scatter_kev(run.primary, run.path_mm, run.gap_mm, run.technique), run.counts.step) / opened
         slow = run.counts.scatter_kev / run.counts.pixels / opened
         told = {"used_to_fit": case in FITTED, "exit_gap_mm": round(run.gap_mm, 1)}
         rows.append({**told, **_compared(case, slow, fast)})
@@ -76,7 +76,7 @@ def scatter_rows(
 class Run:
     """A case by Monte Carlo, and what the kernel starts from: primary (keV a pixel) and path lengths, (rows, cols)."""
 
-    protocol: Protocol
+    technique: Technique
     gap_mm: float
     counts: Counts
     primary: NDArray[np.float32]
@@ -86,12 +86,13 @@ class Run:
 def measured(case: Case, photons: int, workers: int) -> Run:
     """A case by Monte Carlo."""
     scene, protocol = case_of(case)
-    view, paths = view_of(protocol), trace(scene, protocol, workers=workers).path_mm
+    technique, paths = technique_of(protocol), trace(scene, protocol, workers=workers).path_mm
+    view = technique.view
     return Run(
-        protocol=protocol,
+        technique=technique,
         gap_mm=exit_gap_mm(scene, view),
-        counts=count(scene, protocol, photons=photons, seed=7, workers=workers, cell_mm=CELL_MM),
-        primary=transmit(paths, beam_of(protocol), view, workers).kev,
+        counts=count(scene, technique, photons=photons, seed=7, workers=workers, cell_mm=CELL_MM),
+        primary=transmit(paths, beam_of(technique), view, workers).kev,
         path_mm=paths,
     )
 
@@ -122,10 +123,10 @@ def case_of(case: Case) -> tuple[Scene, Protocol]:
     if kind in ("limb", "slab"):
         scene = {"limb": limb, "slab": slab}[kind](thick_mm)
     elif kind == "knee":
-        scene = build(Knee(limb_ap_mm=thick_mm))
+        scene = build(Knee(limb_ap_mm=thick_mm)).scene
     else:
         woman = Knee(sex="female", stature_mm=1620.0, side="left", fat_mm=16.0, limb_ap_mm=thick_mm)
-        scene = build(replace(woman, flexion_deg=6.0, rotation_deg=5.0, varus_deg=-3.0))
+        scene = build(replace(woman, flexion_deg=6.0, rotation_deg=5.0, varus_deg=-3.0)).scene
     sod_mm = 1150.0 - gap_mm - float(scene.bounds_mm[1, 1])
     coarse = replace(load_protocol("reference"), rows=256, cols=256, pixel_mm=1.2)
     return scene, replace(coarse, tube_kv=float(kv), sod_mm=sod_mm)

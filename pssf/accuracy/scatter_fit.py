@@ -1,15 +1,15 @@
 """The constants of the scatter kernel, fitted to the Monte Carlo once more."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from msgspec import structs
 from scipy.optimize import least_squares
 
 from ..core.checks import Array
-from ..data import tables
-from ..scatter.kernel import coarse, shares
+from ..data.kernels import ScatterKernel, Term, scatter_kernel
+from ..scatter.kernel import Crossed, coarse, shares
 from .scatter import FITTED, Case, measured
 
 # Lower and upper bounds of a term's constants: without them powers drift that only cancel each other.
@@ -24,7 +24,9 @@ _BOUNDS = {
 class Sample:
     """What the kernel starts from in one case, and what it should give: maps (rows, cols) over the open beam."""
 
-    inputs: tuple[Array, Array, Array, float, float, float]
+    crossed: Crossed
+    gap_mm: float
+    tube_kv: float
     expected: Array
     error: Array
     slab: bool
@@ -33,46 +35,51 @@ class Sample:
 def sample_of(case: Case, photons: int, workers: int = 2) -> Sample:
     """One case by Monte Carlo."""
     run = measured(case, photons, workers)
-    opened, mass, passed, step = coarse(run.primary, run.path_mm, run.protocol)
+    opened, mass, passed, step = coarse(run.primary, run.path_mm, run.technique)
     slow = run.counts.scatter_kev / run.counts.pixels / opened.max()
-    cell_mm = step * run.protocol.pixel_mm
+    protocol = run.technique.protocol
+    cell_mm = step * protocol.pixel_mm
     return Sample(
-        inputs=(opened / opened.max(), mass, passed, run.gap_mm, run.protocol.tube_kv, cell_mm),
+        crossed=Crossed(opened=opened / opened.max(), mass=mass, passed=passed, cell_mm=cell_mm),
+        gap_mm=run.gap_mm,
+        tube_kv=protocol.tube_kv,
         expected=slow.mean(axis=0),
         error=slow.std(axis=0, ddof=1) / np.sqrt(len(slow)),
         slab=case[0] == "slab",
     )
 
 
-def fitted_table(
+def fitted_kernel(
     photons: int = 16_000_000, workers: int = 2, cases: tuple[Case, ...] = FITTED, rounds: int = 35
-) -> dict[str, Any]:
+) -> ScatterKernel:
     """Constants as in `data/scatter.toml`, by least squares from those that are there.
 
     A residual is a relative difference in a cell over its error (2 % at least); cells outside the joint region weigh a
     quarter, the mean over the region as much as 12 cells, slabs 0.4 of limbs.
     """
-    samples, table = [sample_of(case, photons, workers) for case in cases], tables.data("scatter")
-    start = np.array([table["inner_power"], *(term[name] for term in table["term"] for name in _BOUNDS)])
-    low, high = np.array([(-6.0, 3.0), *(list(_BOUNDS.values()) * len(table["term"]))]).T
+    samples, kernel = [sample_of(case, photons, workers) for case in cases], scatter_kernel()
+    start = np.array([kernel.inner_power, *(getattr(term, name) for term in kernel.term for name in _BOUNDS)])
+    low, high = np.array([(-6.0, 3.0), *(list(_BOUNDS.values()) * len(kernel.term))]).T
     inside = np.clip(start, low + 1e-3, high - 1e-3)
-    found = least_squares(_residuals, inside, bounds=(low, high), x_scale="jac", max_nfev=rounds, args=(samples, table))
-    return _table(found.x, table)
+    how = {"bounds": (low, high), "x_scale": "jac", "max_nfev": rounds}
+    fit = least_squares(_residuals, inside, **how, args=(samples, kernel))
+    return _kernel(fit.x, kernel)
 
 
-def _table(values: Array, table: Mapping[str, Any]) -> dict[str, Any]:
-    terms = [dict(zip(_BOUNDS, map(float, row), strict=True)) for row in values[1:].reshape(-1, len(_BOUNDS))]
-    return {**table, "inner_power": float(values[0]), "term": terms}
+def _kernel(values: Array, kernel: ScatterKernel) -> ScatterKernel:
+    rows = values[1:].reshape(-1, len(_BOUNDS))
+    terms = tuple(Term(**dict(zip(_BOUNDS, map(float, row), strict=True))) for row in rows)
+    return structs.replace(kernel, inner_power=float(values[0]), term=terms)
 
 
-def _residuals(values: Array, samples: list[Sample], table: Mapping[str, Any]) -> Array:
-    parts, tried = list[Array](), _table(values, table)
+def _residuals(values: Array, samples: list[Sample], kernel: ScatterKernel) -> Array:
+    parts, tried = list[Array](), _kernel(values, kernel)
     for sample in samples:
         rows, cols = sample.expected.shape
         region = np.s_[rows // 2 - 4 : rows // 2 + 4, cols // 2 - 3 : cols // 2 + 3]
         weight = np.full((rows, cols), 0.25)
         weight[region] = 1.0
-        off = shares(*sample.inputs, tried) / sample.expected - 1
+        off = shares(sample.crossed, sample.gap_mm, sample.tube_kv, tried) / sample.expected - 1
         sigma = np.maximum(sample.error / sample.expected / 0.02, 1.0)
         part = np.append(np.clip(off, -3, 3) * weight / sigma, 12 * _mean_off(off, sample.expected, region))
         parts.append(part * (0.4 if sample.slab else 1.0))

@@ -10,15 +10,15 @@ from time import perf_counter
 import numpy as np
 
 from ..anatomy import build
-from ..geometry.view import view_of
 from ..io.atomic import empty_folder
 from ..model.knee import Knee
 from ..model.protocol import load_protocol
 from ..raycast import trace
-from ..simulate import simulate
+from ..simulation import simulate
 from ..xray import primary
 from ..xray.quadrature import TOLERANCE
 from ..xray.spectrum import beam_for, beam_of
+from ..xray.technique import technique_of
 from .engines import Row, peak_mb
 
 
@@ -29,15 +29,16 @@ def spectrum_rows(tolerances: tuple[float, ...] = (1e-1, 1e-2, 3e-3, 1e-3, 5e-4,
     seconds  of the attenuation on 2048 x 2048 pixels, best of three
     """
     protocol = load_protocol("reference")
-    paths = trace(build(Knee()), protocol, engine="scanline").path_mm
+    technique = technique_of(protocol)
+    paths = trace(build(Knee()).scene, protocol, engine="scanline").path_mm
     most_mm = {name: float(lengths.max()) for name, lengths in paths.items()}
-    full = primary.transmit(paths, beam_of(protocol), view_of(protocol)).kev
+    full = primary.transmit(paths, beam_of(technique), technique.view).kev
     rows: list[Row] = []
     for tolerance in tolerances:
-        beam, seconds = beam_for(protocol, most_mm, tolerance), []
+        beam, seconds = beam_for(technique, most_mm, tolerance), []
         for _ in range(3):
             start = perf_counter()
-            kev = primary.transmit(paths, beam, view_of(protocol)).kev
+            kev = primary.transmit(paths, beam, technique.view).kev
             seconds.append(perf_counter() - start)
         error = float(np.abs(kev / full - 1).max())
         rows.append({

@@ -5,12 +5,13 @@ from time import perf_counter
 import numpy as np
 import trimesh
 
-from ..anatomy import femur, tibia
 from ..anatomy.contours import envelope
+from ..anatomy.femur import mean_femur
 from ..anatomy.implicit import project_solid
 from ..anatomy.solids import edges_of, mesh_of
+from ..anatomy.tibia import mean_tibia
 from ..core.checks import Array
-from ..data import tables
+from ..data.bones import mean_shape
 from ..geometry.view import magnification, project, view_of
 from ..model.protocol import load_protocol
 from .engines import Row
@@ -29,16 +30,17 @@ def tessellation_rows() -> list[Row]:
     fine, whose vertices lie on the same level set.
     """
     rows: list[Row] = []
-    for bone, module, lowest in (("femur", femur, 1.0), ("tibia", tibia, -1.0)):
-        exact = mesh_of(project_solid(module.outer(_EXACT_MM).refine(2), module.field, steps=3))
-        usual = tables.data("anatomy")[bone]["tolerance_mm"]
+    shape = mean_shape()
+    for mean, lowest in ((mean_femur(shape.femur), 1.0), (mean_tibia(shape.tibia), -1.0)):
+        exact = mesh_of(project_solid(mean.meshed(_EXACT_MM).refine(2), mean.field, steps=3))
+        usual = mean.tolerance_mm
         for tolerance_mm in (0.2, 0.1, 0.05, usual, usual / 2, usual / 4):
             start = perf_counter()
-            solid = module.outer.__wrapped__(tolerance_mm)
+            solid = mean.meshed(tolerance_mm)
             seconds = perf_counter() - start
             off = _off_mm(mesh_of(solid), exact, lowest)
             rows.append({
-                "bone": bone, "tolerance_mm": tolerance_mm, "used": tolerance_mm == usual,
+                "bone": mean.name, "tolerance_mm": tolerance_mm, "used": tolerance_mm == usual,
                 "triangles": solid.num_tri(), "seconds": round(seconds, 2),
                 "rms_mm": float(f"{np.sqrt(np.mean(off**2)):.2g}"), "p99_mm": float(f"{np.percentile(off, 99):.2g}"),
                 "max_mm": float(f"{off.max():.2g}"),

@@ -6,15 +6,15 @@ from time import thread_time
 import numpy as np
 from scipy import stats
 
-from ..anatomy import build
 from ..anatomy.trabeculae import PIECE, trabeculae
 from ..core.checks import Array
 from ..core.parallel import ordered_map
 from ..data import tables
+from ..data.spongy import trabecular_bone
 from ..geometry.view import magnification, view_of
 from ..model.knee import Knee, draw_knee
 from ..model.protocol import load_protocol
-from ..simulate import simulate
+from ..simulation import simulate
 from .engines import Row
 
 # Side of the patch at the detector, and how far below the joint line it begins, in the joint plane.
@@ -31,11 +31,12 @@ def step_rows() -> list[Row]:
     rms, most   error over the integral, root mean square and largest, against samples every 0.03 mm
     texture     RMS error over the standard deviation that struts give the integral
     """
+    table = trabecular_bone()
     bone = trabeculae(
-        "tibia", seed=1, scale=1.0, frame=np.eye(3, 4), mirror="right", sclerosis=1.0, age_years=55.0, sex="male"
+        "tibia", table, seed=1, scale=1.0, frame=np.eye(3, 4), mirror="right", sclerosis=1.0, age_years=55.0, sex="male"
     )
     even = replace(bone, region=bone.region._replace(gain=0.0, gain_shaft=0.0))
-    step_mm = tables.data("trabeculae")["lattice"]["voxel_mm"][2]
+    step_mm = table.lattice.voxel_mm[2]
     x, z = (part.ravel() for part in np.meshgrid(np.arange(-35, 35, 0.124), np.arange(-1, -50, -1.0)))
     rows = []
     for turned_deg in (0.0, 5.0, 10.0):
@@ -78,7 +79,7 @@ def spread_rows(count: int, workers: int) -> list[Row]:
 
 def _texture_of(knee: Knee) -> dict[str, float]:
     protocol = load_protocol("reference")
-    radiograph = simulate(knee, protocol, scene=build(knee), seed=1, engine="scanline", workers=1)
+    radiograph = simulate(knee, protocol, seed=1, engine="scanline", workers=1)
     assert radiograph.truth is not None
     row, col = radiograph.truth.medial_joint_line_px
     col += (1 - _MEDIAL) * (radiograph.truth.landmarks_px["joint_centre"][1] - col)

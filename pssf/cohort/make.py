@@ -8,7 +8,7 @@ from pathlib import Path
 from platform import node
 from typing import Any
 
-from .. import anatomy
+from ..anatomy import build
 from ..core.checks import InputError, require_choice, require_workers
 from ..core.parallel import cores, ordered_map, require_scheduler
 from ..geometry.view import view_of
@@ -18,7 +18,7 @@ from ..model.knee import knee_table
 from ..model.protocol import protocol_table
 from ..model.radiograph import Radiograph
 from ..raycast import ENGINES, trace
-from ..simulate import simulate, versions
+from ..simulation import simulate, versions
 from .plan import Case, Plan, Shot
 
 Row = dict[str, Any]
@@ -95,13 +95,13 @@ def make_case(case: Case, site: Site, engine: str, threads: int) -> list[Row]:
     for name, here in versions().items():
         if here != site.versions[name]:
             raise InputError(f"on {node()}: {name} = {here}; allowed: {site.versions[name]}, as where the run started")
-    scene, paths, rows = anatomy.build(case.knee), None, []
+    built, paths, rows = build(case.knee), None, []
     for shot in case.shots:
-        how: dict[str, Any] = {"seed": shot.seed, "engine": engine, "workers": threads, "scene": scene}
+        how: dict[str, Any] = {"seed": shot.seed, "engine": engine, "workers": threads}
         # Radiographs of one geometry, such as reference and low dose, have the same paths.
         if paths is None or (paths.view, paths.texture) != (view_of(shot.protocol), shot.protocol.texture):
-            paths = trace(scene, shot.protocol, engine=engine, workers=threads)
-        radiograph = simulate(case.knee, shot.protocol, paths=paths, **how)
+            paths = trace(built.scene, shot.protocol, engine=engine, workers=threads)
+        radiograph = simulate(built, shot.protocol, paths=paths, **how)
         path = save(radiograph, site.folder / "images" / f"{shot.name}.tif")
         rows.append(_row(case, shot, radiograph, path.relative_to(site.folder), records.sha256(path)))
     records.write_rows(site.folder, case.index, rows)

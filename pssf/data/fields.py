@@ -1,7 +1,10 @@
 """FieldLaw: what a field of a knee or of a protocol is and may be, as `data/*_fields.toml` have it."""
 
+import re
 from functools import cache
+from typing import Any
 
+from ..core.checks import InputError, require, require_choice, require_whole
 from .records import Pair, Record, record
 from .tables import data
 
@@ -28,6 +31,22 @@ class FieldLaw(Record, frozen=True):
     optional: bool = False
     source: str = ""
 
+    def check(self, name: str, value: Any) -> None:
+        """Refuse what a field may not be.
+
+        raises  InputError naming the field, its value and what is allowed
+        """
+        if self.optional and value is None:
+            return
+        if self.pattern is not None and not (isinstance(value, str) and re.fullmatch(r"[\w-]{1,64}", value)):
+            raise InputError(f"{name} = {value!r}; allowed: {self.pattern}")
+        if self.range is not None:
+            require(name, value, *self.range, self.unit)
+        if self.whole is not None:
+            require_whole(name, value, *self.whole, self.unit)
+        if self.choices is not None:
+            require_choice(name, value, (*self.choices, None) if self.optional else self.choices)
+
     @property
     def allowed(self) -> str:
         """What it may be, in words."""
@@ -35,6 +54,15 @@ class FieldLaw(Record, frozen=True):
         if bounds:
             return f"{bounds[0]:g} to {bounds[1]:g}"
         return self.pattern or ", ".join(map(str, self.choices or ()))
+
+
+def check_fields(kind: str, values: Any) -> None:
+    """Refuse a field of a parameter dataclass that is not what `data/<kind>_fields.toml` allows.
+
+    raises  InputError naming the field, its value and what is allowed
+    """
+    for name, law in field_laws(kind).items():
+        law.check(name, getattr(values, name))
 
 
 @cache

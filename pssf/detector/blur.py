@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from ..data import tables
+from ..data.detectors import Detector
 from ..geometry.view import View, magnification
 
 Map = NDArray[np.float32]
@@ -50,21 +50,30 @@ def by_focal_spot(values: Frequencies, shape: tuple[int, ...], width_px: float) 
     values *= np.sinc(width_px * fx)
 
 
-def by_panel(values: Frequencies, shape: tuple[int, ...], pixel_mm: float, detector: str, part: str = "mtf") -> None:
+def by_panel(
+    values: Frequencies, shape: tuple[int, ...], pixel_mm: float, detector: Detector, part: str = "mtf"
+) -> None:
     """In place: blurred by the panel, as `transfer` has it for part "mtf" or "ntf"."""
-    table = tables.data("detector")[detector]
-    fy, fx = (f / np.float32(pixel_mm * table[f"{part}_f0_per_mm"]) for f in _axes(shape))
+    f0, power = _law(detector, part)
+    fy, fx = (f / np.float32(pixel_mm * f0) for f in _axes(shape))
     # In place: a fresh large array costs more time than the arithmetic.
     passed = fy[:, None] ** 2 + fx**2
-    np.power(passed, np.float32(table[f"{part}_power"] / 2), out=passed)
+    np.power(passed, np.float32(power / 2), out=passed)
     passed += 1
     values *= np.reciprocal(passed, out=passed)
 
 
-def transfer(detector: str, per_mm: NDArray[np.float64], part: str = "mtf") -> NDArray[np.float64]:
+def transfer(detector: Detector, per_mm: NDArray[np.float64], part: str = "mtf") -> NDArray[np.float64]:
     """(...)  1 / (1 + (f / f0)^power) at frequencies (cycles/mm): part "mtf" for the signal, "ntf" for quantum noise"""
-    table = tables.data("detector")[detector]
-    return np.asarray(1 / (1 + (per_mm / table[f"{part}_f0_per_mm"]) ** table[f"{part}_power"]))
+    f0, power = _law(detector, part)
+    return np.asarray(1 / (1 + (per_mm / f0) ** power))
+
+
+def _law(detector: Detector, part: str) -> tuple[float, float]:
+    """f0 (1/mm) and power of the transfer of signal ("mtf") or quantum noise ("ntf")."""
+    if part == "mtf":
+        return detector.mtf_f0_per_mm, detector.mtf_power
+    return detector.ntf_f0_per_mm, detector.ntf_power
 
 
 def _padded(shape: tuple[int, ...]) -> tuple[list[int], list[int]]:

@@ -7,7 +7,7 @@ from scipy import ndimage
 
 from ..core.blocks import block_mean, enlarge
 from ..core.checks import require_choice, require_whole
-from ..data import tables
+from ..data.detectors import detectors
 
 # Width of the shadow of the collimator's leaves, and of its penumbra; height of a marker and its distance from that
 # shadow. Shares of the smaller side of the image.
@@ -15,16 +15,20 @@ _LEAF, _PENUMBRA, _MARKER, _APART = 0.025, 0.002, 0.055, 0.02
 _MARKERS = {"right": "R", "left": "L"}
 
 
-def present(pixels: NDArray[np.uint16], *, bits: int = 8, side: str | None = None) -> NDArray[np.uint8 | np.uint16]:
+def present(
+    pixels: NDArray[np.uint16], *, bits: int = 8, side: str | None = None, detector: str = "csi"
+) -> NDArray[np.uint8 | np.uint16]:
     """(rows, cols)  for eyes: log signal, bone bright, large structures evened out, edges a little sharper
 
-    bits    8 (uint8), or up to 16 (uint16)
-    side    "right" or "left" draws the edge of the collimator and the marker R or L, on the lateral side of the knee
-    raises  InputError for another number of bits, or another side
+    pixels    (rows, cols) linear in the energy absorbed
+    bits      8 (uint8), or up to 16 (uint16)
+    side      "right" or "left" draws the edge of the collimator and the marker R or L, on the lateral side of the knee
+    detector  that they were read by, whose offset is taken off
+    raises    InputError for another number of bits, another side, an unknown detector
     """
     require_whole("bits", bits, 8, 16, "")
-    table = tables.data("detector")["csi"]
-    signal = np.maximum(pixels.astype(np.float32) - np.float32(table["offset_dn"]), 1.0)
+    require_choice("detector", detector, tuple(detectors()))
+    signal = np.maximum(pixels.astype(np.float32) - np.float32(detectors()[detector].offset_dn), 1.0)
     density = -np.log(signal)
     step = max(1, max(pixels.shape) // 128)
     coarse = enlarge(ndimage.gaussian_filter(block_mean(density, step), 4.0), step, pixels.shape)

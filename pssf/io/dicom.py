@@ -16,7 +16,8 @@ from pydicom.valuerep import DSfloat
 
 from ..core.checks import InputError, require_choice
 from ..data import tables
-from ..exposure import present
+from ..data.detectors import detectors
+from ..detector import present
 from ..geometry.view import magnification, view_of
 from ..model.knee import Knee, knee_table
 from ..model.protocol import Protocol
@@ -32,7 +33,10 @@ def write(radiograph: Radiograph, told: str, path: Path, intent: str, side: str 
     intent  "processing": 16 bit, the pixels as they are; "presentation": 12 bit, as `present` renders them
     side    of which a presentation bears the marker, with the collimator's edge; None for neither
     """
-    shown = present(radiograph.pixels, bits=12, side=side) if intent == "presentation" else radiograph.pixels
+    protocol = radiograph.protocol
+    shown: NDArray[np.generic] = radiograph.pixels
+    if intent == "presentation":
+        shown = present(radiograph.pixels, bits=12, side=side, detector=protocol.detector)
     pixels = shown.astype("<u2", copy=False)
     uids = uids_of(radiograph, told)
     found = start(radiograph, uids, ("radiograph", intent))
@@ -43,7 +47,7 @@ def write(radiograph: Radiograph, told: str, path: Path, intent: str, side: str 
     found.update(_anatomy(radiograph.knee))
     found.update(_technique(radiograph.protocol))
     found.update(_geometry(radiograph.protocol))
-    remark = f"linear in absorbed energy, offset {tables.data('detector')[radiograph.protocol.detector]['offset_dn']:g}"
+    remark = f"linear in absorbed energy, offset {detectors()[protocol.detector].offset_dn:g}"
     if intent == "presentation":
         remark = "for eyes: log signal, large structures evened out, edges sharpened; not for measurement of intensity"
         found.SourceImageSequence = [reference(uids, "source_of_processing")]
@@ -160,12 +164,12 @@ def _anatomy(knee: Knee | None) -> Dataset:
 
 
 def _technique(protocol: Protocol) -> Dataset:
-    layer = tables.data("detector")[protocol.detector]
+    layer = detectors()[protocol.detector]
     found = dataset({
         "ProtocolName": name_of(protocol),
         "FocalSpots": _ds(protocol.focal_spot_mm),
         "DetectorID": f"PSSF-{protocol.detector}".upper(),
-        "DetectorDescription": f"{layer['formula']}, {layer['thickness_mm']:g} mm, packing {layer['packing']:g}",
+        "DetectorDescription": f"{layer.formula}, {layer.thickness_mm:g} mm, packing {layer.packing:g}",
     })  # fmt: skip
     if protocol.mas > 0:
         found.ExposureInuAs = round(1000 * protocol.mas)

@@ -15,7 +15,7 @@ import trimesh
 from numpy.typing import NDArray
 from PIL import Image
 
-from ..exposure import present
+from ..detector import present
 from ..geometry.scene import Scene, Surface
 from ..model.knee import knee_table
 from ..model.protocol import protocol_table
@@ -124,7 +124,7 @@ def _text(values: NDArray[Any]) -> str:
 
 def _picture(radiograph: Radiograph) -> dict[str, Any]:
     """The radiograph for eyes, bone bright, and where its landmarks are on it, as parts of its height and width."""
-    shown = present(radiograph.pixels)
+    shown = present(radiograph.pixels, detector=radiograph.protocol.detector)
     rows, cols = shown.shape
     step = -(-max(rows, cols) // SIDE_PX)
     rows, cols = rows // step * step, cols // step * step

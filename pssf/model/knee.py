@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 
 from ..core.checks import InputError, from_table, require, require_choice, require_whole
-from ..data import tables
+from ..data.fields import check_fields
+from ..data.grades import grades
+from ..data.records import Pair
 
 GRADES = (0, 1, 2)
 SITES = ("medial_femur", "lateral_femur", "medial_tibia", "lateral_tibia", "medial_spine", "lateral_spine")
@@ -68,23 +70,7 @@ class Knee:
     grade: int | None = None
 
     def __post_init__(self) -> None:
-        require_choice("side", self.side, ("right", "left"))
-        require_choice("sex", self.sex, ("male", "female"))
-        require("stature_mm", self.stature_mm, 1400, 2100, "mm")
-        require("jsw_medial_mm", self.jsw_medial_mm, 1.0, 8.0, "mm")
-        require("jsw_lateral_mm", self.jsw_lateral_mm, 1.0, 8.0, "mm")
-        require("subchondral_plate", self.subchondral_plate, 0.5, 2.5, "(relative)")
-        require("varus_deg", self.varus_deg, -8, 8, "deg")
-        require("flexion_deg", self.flexion_deg, 0, 15, "deg")
-        require("rotation_deg", self.rotation_deg, -10, 10, "deg")
-        require("bone_scale", self.bone_scale, 0.85, 1.15, "(relative)")
-        require("cortex_scale", self.cortex_scale, 0.6, 1.5, "(relative)")
-        require("tibial_slope_deg", self.tibial_slope_deg, 0, 12, "deg")
-        require("limb_ap_mm", self.limb_ap_mm, 90, 180, "mm")
-        require("fat_mm", self.fat_mm, 2, 30, "mm")
-        require("age_years", self.age_years, 18, 100, "years")
-        require_whole("texture_seed", self.texture_seed, 0, 2**63 - 1, "")
-        require_choice("grade", self.grade, (*GRADES, None))
+        check_fields("knee", self)
         if not isinstance(self.osteophytes, tuple | list) or not all(
             isinstance(item, Osteophyte) for item in self.osteophytes
         ):
@@ -118,25 +104,25 @@ def draw_knee(*, grade: int, rng: np.random.Generator, **fixed: Any) -> Knee:
     raises InputError for an unknown grade or field
     """
     require_whole("grade", grade, min(GRADES), max(GRADES), "")
-    table = tables.data("grades")
-    ranges, body, pose = table["grade"][str(int(grade))], table["body"], table["pose"]
+    table = grades()
+    ranges = table.grade[str(int(grade))]
     sex = fixed.get("sex", "male" if rng.random() < 0.5 else "female")
     require_choice("sex", sex, ("male", "female"))
     drawn: dict[str, Any] = {"sex": sex, "grade": int(grade), "side": "right" if rng.random() < 0.5 else "left"}
-    for name, law in body.items():
+    for name, law in table.body.items():
         mean, sd = law[sex] if isinstance(law, dict) else law
         drawn[name] = round(mean + sd * min(2.0, max(-2.0, rng.standard_normal())), 4)
     for name in ("jsw_medial_mm", "jsw_lateral_mm", "subchondral_plate", "varus_deg"):
-        drawn[name] = _uniform(rng, ranges[name])
-    for name, law in pose.items():
-        drawn[name] = _uniform(rng, law)
+        drawn[name] = _uniform(rng, getattr(ranges, name))
+    for name, bounds in table.pose.items():
+        drawn[name] = _uniform(rng, bounds)
     drawn["texture_seed"] = int(rng.spawn(1)[0].integers(2**63))
-    drawn["osteophytes"] = _draw_osteophytes(rng, ranges["osteophyte_count"], ranges["largest_osteophyte_mm"])
+    drawn["osteophytes"] = _draw_osteophytes(rng, ranges.osteophyte_count, ranges.largest_osteophyte_mm)
     return from_table(Knee, {**drawn, **fixed}, "draw_knee")
 
 
 def _draw_osteophytes(
-    rng: np.random.Generator, count_range: list[int], largest_range: list[float]
+    rng: np.random.Generator, count_range: tuple[int, int], largest_range: Pair
 ) -> tuple[Osteophyte, ...]:
     count = int(rng.integers(count_range[0], count_range[1] + 1))
     largest = _uniform(rng, largest_range)
@@ -148,5 +134,5 @@ def _draw_osteophytes(
     return tuple(Osteophyte(site=site, size_mm=size) for site, size in beaks if size >= 0.2)
 
 
-def _uniform(rng: np.random.Generator, bounds: list[float]) -> float:
+def _uniform(rng: np.random.Generator, bounds: Pair) -> float:
     return round(float(rng.uniform(bounds[0], bounds[1])), 4)

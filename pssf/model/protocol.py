@@ -1,12 +1,12 @@
 """Protocol: how a radiograph is taken. Technique, geometry, detector, and which stages of the chain are wanted."""
 
-import re
 from dataclasses import MISSING, asdict, dataclass, fields
 from os import PathLike
 from typing import Any
 
-from ..core.checks import InputError, from_table, require, require_choice, require_whole
-from ..data import tables
+from ..core.checks import InputError, from_table
+from ..data.fields import check_fields, field_laws
+from ..data.tables import read_protocol
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,18 +46,7 @@ class Protocol:
     noise: str = "quantum"
 
     def __post_init__(self) -> None:
-        for field, law in tables.data("protocol_fields").items():
-            value, unit = getattr(self, field), law.get("unit", "")
-            if law.get("optional") and value is None:
-                continue
-            if "pattern" in law and not (isinstance(value, str) and re.fullmatch(r"[\w-]{1,64}", value)):
-                raise InputError(f"{field} = {value!r}; allowed: {law['pattern']}")
-            if "range" in law:
-                require(field, value, law["range"][0], law["range"][1], unit)
-            if "whole" in law:
-                require_whole(field, value, law["whole"][0], law["whole"][1], unit)
-            if "choices" in law:
-                require_choice(field, value, law["choices"])
+        check_fields("protocol", self)
         if not self.sod_mm < self.sdd_mm:
             raise InputError(f"sod_mm = {self.sod_mm!r} mm; allowed: less than sdd_mm = {self.sdd_mm!r} mm")
 
@@ -66,13 +55,11 @@ def field_rows() -> list[dict[str, str]]:
     """One row a field: name, what it is, unit, what is allowed, its default ("" where it must be given), source."""
     rows = []
     for field in fields(Protocol):
-        law = tables.data("protocol_fields")[field.name]
-        bounds = law.get("range") or law.get("whole")
-        allowed = f"{bounds[0]:g} to {bounds[1]:g}" if bounds else law.get("pattern") or ", ".join(law["choices"])
+        law = field_laws("protocol")[field.name]
         default = "" if field.default is MISSING else "none" if field.default is None else str(field.default)
         rows.append({
-            "field": field.name, "what": law["what"], "unit": law.get("unit", ""), "allowed": allowed,
-            "default": default, "source": law.get("source", ""),
+            "field": field.name, "what": law.what, "unit": law.unit, "allowed": law.allowed,
+            "default": default, "source": law.source,
         })  # fmt: skip
     return rows
 
@@ -88,7 +75,7 @@ def load_protocol(name_or_path: str | PathLike[str]) -> Protocol:
     A file may name another as its `base`, by name or by a path from where it lies, and give only what differs.
     raises  InputError for an unknown name, an unreadable file, a misspelt, missing or refused field, a base of itself
     """
-    table, what = tables.read_protocol(name_or_path)
+    table, what = read_protocol(name_or_path)
     return protocol_from(table, what)
 
 

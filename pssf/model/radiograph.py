@@ -28,7 +28,7 @@ class Truth:
     grade: int | None
     landmarks_px: Mapping[str, tuple[float, float]]
     jsw_at_mm: Mapping[float, float] = field(default_factory=dict)
-    masks: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict, compare=False)
+    masks: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def medial_joint_line_px(self) -> tuple[float, float]:
@@ -41,9 +41,9 @@ class Truth:
         return self.landmarks_px["lateral_joint_line"]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Radiograph:
-    """One exposure.
+    """One exposure. Two are equal if their pixels are, and all that they were made from; what was kept aside.
 
     pixels    (rows, cols) uint16, linear in the energy absorbed ("for processing"), row 0 proximal
     knee      its parameters, or None for a scene of one's own
@@ -56,7 +56,7 @@ class Radiograph:
     seconds   wall time a stage
     """
 
-    pixels: NDArray[np.uint16]
+    pixels: NDArray[np.uint16] = field(repr=False)
     protocol: Protocol
     seed: int
     knee: Knee | None = None
@@ -64,5 +64,15 @@ class Radiograph:
     engine: str = "embree"
     audit: Mapping[str, int] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
-    kept: Mapping[str, Any] = field(default_factory=dict)
+    kept: Mapping[str, Any] = field(default_factory=dict, repr=False)
     seconds: Mapping[str, float] = field(default_factory=dict)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Radiograph):
+            return NotImplemented
+        names = ("protocol", "seed", "knee", "truth", "engine", "versions")
+        same = all(getattr(self, name) == getattr(other, name) for name in names)
+        return same and np.array_equal(self.pixels, other.pixels)
+
+    def __hash__(self) -> int:
+        return hash((self.protocol, self.seed, self.knee))

@@ -2,12 +2,14 @@
 
 import numpy as np
 import xraylib
+from scipy.optimize import brentq
 
 from ..core.checks import Array
-from ..data import tables
+from ..data.tissues import tissues
 from ..geometry.view import magnification, view_of
 from ..model.protocol import Protocol
 from ..xray.spectrum import beam_of, tube_spectrum
+from ..xray.technique import technique_of
 
 _JOULE_PER_KEV = 1.602176634e-16
 _ELECTRON_KEV = 510.99895
@@ -19,7 +21,8 @@ def energy_transfer_cm2_per_g(energies_kev: Array) -> Array:
     Fluorescence and bremsstrahlung, which air of this energy hardly makes, count as absorbed; xraylib's own energy-
     absorption coefficients are interpolated too coarsely (20 keV: a third too low).
     """
-    air = tables.data("tissues")["air"]["composition"]
+    air = tissues()["air"].composition
+    assert air is not None
     parts = [(xraylib.SymbolToAtomicNumber(name), share / 100) for name, share in air.items()]
     photo, compton = (
         np.array([sum(share * one(z, float(energy)) for z, share in parts) for energy in energies_kev])
@@ -44,17 +47,15 @@ def air_kerma_ugy(energies_kev: Array, photons_per_mm2: Array) -> float:
 
 
 def half_value_layers_mm_al(energies_kev: Array, photons_per_mm2: Array) -> tuple[float, float]:
-    """First and second half-value layer in aluminium of the air kerma, by bisection, narrow beam."""
+    """First and second half-value layer in aluminium of the air kerma, narrow beam."""
     mu = np.array([xraylib.CS_Total(13, float(energy)) * 2.699 / 10 for energy in energies_kev])
     whole = air_kerma_ugy(energies_kev, photons_per_mm2)
 
+    def excess(depth_mm: float, share: float) -> float:
+        return air_kerma_ugy(energies_kev, photons_per_mm2 * np.exp(-mu * depth_mm)) / whole - share
+
     def layer(share: float) -> float:
-        low, high = 0.0, 100.0
-        for _ in range(50):
-            middle = (low + high) / 2
-            left = air_kerma_ugy(energies_kev, photons_per_mm2 * np.exp(-mu * middle)) / whole
-            low, high = (middle, high) if left > share else (low, middle)
-        return low
+        return float(brentq(excess, 0.0, 100.0, args=(share,), xtol=1e-12))
 
     first = layer(0.5)
     return first, layer(0.25) - first
@@ -63,7 +64,7 @@ def half_value_layers_mm_al(energies_kev: Array, photons_per_mm2: Array) -> tupl
 def beam_quantities(protocol: Protocol) -> dict[str, float]:
     """Figures of a protocol's open beam; distances are in vacuum, 1 m of air takes 4 % of the kerma (SpekPy, 70 kV)."""
     if protocol.mono_kev is not None:
-        beam = beam_of(protocol)
+        beam = beam_of(technique_of(protocol))
         energies, photons = beam.energies_kev, beam.photons_per_mm2 / max(protocol.mas, 1e-12)
     else:
         energies, photons = tube_spectrum(protocol.tube_kv, protocol.anode_angle_deg, protocol.filtration_mm_al)

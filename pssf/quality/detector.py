@@ -1,17 +1,19 @@
 """The detector measured as in a laboratory: MTF of a slanted edge, NPS of flat fields, DQE, photon transfer."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..core.checks import Array
-from ..data import tables
 from ..detector.blur import transfer
-from ..detector.panel import GAUSSIAN_FROM
-from ..exposure import expose
+from ..detector.noise import GAUSSIAN_FROM
 from ..model.protocol import Protocol
+from ..stages import Chain, LatentImage, expose
 from ..xray.materials import attenuation_per_mm
 from ..xray.spectrum import beam_of
+from ..xray.technique import technique_of
 
 # Slanted edge of a lead plate on the detector (IEC 62220-1: 1.5 to 3 degrees), bins a pixel, rows and columns.
 _EDGE_DEG, _FINER, _EDGE_PX = 2.4, 8, 512
@@ -44,7 +46,7 @@ def model_mtf(protocol: Protocol, per_mm: Array) -> Array:
     """(n,)  presampled MTF that the detector is made with"""
     if protocol.detector_blur == "none":
         return np.ones_like(per_mm)
-    return transfer(protocol.detector, per_mm)
+    return transfer(technique_of(protocol).detector, per_mm)
 
 
 def mtf(protocol: Protocol) -> Curve:
@@ -59,7 +61,7 @@ def mtf(protocol: Protocol) -> Curve:
     # The path in lead that lets as much pass as the open part of a pixel.
     per_mm = float(attenuation_per_mm("Pb@11.35", np.array([60.0]))[0])
     path = -np.log(np.clip(0.5 - across, 1e-6, 1.0)) / per_mm
-    pixels, _, _ = expose({"Pb@11.35": path.astype(np.float32)}, quiet, gap_mm=0.0, seed=np.random.SeedSequence(0))
+    pixels = _pixels(_exposed({"Pb@11.35": path.astype(np.float32)}, quiet))
     middle = slice(_EDGE_PX // 8, -_EDGE_PX // 8)
     frequency, found = _edge_mtf(pixels[middle, middle].astype(np.float64), across[middle, middle], protocol.pixel_mm)
     found /= np.sinc(frequency * protocol.pixel_mm)
@@ -69,9 +71,7 @@ def mtf(protocol: Protocol) -> Curve:
 def _mono_mas(protocol: Protocol) -> float:
     """mAs at one energy that give about the mid of the 16-bit range."""
     trial = replace(bare(protocol, 8), noise="none", mono_kev=60.0, mas=1.0)
-    pixels, _, _ = expose({}, trial, gap_mm=0.0, seed=np.random.SeedSequence(0))
-    offset = tables.data("detector")[protocol.detector]["offset_dn"]
-    return 30000.0 / max(float(pixels.mean()) - offset, 1.0)
+    return 30000.0 / max(float(_pixels(_exposed({}, trial)).mean()) - _offset_dn(protocol), 1.0)
 
 
 def _edge_mtf(pixels: Array, across: Array, pixel_mm: float) -> tuple[Array, Array]:
@@ -94,9 +94,8 @@ def flat_fields(protocol: Protocol, count: int = _FIELDS) -> Array:
     """(count, rows, cols)  exposures of the open beam, linear pixels less their offset"""
     side = _ROI_PX * _ROIS
     flat = bare(protocol, side)
-    offset = tables.data("detector")[protocol.detector]["offset_dn"]
-    images = [expose({}, flat, gap_mm=0.0, seed=np.random.SeedSequence(k))[0] for k in range(count)]
-    return np.array(images, np.float64) - offset
+    images = [_pixels(_exposed({}, flat, seed=number)) for number in range(count)]
+    return np.array(images, np.float64) - _offset_dn(protocol)
 
 
 def nnps(protocol: Protocol) -> Curve:
@@ -118,14 +117,15 @@ def nnps(protocol: Protocol) -> Curve:
 
 def model_nnps(protocol: Protocol, per_mm: Array, mean_dn: float) -> Array:
     """(...)  quanta seen through their own transfer, readout noise and rounding, mm2"""
-    table, beam = tables.data("detector")[protocol.detector], beam_of(protocol)
-    per_dn = table["electrons_per_dn_mm2"] * protocol.pixel_mm**2
+    technique = technique_of(protocol)
+    detector, beam = technique.detector, beam_of(technique)
+    per_dn = detector.electrons_per_dn_mm2 * protocol.pixel_mm**2
     weights = beam.photons_per_mm2 * beam.signal_kev
-    quantum_kev = (beam.photons_per_mm2 * beam.square_kev2).sum() / weights.sum() / table["swank"]
-    quanta = mean_dn * per_dn / table["electrons_per_kev"] / quantum_kev
-    readout = (table["readout_electrons"] / per_dn) ** 2 + 1 / 12
+    quantum_kev = (beam.photons_per_mm2 * beam.square_kev2).sum() / weights.sum() / detector.swank
+    quanta = mean_dn * per_dn / detector.electrons_per_kev / quantum_kev
+    readout = (detector.readout_electrons / per_dn) ** 2 + 1 / 12
     blurred = protocol.detector_blur != "none"
-    passed = transfer(protocol.detector, per_mm, "ntf") ** 2 if blurred else np.ones_like(per_mm)
+    passed = transfer(detector, per_mm, "ntf") ** 2 if blurred else np.ones_like(per_mm)
     noise = passed / quanta + readout / mean_dn**2
     return np.asarray(noise * protocol.pixel_mm**2)
 
@@ -133,7 +133,7 @@ def model_nnps(protocol: Protocol, per_mm: Array, mean_dn: float) -> Array:
 def dqe(protocol: Protocol) -> Curve:
     """Detective quantum efficiency, MTF^2 / (NNPS q), of the open beam of a protocol"""
     noise, sharp = nnps(protocol), mtf(protocol)
-    beam = beam_of(protocol)
+    beam = beam_of(technique_of(protocol))
     q = beam.photons_per_mm2.sum() * (1000.0 / protocol.sdd_mm) ** 2
     at = np.interp(noise.per_mm, sharp.per_mm, sharp.measured)
     meant = model_mtf(protocol, noise.per_mm) ** 2
@@ -158,9 +158,8 @@ def noise_moments(protocol: Protocol) -> dict[str, tuple[float, float, float]]:
     returns  moment -> value, and from where to where it may be by chance: four standard errors of its sample count
     """
     flat = replace(bare(protocol, _ROI_PX * _ROIS), detector_blur="none")
-    pixels, kept, _ = expose({}, flat, gap_mm=0.0, seed=np.random.SeedSequence(9), keep=("noise_free",))
-    offset = tables.data("detector")[protocol.detector]["offset_dn"]
-    mean = kept["noise_free"].astype(np.float64) - offset
+    image, offset = _exposed({}, flat, seed=9, keep=frozenset({"noise_free"})), _offset_dn(protocol)
+    pixels, mean = _pixels(image), image.kept["noise_free"].astype(np.float64) - offset
     variance = model_nnps(flat, np.zeros(1), mean) / protocol.pixel_mm**2 * mean**2
     off, n = (pixels - offset - mean) / np.sqrt(variance), pixels.size
     # That of Poisson counts, or none where they are drawn as normal.
@@ -177,6 +176,24 @@ def noise_moments(protocol: Protocol) -> dict[str, tuple[float, float, float]]:
         f"noise_{name}": (float(value), about - 4 * np.sqrt(var / n), about + 4 * np.sqrt(var / n))
         for name, (value, about, var) in found.items()
     }
+
+
+def _exposed(
+    path_mm: Mapping[str, NDArray[np.float32]], protocol: Protocol, seed: int = 0, keep: frozenset[str] = frozenset()
+) -> LatentImage:
+    """What lies behind path lengths (rows, cols), mm, in a beam without scatter."""
+    image = LatentImage(path_mm=path_mm)
+    expose(image, Chain(technique=technique_of(protocol), seed=seed, keep=keep))
+    return image
+
+
+def _pixels(image: LatentImage) -> NDArray[np.uint16]:
+    assert image.pixels is not None
+    return image.pixels
+
+
+def _offset_dn(protocol: Protocol) -> float:
+    return technique_of(protocol).detector.offset_dn
 
 
 def _radial(radius: Array, power: Array, pixel_mm: float) -> tuple[Array, Array]:

@@ -7,11 +7,11 @@ import numpy as np
 from ..anatomy import build
 from ..core.blocks import block_mean
 from ..core.checks import Array
-from ..data import tables
 from ..model.knee import Knee
 from ..model.protocol import Protocol
-from ..simulate import simulate
+from ..simulation import simulate
 from ..xray.spectrum import beam_of, tube_spectrum
+from ..xray.technique import technique_of
 from .beam import air_kerma_ugy
 
 # Half the side of the squares in which signals are read, mm at the detector.
@@ -24,10 +24,9 @@ def exposure_quantities(protocol: Protocol) -> tuple[dict[str, float], Array]:
 
     exposure_index  100 per uGy of air kerma that an RQA5 beam needs for the median signal behind the limb (IEC 62494-1)
     """
-    knee = Knee()
-    scene = build(knee)
+    built = build(Knee())
     taken = replace(protocol, noise="none", dead_pixels=0.0)
-    radiograph = simulate(knee, taken, scene=scene, engine="scanline", keep=("primary", "scatter", "path_mm"))
+    radiograph = simulate(built, taken, engine="scanline", keep=("primary", "scatter", "path_mm"))
     primary, kept = radiograph.kept["primary"], radiograph.kept
     scatter = kept.get("scatter", np.zeros_like(primary))
     total = primary + scatter
@@ -37,8 +36,8 @@ def exposure_quantities(protocol: Protocol) -> tuple[dict[str, float], Array]:
     half, below = max(1, round(_HALF_MM / protocol.pixel_mm)), round(12.0 / protocol.pixel_mm)
     joint = (slice(row - half, row + half + 1), slice(col - half, col + half + 1))
     bone = (slice(row + below - half, row + below + half + 1), joint[1])
-    offset = tables.data("detector")[protocol.detector]["offset_dn"]
-    noisy = simulate(knee, replace(protocol, dead_pixels=0.0), scene=scene, engine="scanline", seed=1).pixels[bone]
+    offset = technique_of(protocol).detector.offset_dn
+    noisy = simulate(built, replace(protocol, dead_pixels=0.0), engine="scanline", seed=1).pixels[bone]
     quiet = radiograph.pixels[bone].astype(np.float64)
     step = max(1, round(_CELL_MM / protocol.pixel_mm))
     spr = block_mean(scatter, step) / np.maximum(block_mean(primary, step), 1e-30)
@@ -55,7 +54,7 @@ def exposure_quantities(protocol: Protocol) -> tuple[dict[str, float], Array]:
 def _kev_per_ugy(protocol: Protocol) -> float:
     """Energy absorbed in a pixel per uGy of an RQA5 beam, 70 kV behind 23.5 mm of aluminium (IEC 61267)."""
     rqa5 = replace(protocol, tube_kv=70.0, filtration_mm_al=23.5, anode_angle_deg=12.0, mono_kev=None, mas=1.0)
-    beam = beam_of(rqa5)
+    beam = beam_of(technique_of(rqa5))
     energies, photons = tube_spectrum(70.0, 12.0, 23.5)
     signal = float((beam.photons_per_mm2 * beam.signal_kev).sum())
     return signal * protocol.pixel_mm**2 / air_kerma_ugy(energies, photons)

@@ -84,7 +84,7 @@ def trace(
         layers = _layers(asked, view, engine, smooth, pool)
         audits = pool.map(partial(_band, scene, view, layers, path_mm), range(0, view.rows, BAND_ROWS))
         told = "none" if smooth else "trabecular"
-        return Paths(path_mm=path_mm, audit=total(audits), view=view, texture=told)
+        return Paths(path_mm=path_mm, audit=total(audits), view=view, texture=told, scene=scene)
 
 
 def shadow(mesh: trimesh.Trimesh, protocol: Protocol | View) -> NDArray[np.bool_]:

@@ -6,6 +6,7 @@ from dataclasses import astuple, dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from ..geometry.scene import Scene
 from ..geometry.view import View
 
 
@@ -44,6 +45,7 @@ class Paths:
     audit: Audit
     view: View
     texture: str
+    scene: Scene
 
 
 def total(audits: Iterable[Audit]) -> Audit:

@@ -48,7 +48,7 @@ def grid_of(protocol: Protocol) -> Grid:
     return Grid(ratio=protocol.grid_ratio, lines_per_cm=protocol.grid_lines_per_cm)
 
 
-def behind(kind: Grid, beam: Beam) -> Beam:
+def transmit_through_grid(kind: Grid, beam: Beam) -> Beam:
     """What of the primary passes a moving grid, whose lines are blurred away: it runs along the strips."""
     mu = _attenuation(beam)
     return replace(beam, photons_per_mm2=beam.photons_per_mm2 * _passed(kind, mu, 0.0, np.ones(1))[0])

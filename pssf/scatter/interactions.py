@@ -7,7 +7,7 @@ import numpy as np
 import xraylib
 
 from ..core.checks import Array
-from ..data import tables
+from ..data.detectors import Detector
 from ..xray.materials import absorbed_fraction, elements
 
 # Below this a photon is absorbed where it is.
@@ -39,8 +39,8 @@ class Interactions(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def interactions_of(materials: tuple[str, ...], most_kev: float) -> Interactions:
-    """Tables for photons from the cut-off up to an energy.
+def interactions_of(materials: tuple[str, ...], most_kev: float, detector: Detector) -> Interactions:
+    """Tables for photons from the cut-off up to an energy, and of the detector that absorbs them.
 
     Compton scattering is on free electrons at rest, its angles weighted with the incoherent scattering function (no
     Doppler broadening); coherent scattering is by free atoms, without interference between molecules. The energy of a
@@ -58,8 +58,7 @@ def interactions_of(materials: tuple[str, ...], most_kev: float) -> Interactions
         np.array([0.1 * rho * _by_energy(kind, parts, energies) for rho, parts in recipes])
         for kind in ("Photo", "Compt", "Rayl")
     )
-    panel = tables.data("detector")["csi"]
-    mg_per_cm2 = panel["density"] * panel["packing"] * panel["thickness_mm"] * 100.0
+    absorbed = absorbed_fraction(detector.formula, detector.mg_per_cm2, energies)
     return Interactions(
         photo=photo,
         compton=compton,
@@ -68,7 +67,7 @@ def interactions_of(materials: tuple[str, ...], most_kev: float) -> Interactions
         x2=nodes**2,
         coherent=np.array([_coherent(parts, nodes) for _, parts in recipes]),
         # A layer that lets nothing through has an optical depth of 28, which says the same to a double.
-        panel=-np.log1p(-np.minimum(absorbed_fraction(panel["formula"], mg_per_cm2, energies), 1 - 1e-12)),
+        panel=-np.log1p(-np.minimum(absorbed, 1 - 1e-12)),
     )
 
 

@@ -1,8 +1,7 @@
 """Scatter by kernels fitted to the Monte Carlo of `monte_carlo`; on a coarse grid, for it is smooth."""
 
 from collections.abc import Mapping
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,14 +9,14 @@ from scipy import fft
 
 from ..core.blocks import block_mean, enlarge
 from ..core.checks import Array
-from ..data import tables
+from ..data.kernels import ScatterKernel
 from ..geometry.scene import Scene
-from ..geometry.view import View, view_of
-from ..model.protocol import Protocol
+from ..geometry.view import View
 from ..raycast.scanline import crossings
 from ..raycast.sheets import BAND_ROWS, sheet_of
 from ..xray.materials import density_g_per_cm3
 from ..xray.spectrum import beam_of, heel_factor
+from ..xray.technique import Technique
 
 _COARSE_MM = 9.6
 # Rays along a side of the field that look for the exit, and those of them in its middle.
@@ -27,7 +26,7 @@ _LEAST = 1e-5
 
 
 def scatter_kev(
-    primary_kev: NDArray[np.float32], path_mm: Mapping[str, NDArray[np.float32]], gap_mm: float, protocol: Protocol
+    primary_kev: NDArray[np.float32], path_mm: Mapping[str, NDArray[np.float32]], gap_mm: float, technique: Technique
 ) -> NDArray[np.float32]:
     """(rows, cols)  mean energy absorbed from scattered photons, keV a pixel
 
@@ -39,28 +38,28 @@ def scatter_kev(
     path_mm      material -> (rows, cols)
     gap_mm       from where the object ends, in the middle of the field, to the detector plane: see `exit_gap_mm`
     """
-    opened, mass, passed, step = coarse(primary_kev, path_mm, protocol)
+    opened, mass, passed, step = coarse(primary_kev, path_mm, technique)
     most = float(opened.max())
     if most == 0 or not mass.any():
         return np.zeros(primary_kev.shape, np.float32)
-    cell_mm, table = step * protocol.pixel_mm, tables.data("scatter")
-    found = shares(opened / most, mass, passed, gap_mm, protocol.tube_kv, cell_mm, table)
-    return enlarge(np.maximum(found, 0) * most, step, primary_kev.shape)
+    state = Crossed(opened=opened / most, mass=mass, passed=passed, cell_mm=step * technique.protocol.pixel_mm)
+    share = shares(state, gap_mm, technique.protocol.tube_kv, technique.kernel)
+    return enlarge(np.maximum(share, 0) * most, step, primary_kev.shape)
 
 
 def coarse(
-    primary_kev: NDArray[np.float32], path_mm: Mapping[str, NDArray[np.float32]], protocol: Protocol
+    primary_kev: NDArray[np.float32], path_mm: Mapping[str, NDArray[np.float32]], technique: Technique
 ) -> tuple[Array, Array, Array, int]:
     """What the kernel works on, in blocks: open beam (keV a pixel), mass crossed (g/cm2), primary over the open beam
 
     returns  three maps (rows, cols) and the pixels along the side of a block
     """
-    step = max(1, round(_COARSE_MM / protocol.pixel_mm))
+    step = max(1, round(_COARSE_MM / technique.protocol.pixel_mm))
     primary = block_mean(primary_kev, step)
     mass = np.zeros_like(primary)
     for name, lengths in path_mm.items():
         mass += block_mean(lengths, step) * (density_g_per_cm3(name) / 10.0)
-    opened = _open_kev(primary.shape, step, protocol)
+    opened = _open_kev(primary.shape, step, technique)
     passed = np.divide(primary, opened, out=np.ones_like(primary), where=opened > 0)
     return opened, np.maximum(mass, 0), np.clip(passed, _LEAST, 1.0), step
 
@@ -93,9 +92,9 @@ def exit_gap_mm(scene: Scene, view: View) -> float:
     return float((1 - middle[middle > 0].mean()) * (view.centre_mm[1] - view.source_mm[1]))
 
 
-def _open_kev(shape: tuple[int, ...], step: int, protocol: Protocol) -> Array:
+def _open_kev(shape: tuple[int, ...], step: int, technique: Technique) -> Array:
     """(rows, cols)  primary without an object, at the centres of blocks, keV a pixel"""
-    view, beam = view_of(protocol), beam_of(protocol)
+    protocol, view, beam = technique.protocol, technique.view, beam_of(technique)
     source, corner = view.source_mm, view.corner_mm
     places = [(np.arange(n) + 0.5) * step - 0.5 for n in shape]
     dz = corner[2] - np.minimum(places[0], view.rows - 1) * view.pixel_mm - source[2]
@@ -105,37 +104,44 @@ def _open_kev(shape: tuple[int, ...], step: int, protocol: Protocol) -> Array:
     signal = float((beam.photons_per_mm2 * beam.signal_kev).sum())
     opened = signal * view.pixel_mm**2 * 1e6 * depth / distance2**1.5
     if protocol.heel != "none":
-        opened *= np.interp(places[0], np.arange(protocol.rows), heel_factor(protocol))[:, None]
+        opened *= np.interp(places[0], np.arange(protocol.rows), heel_factor(technique))[:, None]
     return np.asarray(opened)
 
 
-def shares(
-    opened: Array, mass: Array, passed: Array, gap_mm: float, tube_kv: float, cell_mm: float, table: Mapping[str, Any]
-) -> Array:
-    """(rows, cols)  scatter over the largest of the open beam
+@dataclass(frozen=True, kw_only=True)
+class Crossed:
+    """What the kernel works on, in cells.
 
     opened   (rows, cols)  open beam over its largest; 1 where that is
     mass     (rows, cols)  crossed, g/cm2
     passed   (rows, cols)  primary over the open beam
     cell_mm  side of a cell of the maps
-    table    constants, as in `data/scatter.toml`
     """
-    plane = _Plane(opened.shape, cell_mm)
+
+    opened: Array
+    mass: Array
+    passed: Array
+    cell_mm: float
+
+
+def shares(crossed: Crossed, gap_mm: float, tube_kv: float, kernel: ScatterKernel) -> Array:
+    """(rows, cols)  scatter over the largest of the open beam"""
+    opened, passed, plane = crossed.opened, crossed.passed, _Plane(crossed.opened.shape, crossed.cell_mm)
     # Held at the ends of what was fitted: metal is not a limb, and powers of it would grow without bound.
-    mass = np.minimum(mass / table["reference_g_per_cm2"], table["most_mass"])
+    mass = np.minimum(crossed.mass / kernel.reference_g_per_cm2, kernel.most_mass)
     weight = opened * mass**2
     thickness = float((weight * mass).sum() / weight.sum())
     logarithm = float((weight * np.log(passed)).sum() / weight.sum())
-    logarithm = float(np.clip(logarithm, *table["logs"])) - table["reference_log"]
-    kv = (float(np.clip(tube_kv, *table["tube_kv"])) - table["reference_kv"]) / 10.0
+    logarithm = float(np.clip(logarithm, *kernel.logs)) - kernel.reference_log
+    kv = (float(np.clip(tube_kv, *kernel.tube_kv)) - kernel.reference_kv) / 10.0
     depth = plane.spectrum(np.log(passed))
     total = np.zeros_like(plane.spectrum(opened))
-    for term in table["term"]:
-        made = opened * mass ** term["mass_power"] * passed ** term["primary_power"]
-        leaving = plane.spread(plane.spectrum(made), term["inner_mm"] * thickness ** table["inner_power"])
-        leaving *= np.exp(term["exit_power"] * plane.spread(depth, term["exit_mm"]))
-        strength = np.exp(term["log_strength"] + term["per_10_kv"] * kv + term["per_log"] * logarithm)
-        total += strength * plane.spectrum(leaving) * plane.gaussian(term["slope"] * (gap_mm + term["depth_mm"]))
+    for term in kernel.term:
+        made = opened * mass**term.mass_power * passed**term.primary_power
+        leaving = plane.spread(plane.spectrum(made), term.inner_mm * thickness**kernel.inner_power)
+        leaving *= np.exp(term.exit_power * plane.spread(depth, term.exit_mm))
+        strength = np.exp(term.log_strength + term.per_10_kv * kv + term.per_log * logarithm)
+        total += strength * plane.spectrum(leaving) * plane.gaussian(term.slope * (gap_mm + term.depth_mm))
     return plane.back(total)
 
 

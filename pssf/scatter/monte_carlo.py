@@ -10,10 +10,10 @@ from scipy import ndimage
 from ..core.blocks import enlarge
 from ..core.checks import Array, require_seed, require_whole, require_workers
 from ..geometry.scene import Scene
-from ..geometry.view import View, view_of
-from ..model.protocol import Protocol
+from ..geometry.view import View
 from ..xray.materials import attenuation_per_mm
 from ..xray.spectrum import beam_of
+from ..xray.technique import Technique
 from .interactions import CUT_OFF_KEV, interactions_of
 from .transport import Setting, follow
 from .voxels import Voxels, voxels_of
@@ -50,7 +50,7 @@ class Counts:
 
 
 def scatter_monte_carlo(
-    scene: Scene, protocol: Protocol, *, photons: int = 20_000_000, seed: int = 0, workers: int = 2
+    scene: Scene, technique: Technique, *, photons: int = 20_000_000, seed: int = 0, workers: int = 2
 ) -> tuple[NDArray[np.float32], float]:
     """Scatter by Monte Carlo, in the units of `scatter.scatter_kev`, and how sure it is.
 
@@ -60,17 +60,17 @@ def scatter_monte_carlo(
              statistical error, root mean square over the field, relative to its mean
     raises   InputError for a scene that cannot be traced, an unknown material or a number out of range
     """
-    found = count(scene, protocol, photons=photons, seed=seed, workers=workers)
+    counts = count(scene, technique, photons=photons, seed=seed, workers=workers)
     # The same for each batch, so that their spread is that of the smoothed map.
-    maps = np.array([_smooth(batch) for batch in found.scatter_kev]) / _smooth(found.pixels)
+    maps = np.array([_smooth(batch) for batch in counts.scatter_kev]) / _smooth(counts.pixels)
     mean, error = maps.mean(axis=0), maps.std(axis=0, ddof=1) / np.sqrt(len(maps))
     relative = float(np.sqrt(np.mean(error**2)) / mean.mean()) if mean.any() else 0.0
-    return enlarge(mean, found.step, (protocol.rows, protocol.cols)), relative
+    return enlarge(mean, counts.step, (technique.view.rows, technique.view.cols)), relative
 
 
 def count(
     scene: Scene,
-    protocol: Protocol,
+    technique: Technique,
     *,
     photons: int,
     seed: int = 0,
@@ -78,20 +78,20 @@ def count(
     cell_mm: float = _COARSE_MM,
     voxel_mm: float | None = None,
 ) -> Counts:
-    """Follow photons from the source of a protocol through a scene to its detector; arguments as `scatter_monte_carlo`.
+    """Follow photons from the source of a technique through a scene to its detector.
 
     Between source, scene and detector is vacuum. The source is a point without heel effect; every material has its own
-    density throughout.
+    density throughout. Arguments as `scatter_monte_carlo`.
     cell_mm   wanted side of a cell; it is a whole number of pixels
     voxel_mm  by default 2 mm, or more for a scene of over 10 million voxels
     """
     require_whole("photons", photons, _BATCHES, 10**12, "")
     require_seed(seed)
     require_workers(workers)
-    view, step = view_of(protocol), max(1, round(cell_mm / protocol.pixel_mm))
+    view, step = technique.view, max(1, round(cell_mm / technique.view.pixel_mm))
     voxels = _before_the_detector(scene, view, voxel_mm)
-    where = _setting(voxels, view, protocol, step * protocol.pixel_mm)
-    what = interactions_of(voxels.names, float(where.energies.max()))
+    where = _setting(voxels, technique, step * view.pixel_mm)
+    what = interactions_of(voxels.names, float(where.energies.max()), technique.detector)
     shape = (-(-view.rows // step), -(-view.cols // step))
     counts, energy = np.zeros((_BATCHES, 2, *shape)), np.zeros((_BATCHES, 4))
     each = -(-photons // _BATCHES)
@@ -124,8 +124,8 @@ def _before_the_detector(scene: Scene, view: View, voxel_mm: float | None) -> Vo
     return voxels_of(scene, bounds, voxel_mm=size)
 
 
-def _setting(voxels: Voxels, view: View, protocol: Protocol, cell_mm: float) -> Setting:
-    beam = beam_of(protocol)
+def _setting(voxels: Voxels, technique: Technique, cell_mm: float) -> Setting:
+    view, beam = technique.view, beam_of(technique)
     kept = beam.energies_kev >= CUT_OFF_KEV
     energies, photons, signal = (v[kept] for v in (beam.energies_kev, beam.photons_per_mm2, beam.signal_kev))
     left = (photons if photons.any() else np.ones_like(photons)) * signal

@@ -7,7 +7,7 @@ import numpy as np
 import xraylib
 
 from ..core.checks import Array, InputError, require, require_choice
-from ..data import tables
+from ..data.tissues import tissues
 
 _CM_PER_MM = 0.1
 _FORMULA = "a formula and a density in g/cm3, such as Ti@4.51"
@@ -60,22 +60,24 @@ def absorbed_fraction(formula: str, mg_per_cm2: float, energies_kev: Array) -> A
 @cache
 def _recipe(material: str) -> tuple[float, tuple[tuple[int, float], ...]]:
     """Density (g/cm3) and mass fraction of each element."""
-    tissues, name = tables.data("tissues"), material.partition("@")[0]
+    known, name = tissues(), material.partition("@")[0]
     if name in _nist():
-        known = xraylib.GetCompoundDataNISTByName(name)
-        density = _density(material) if "@" in material else known["density"]
-        return float(density), tuple(zip(known["Elements"], known["massFractions"], strict=True))
+        compound = xraylib.GetCompoundDataNISTByName(name)
+        density = _density(material) if "@" in material else compound["density"]
+        return float(density), tuple(zip(compound["Elements"], compound["massFractions"], strict=True))
     if "@" in material:
         return _compound(material)
-    require_choice("material", material, (*tissues, "a name of NIST's compounds (xraylib)", "FORMULA@DENSITY"))
-    if material not in tissues:
+    require_choice("material", material, (*known, "a name of NIST's compounds (xraylib)", "FORMULA@DENSITY"))
+    if material not in known:
         raise InputError(f"material = {material!r}; allowed: {_FORMULA}")
-    entry = tissues[material]
-    if "mix" in entry:
-        return _mixture(entry["mix"])
-    total = sum(entry["composition"].values())
-    weights = ((xraylib.SymbolToAtomicNumber(s), w / total) for s, w in entry["composition"].items())
-    return float(entry["density"]), tuple(weights)
+    tissue = known[material]
+    if tissue.mix is not None:
+        return _mixture(tissue.mix)
+    assert tissue.composition is not None, material
+    assert tissue.density is not None, material
+    total = sum(tissue.composition.values())
+    weights = ((xraylib.SymbolToAtomicNumber(s), w / total) for s, w in tissue.composition.items())
+    return tissue.density, tuple(weights)
 
 
 @cache

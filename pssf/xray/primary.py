@@ -1,6 +1,6 @@
 """Beer-Lambert: what passes the scene and is absorbed in each pixel, over all energies at once."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from ..core.checks import Array
 from ..geometry.view import View
 from .materials import attenuation_per_mm
-from .spectrum import Beam
+from .spectrum import Beam, beam_for, heel_factor
+from .technique import Technique
 
 _BAND_ROWS = 128
 
@@ -51,6 +52,25 @@ def transmit(path_mm: Mapping[str, NDArray[np.float32]], beam: Beam, view: View,
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(band, range(0, view.rows, _BAND_ROWS)))
     return Signal(kev, photon_kev)
+
+
+def primary_of(
+    path_mm: Mapping[str, NDArray[np.float32]],
+    technique: Technique,
+    workers: int = 2,
+    view: View | None = None,
+    through: Callable[[Beam], Beam] | None = None,
+) -> Signal:
+    """Primary signal behind path lengths (rows, cols), mm, heel effect included.
+
+    view     of a source that is not in the middle of the focal spot; that of the technique if None
+    through  what the beam passes before the detector, such as a grid
+    """
+    beam = beam_for(technique, {name: float(lengths.max()) for name, lengths in path_mm.items()})
+    signal = transmit(path_mm, beam if through is None else through(beam), view or technique.view, workers)
+    if technique.protocol.heel != "none":
+        signal.kev[:] *= heel_factor(technique)[:, None].astype(np.float32)
+    return signal
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")

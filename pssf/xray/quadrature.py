@@ -19,7 +19,7 @@ _NOTHING = 1e-12
 _STEPS = (8, 4, 2, 1)
 
 
-def few_nodes(
+def spectrum_quadrature(
     weights: Array, other: Array, mu_per_mm: Array, most_mm: Array, tolerance: float = TOLERANCE
 ) -> tuple[NDArray[np.int64], Array, Array, float]:
     """The bins to keep of a spectrum, and their weights.

@@ -8,10 +8,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ..core.checks import Array
-from ..data import tables
-from ..model.protocol import Protocol
+from ..data.detectors import Detector
 from .materials import absorbed_fraction, attenuation_per_mm
-from .quadrature import TOLERANCE, few_nodes
+from .quadrature import TOLERANCE, spectrum_quadrature
+from .technique import Technique
 
 _ROUND_MM = 20.0
 _MONO_PHOTONS_PER_MM2_MAS = 1e6
@@ -35,42 +35,45 @@ class Beam:
     square_kev2: Array
 
 
-def beam_of(protocol: Protocol) -> Beam:
-    """The beam of a protocol in bins of 0.5 keV, or one when monochromatic."""
+def beam_of(technique: Technique) -> Beam:
+    """The beam of a technique in bins of 0.5 keV, or one when monochromatic."""
+    protocol = technique.protocol
     if protocol.mono_kev is not None:
         energies, photons = np.array([protocol.mono_kev]), np.array([_MONO_PHOTONS_PER_MM2_MAS])
     else:
         energies, photons = tube_spectrum(protocol.tube_kv, protocol.anode_angle_deg, protocol.filtration_mm_al)
-    return Beam(energies, photons * protocol.mas, *_response(energies, protocol.detector))
+    return Beam(energies, photons * protocol.mas, *_response(energies, technique.detector))
 
 
-def beam_for(protocol: Protocol, most_mm: Mapping[str, float], tolerance: float = TOLERANCE) -> Beam:
-    """The beam of a protocol, folded to the few energies that a scene needs.
+def beam_for(technique: Technique, most_mm: Mapping[str, float], tolerance: float = TOLERANCE) -> Beam:
+    """The beam of a technique, folded to the few energies that a scene needs.
 
     most_mm    material -> longest path through it, mm
     tolerance  largest relative error of the signal behind any mixture up to there, against bins of 0.5 keV
     """
     # In steps, so that like scenes share a fit.
     rounded = {name: float(_ROUND_MM * np.ceil(most / _ROUND_MM)) for name, most in most_mm.items() if most > 0}
-    return _folded(replace(protocol, name="beam"), tuple(sorted(rounded.items())), tolerance)
+    same = replace(technique, protocol=replace(technique.protocol, name="beam"))
+    return _folded(same, tuple(sorted(rounded.items())), tolerance)
 
 
 @lru_cache(maxsize=64)
-def _folded(protocol: Protocol, most_mm: tuple[tuple[str, float], ...], tolerance: float) -> Beam:
-    beam = beam_of(replace(protocol, mas=1.0))
+def _folded(technique: Technique, most_mm: tuple[tuple[str, float], ...], tolerance: float) -> Beam:
+    beam = beam_of(replace(technique, protocol=replace(technique.protocol, mas=1.0)))
     photons, signal, square = beam.photons_per_mm2, beam.signal_kev, beam.square_kev2
     mu = np.array([attenuation_per_mm(name, beam.energies_kev) for name, _ in most_mm]).reshape(-1, len(photons))
     most = np.array([most for _, most in most_mm])
-    bins, first, second, _ = few_nodes(photons * signal, photons * square, mu, most, tolerance)
-    counts = first / signal[bins] * protocol.mas
+    bins, first, second, _ = spectrum_quadrature(photons * signal, photons * square, mu, most, tolerance)
+    counts = first / signal[bins] * technique.protocol.mas
     return Beam(beam.energies_kev[bins], counts, signal[bins], second / first * signal[bins])
 
 
-def heel_factor(protocol: Protocol) -> Array:
+def heel_factor(technique: Technique) -> Array:
     """(rows,)  signal of the open beam over that on the central ray, less inverse square: self-absorption in the anode
 
     Of the intensity, with the detector's response; that the beam is some 0.5 keV harder towards the anode is left out.
     """
+    protocol = technique.protocol
     row = (np.arange(protocol.rows) - (protocol.rows - 1) / 2) * protocol.pixel_mm / protocol.sdd_mm
     sign = 1.0 if protocol.heel == "anode_proximal" else -1.0
     slopes = np.linspace(row[0], row[-1], _HEEL_POINTS)
@@ -78,7 +81,7 @@ def heel_factor(protocol: Protocol) -> Array:
     for slope in (*slopes, 0.0):
         beam = (protocol.tube_kv, protocol.anode_angle_deg, protocol.filtration_mm_al)
         energies, photons = tube_spectrum(*beam, off_axis=round(sign * float(slope), 9))
-        signals.append((photons * _response(energies, protocol.detector)[0]).sum() * (1 + slope**2))
+        signals.append((photons * _response(energies, technique.detector)[0]).sum() * (1 + slope**2))
     return np.asarray(CubicSpline(slopes, signals[:-1])(row) / signals[-1])
 
 
@@ -99,8 +102,6 @@ def tube_spectrum(
     return energies[keep], per_kev_cm2[keep] * 0.5 / 100.0
 
 
-def _response(energies_kev: Array, detector: str) -> tuple[Array, Array]:
-    table = tables.data("detector")[detector]
-    mg_per_cm2 = table["density"] * table["packing"] * table["thickness_mm"] * 100.0
-    fraction = absorbed_fraction(table["formula"], mg_per_cm2, energies_kev)
+def _response(energies_kev: Array, detector: Detector) -> tuple[Array, Array]:
+    fraction = absorbed_fraction(detector.formula, detector.mg_per_cm2, energies_kev)
     return fraction * energies_kev, fraction * energies_kev**2

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from ...exposure import present
+from ...detector import present
 from ...radiomics.table import Load
 from .. import StudySettings
 from ..learn.importance import by_family

@@ -1,0 +1,245 @@
+"""The stages of a radiograph in their order: what asks for each, and what it does to the latent image.
+
+A stage reads the chain, which is resolved once. One that the protocol does not ask for is not run, and costs nothing.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .core.timer import Clock
+from .detector import blur
+from .detector.noise import Map, quantum_noise
+from .detector.panel import readout
+from .geometry.scene import Scene
+from .geometry.view import View, spot_views
+from .model.protocol import Protocol
+from .raycast import trace
+from .scatter.grid import grid_of, scatter_passing, transmit_through_grid
+from .scatter.kernel import exit_gap_mm, scatter_kev
+from .scatter.monte_carlo import scatter_monte_carlo
+from .xray.primary import Signal, primary_of
+from .xray.spectrum import beam_of
+from .xray.technique import Technique
+
+# Stream below a radiograph's seed; shape and pose are drawn with the knee, before it.
+_NOISE = 3
+_POINTS = 3  # a side of the focal spot that rays come from where it is sampled
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chain:
+    """What all stages read.
+
+    technique  the protocol, resolved
+    engine     that casts rays from points of the focal spot
+    seed       of this exposure; quantum and readout noise own separate streams below it
+    keep       maps to hold
+    workers    threads
+    """
+
+    technique: Technique
+    engine: str = "embree"
+    seed: int = 0
+    keep: frozenset[str] = frozenset()
+    workers: int = 2
+
+    def stream(self, number: int) -> np.random.SeedSequence:
+        """Of noise: 0 quanta, 1 readout."""
+        return np.random.SeedSequence(self.seed, spawn_key=(_NOISE, number))
+
+
+@dataclass(kw_only=True)
+class LatentImage:
+    """What the stages hand on; maps are (rows, cols) float32, keV a pixel.
+
+    path_mm        material -> (rows, cols)  path lengths
+    scene          that they are of; None for an open beam
+    gap_mm         from the object's exit to the detector plane; of the scene, where it is asked for, if None
+    primary        signal of the straight rays
+    scatter        of the others
+    signal         both, without noise
+    noisy          with quantum noise
+    kept           what is held
+    pixels         (rows, cols) uint16
+    """
+
+    path_mm: Mapping[str, NDArray[Any]]
+    scene: Scene | None = None
+    gap_mm: float | None = None
+    primary: Signal | None = None
+    scatter: Map | None = None
+    signal: Map | None = None
+    noisy: Map | None = None
+    kept: dict[str, Any] = field(default_factory=dict)
+    pixels: NDArray[np.uint16] | None = None
+    frequencies: blur.Frequencies | None = None
+
+    def exit_gap_mm(self, view: View) -> float:
+        """From where rays leave the object to the detector plane: for the kernel of scatter, and for a grid."""
+        if self.gap_mm is None:
+            self.gap_mm = 0.0 if self.scene is None else exit_gap_mm(self.scene, view)
+        return self.gap_mm
+
+    @property
+    def straight(self) -> Signal:
+        """The primary, which a stage before has made."""
+        assert self.primary is not None
+        return self.primary
+
+    @property
+    def mean(self) -> Map:
+        """Primary and scatter, added up when they are first asked for together."""
+        if self.signal is None:
+            primary = self.straight.kev
+            self.signal = primary if self.scatter is None else primary + self.scatter
+        return self.signal
+
+    def transform(self, workers: int) -> blur.Frequencies:
+        """The signal in frequency, which focal spot and panel both multiply."""
+        if self.frequencies is None:
+            self.frequencies = blur.forward(self.mean, workers)
+        return self.frequencies
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One step of the chain.
+
+    name    its time is put down under
+    wanted  whether a protocol asks for it
+    run     changes the image
+    """
+
+    name: str
+    wanted: Callable[[Protocol], bool]
+    run: Callable[[LatentImage, Chain], None]
+
+
+def load_spectrum(image: LatentImage, chain: Chain) -> None:
+    """SpekPy's spectrum, computed where it is new, so that the next stage's time is its own."""
+    beam_of(chain.technique)
+
+
+def attenuate(image: LatentImage, chain: Chain) -> None:
+    """Primary by Beer and Lambert, along the rays from the middle of the focal spot."""
+    image.primary = primary_of(image.path_mm, chain.technique, chain.workers)
+
+
+def sample_focal_spot(image: LatentImage, chain: Chain) -> None:
+    """Primary along rays from points of the focal spot, right at every depth."""
+    assert image.scene is not None
+    image.primary = sampled_primary(image.scene, chain.technique, chain.engine, chain.workers)
+
+
+def scatter_by_kernel(image: LatentImage, chain: Chain) -> None:
+    """Scatter by the kernel fitted to the Monte Carlo."""
+    image.scatter = scatter_kev(
+        image.straight.kev, image.path_mm, image.exit_gap_mm(chain.technique.view), chain.technique
+    )
+
+
+def scatter_by_photons(image: LatentImage, chain: Chain) -> None:
+    """Scatter by photons followed through the scene's voxels, and how sure it is."""
+    assert image.scene is not None
+    image.scatter, image.kept["scatter_error"] = scatter_monte_carlo(
+        image.scene,
+        chain.technique,
+        photons=chain.technique.protocol.scatter_photons,
+        seed=chain.seed,
+        workers=chain.workers,
+    )
+
+
+def pass_grid(image: LatentImage, chain: Chain) -> None:
+    """What of primary and scatter passes a grid; the primary by its energies in each pixel."""
+    technique, primary, grid = chain.technique, image.straight, grid_of(chain.technique.protocol)
+    # Rays from the middle of the spot say what share passes; along them the primary is known unless it was sampled.
+    sampled = technique.protocol.focal_spot == "sampled"
+    before = primary_of(image.path_mm, technique, chain.workers) if sampled else primary
+    after = primary_of(image.path_mm, technique, chain.workers, through=partial(transmit_through_grid, grid))
+    passed = np.divide(after.kev, before.kev, out=np.zeros_like(after.kev), where=before.kev > 0)
+    image.primary = Signal(primary.kev * passed, after.photon_kev)
+    if image.scatter is not None:
+        image.scatter = image.scatter * np.float32(
+            scatter_passing(grid, beam_of(technique), image.exit_gap_mm(technique.view))
+        )
+
+
+def blur_focal_spot(image: LatentImage, chain: Chain) -> None:
+    """Blur of the whole image, as of an edge in the joint plane."""
+    protocol, shape, values = chain.technique.protocol, image.mean.shape, image.transform(chain.workers)
+    blur.by_focal_spot(values, shape, blur.shadow_px(protocol.focal_spot_mm, chain.technique.view))
+    image.signal = np.maximum(blur.backward(values, shape, chain.workers), 0)
+
+
+def draw_quanta(image: LatentImage, chain: Chain) -> None:
+    """The chance of how many photons are absorbed."""
+    photon_kev, swank = image.straight.photon_kev, chain.technique.detector.swank
+    image.noisy = quantum_noise(image.mean, photon_kev, swank, chain.stream(0), chain.workers)
+
+
+def blur_panel(image: LatentImage, chain: Chain) -> None:
+    """The panel's blur: of the signal by its MTF, of quantum noise by a transfer of its own."""
+    panel = (chain.technique.protocol.pixel_mm, chain.technique.detector)
+    signal, noise, values = image.mean, image.noisy, image.transform(chain.workers)
+    blur.by_panel(values, signal.shape, *panel)
+    if "noise_free" in chain.keep or noise is None:
+        image.signal = blur.backward(values, signal.shape, chain.workers)
+    if noise is not None:
+        noise -= signal
+        coloured = blur.forward(noise, chain.workers)
+        blur.by_panel(coloured, signal.shape, *panel, part="ntf")
+        coloured += values
+        image.noisy = blur.backward(coloured, signal.shape, chain.workers)
+
+
+def read_out(image: LatentImage, chain: Chain) -> None:
+    """Gain, readout noise, offset, 16 bit."""
+    if "noise_free" in chain.keep:
+        image.kept["noise_free"] = readout(image.mean, chain.technique, None)
+    values, seed = (image.mean, None) if image.noisy is None else (image.noisy, chain.stream(1))
+    image.pixels = readout(values, chain.technique, seed, chain.workers)
+
+
+STAGES = (
+    Stage("spectrum", lambda protocol: protocol.focal_spot != "sampled", load_spectrum),
+    Stage("attenuation", lambda protocol: protocol.focal_spot != "sampled", attenuate),
+    Stage("focal spot", lambda protocol: protocol.focal_spot == "sampled", sample_focal_spot),
+    Stage("scatter", lambda protocol: protocol.scatter == "kernel", scatter_by_kernel),
+    Stage("scatter", lambda protocol: protocol.scatter == "monte_carlo", scatter_by_photons),
+    Stage("grid", lambda protocol: protocol.grid_ratio > 0, pass_grid),
+    Stage("focal spot", lambda protocol: protocol.focal_spot_mm > 0 and protocol.focal_spot == "blur", blur_focal_spot),
+    Stage("quantum noise", lambda protocol: protocol.noise == "quantum", draw_quanta),
+    Stage("detector blur", lambda protocol: protocol.detector_blur != "none", blur_panel),
+    Stage("readout", lambda protocol: True, read_out),
+)
+
+
+def expose(image: LatentImage, chain: Chain) -> dict[str, float]:
+    """Run the stages that the chain's protocol asks for; returns stage -> seconds."""
+    clock = Clock()
+    for stage in STAGES:
+        if stage.wanted(chain.technique.protocol):
+            stage.run(image, chain)
+            clock.lap(stage.name)
+    image.kept["primary"] = image.straight.kev
+    if image.scatter is not None:
+        image.kept["scatter"] = image.scatter
+    return clock.seconds
+
+
+def sampled_primary(scene: Scene, technique: Technique, engine: str, workers: int, points: int = _POINTS) -> Signal:
+    """Primary signal as the mean over rays from points of the focal spot, so many a side (`geometry.spot_views`)."""
+    protocol, shape = technique.protocol, (technique.view.rows, technique.view.cols)
+    kev, square = (np.zeros(shape, np.float32) for _ in range(2))
+    for view, share in spot_views(protocol, points):
+        paths = trace(scene, view, engine=engine, texture=protocol.texture != "none", workers=workers)
+        one = primary_of(paths.path_mm, technique, workers, view)
+        kev += np.float32(share) * one.kev
+        square += np.float32(share) * one.kev * one.photon_kev
+    return Signal(kev, np.divide(square, kev, out=np.zeros_like(kev), where=kev > 0))

@@ -1,0 +1,39 @@
+"""Technique: a protocol with the records that its names stand for, resolved once and carried through the chain."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from ..core.checks import InputError
+from ..data.detectors import Detector, detectors
+from ..data.kernels import ScatterKernel, scatter_kernel
+from ..geometry.view import View, view_of
+from ..model.protocol import Protocol
+
+
+@dataclass(frozen=True, kw_only=True)
+class Technique:
+    """What the stages of the chain read.
+
+    protocol  how the radiograph is taken
+    detector  that its `detector` names
+    kernel    constants of the kernel of scatter
+    """
+
+    protocol: Protocol
+    detector: Detector
+    kernel: ScatterKernel
+
+    @cached_property
+    def view(self) -> View:
+        """Source and detector plane."""
+        return view_of(self.protocol)
+
+
+def technique_of(protocol: Protocol) -> Technique:
+    """The door: a protocol's names become records.
+
+    raises  InputError for what is no Protocol
+    """
+    if not isinstance(protocol, Protocol):
+        raise InputError(f"protocol = {protocol!r}; allowed: a Protocol, as load_protocol gives it")
+    return Technique(protocol=protocol, detector=detectors()[protocol.detector], kernel=scatter_kernel())
