@@ -1,17 +1,26 @@
 """Knee radiographs from physics, with labels that are true by construction, and the study they exist for.
 
-data       the package's tables as typed records     core       checks, timer, progress, parallel work
-model      knee, protocol, radiograph                geometry   views, scenes, densities, mesh repair
-anatomy    knee -> built knee (scene, labels)        raycast    scene, view -> path lengths
-xray       spectrum, materials, primary              scatter    kernel, Monte Carlo, grid
-detector   blur, noise, panel, view for eyes         stages     the chain, in order
-simulation simulate(knee, protocol) -> radiograph    io         the one package that writes to the disk
-cohort     plan and make many                        radiomics  region and features    (extra "study")
-study      models, statistics, report (extra)        experiment a cohort, then its study
-accuracy   error against run time                    quality    a protocol beside references
-cli        the command line
+core        checks of input, a timer, progress, work on many processes
+data        the package's tables as typed, frozen records
+model       knee, protocol, radiograph: what users construct and get back
+geometry    views, scenes, densities, repair of meshes
+anatomy     knee                 -> built knee: its scene and its labels
+raycast     scene, protocol      -> path lengths; check(scene) -> what is wrong with it
+xray        spectrum, materials, primary
+scatter     kernel, Monte Carlo, grid
+detector    blur, noise, panel, a view for eyes
+stages      the chain, stage by stage
+simulation  knee, protocol       -> radiograph
+io          files; the one package that writes to the disk
+cohort      preset, seed         -> many radiographs and their manifest
+radiomics   radiograph           -> region and features              (extra "study")
+study       features             -> models, statistics, report       (extra "study")
+experiment  a cohort, then its study
+quality     a protocol beside references
+accuracy    error against run time
+cli         the command line
 
-What users need is named in `__all__`, and loaded when it is first asked for.
+A module imports from above it only. What users need is named in `__all__`, and loaded when it is first asked for.
 """
 
 from importlib import import_module

@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose
 
 import pssf
 from pssf.core.blocks import block_mean, enlarge
-from pssf.data import tables
 from pssf.data.detectors import detectors
+from pssf.data.references import references
 from pssf.detector import blur, noise, panel
 from pssf.geometry.view import view_of
 from pssf.stages import Chain, LatentImage, expose
@@ -209,8 +209,8 @@ def test_a_wave_passes_the_panel_as_its_mtf_says(name):
 
 @pytest.mark.parametrize("per_mm", [0.5, 1.0, 2.0])
 def test_the_mtf_of_the_caesium_iodide_panel_lies_where_those_of_real_ones_do(per_mm):
-    entry = tables.data("reference")["quality"][f"mtf_{per_mm:g}_per_mm"]
-    low, high = entry["range"] if "range" in entry else (0.97 * entry["value"], 1.03 * entry["value"])
+    known = references().quality[f"mtf_{per_mm:g}_per_mm"]
+    low, high = known.range or (0.97 * known.value, 1.03 * known.value)
     assert low <= blur.transfer(CSI, np.array([per_mm]))[0] <= high
 
 

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 import trimesh
 import xraylib
+from msgspec import structs
 from numpy.testing import assert_allclose
 
 import pssf
 from pssf.accuracy.monte_carlo import reference_rows
 from pssf.accuracy.scatter import limb, slab
-from pssf.data import tables
 from pssf.data.detectors import detectors
+from pssf.data.references import ScatterCases, references
 from pssf.geometry.view import view_of
 from pssf.scatter import transport
 from pssf.scatter.interactions import interactions_of
@@ -261,9 +262,9 @@ def test_scatter_behind_a_limb_agrees_with_the_reference_within_3_percent(kv, th
 
 
 def test_the_table_beside_an_independent_monte_carlo_has_a_row_a_case(monkeypatch):
-    known = tables.data("reference")["scatter"]
-    few = {"scatter": {kind: known[kind][:1] for kind in ("slab", "limb")}}
-    monkeypatch.setattr(tables, "data", lambda name, whole=tables.data: few if name == "reference" else whole(name))
+    known = references()
+    few = structs.replace(known, scatter=ScatterCases(limb=known.scatter.limb[:1], slab=known.scatter.slab[:1]))
+    monkeypatch.setattr("pssf.accuracy.monte_carlo.references", lambda: few)
     rows = reference_rows(2, photons=400_000)
     assert [row["object"] for row in rows] == ["slab", "limb"]
     for row in rows:

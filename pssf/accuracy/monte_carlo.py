@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..core.blocks import block_mean
-from ..data import tables
+from ..data.references import references
 from ..model.protocol import load_protocol
 from ..raycast import trace
 from ..scatter.monte_carlo import count
@@ -30,11 +30,12 @@ def reference_rows(workers: int, photons: int = _PHOTONS) -> list[Row]:
     difference_percent  from the reference, which has an error of 1 to 2 % of its own
     primary_percent     by how much the reference's primary is off Beer and Lambert's, of limbs
     """
-    known = tables.data("reference")["scatter"]
-    return [_row(kind, case, workers, photons) for kind in ("slab", "limb") for case in known[kind]]
+    known = references().scatter
+    cases = [("slab", case) for case in known.slab] + [("limb", case) for case in known.limb]
+    return [_row(kind, case, workers, photons) for kind, case in cases]
 
 
-def _row(kind: str, case: list[float], workers: int, photons: int) -> Row:
+def _row(kind: str, case: tuple[float, ...], workers: int, photons: int) -> Row:
     kv, thick_mm, gap_mm, *expected = case
     cols, rows = _FIELDS[kind]
     coarse = replace(load_protocol("reference"), rows=rows, cols=cols, pixel_mm=1.0, tube_kv=kv)

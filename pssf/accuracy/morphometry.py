@@ -11,7 +11,7 @@ from ..anatomy.joint import KneeAssembly
 from ..anatomy.solids import mesh_of
 from ..core.checks import Array
 from ..core.parallel import ordered_map
-from ..data import tables
+from ..data.references import references
 from ..model.knee import Knee, draw_knee
 from ..model.protocol import load_protocol
 from .engines import Row
@@ -30,14 +30,17 @@ def knee_rows(count: int, workers: int) -> list[Row]:
         {"quantity": name, "value": float(f"{max(abs(one[name]) for one in found):.2g}"), "knees": count}
         for name in ("error of jsw_medial_mm", "error of jsw_lateral_mm", "error of varus_deg")
     ]
-    for name, entry in tables.data("reference")["morphometry"].items():
-        for sex in ("male", "female") if "male" in entry else ("both",):
+    for name, known in references().morphometry.items():
+        for sex in ("male", "female", "both"):
+            size = getattr(known, sex)
+            if size is None:
+                continue
             values = np.array([one[name] for one, knee in zip(found, knees, strict=True) if sex in (knee.sex, "both")])
-            mean, sd = entry[sex]
+            mean, sd = size
             rows.append({
                 "quantity": name, "sex": sex, "value": round(float(values.mean()), 2),
                 "sd": round(float(values.std(ddof=1)), 2), "knees": len(values), "reference": mean,
-                "reference_sd": sd, "off_sd": round(float(values.mean() - mean) / sd, 2), "source": entry["source"],
+                "reference_sd": sd, "off_sd": round(float(values.mean() - mean) / sd, 2), "source": known.source,
             })  # fmt: skip
     return [{name: row.get(name, "") for name in rows[-1]} for row in rows]
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..core.checks import Array
-from ..data import tables
+from ..data.references import references
 from ..model.protocol import load_protocol
 from ..scatter.kernel import scatter_kev
 from ..xray.materials import attenuation_per_mm
@@ -19,19 +19,19 @@ Row = dict[str, Any]
 
 def physics_rows() -> list[Row]:
     """One row a quantity: what the package gives, the reference, and the relative difference in percent."""
-    known = tables.data("reference")
+    known = references()
     rows = []
-    for kv, (fluence, mean_kev) in known["spectrum"].items():
+    for kv, (fluence, mean_kev) in known.spectrum.items():
         energies, photons = tube_spectrum(float(kv), 12.0, 3.0)
         rows.append(_row(f"fluence at {kv} kV, photons/mm2/mAs at 1 m", photons.sum(), fluence))
         rows.append(_row(f"mean energy at {kv} kV, keV", (energies * photons).sum() / photons.sum(), mean_kev))
-    for tissue, values in known["attenuation"].items():
+    for tissue, values in known.attenuation.items():
         for kev, value in zip((40.0, 60.0), values, strict=True):
             mu = float(attenuation_per_mm(tissue, np.array([kev]))[0]) * 10
             rows.append(_row(f"attenuation of {tissue} at {kev:g} keV, 1/cm", mu, value))
-    for kv, thick, gap, primary, scatter in known["scatter"]["limb"]:
-        found = limb_signals(kv, thick, gap)
-        where = f"behind bone, {kv:g} kV, limb {thick:g} mm, gap {gap:g} mm, over open beam"
+    for tube_kv, thick, gap, primary, scatter in known.scatter.limb:
+        found = limb_signals(tube_kv, thick, gap)
+        where = f"behind bone, {tube_kv:g} kV, limb {thick:g} mm, gap {gap:g} mm, over open beam"
         rows.append(_row(f"primary {where}", found[0], primary))
         rows.append(_row(f"scatter {where}", found[1], scatter))
     return rows

@@ -42,7 +42,10 @@ def polyhedron_chords(mesh: trimesh.Trimesh, pixels: NDArray[np.int64], view: Vi
 
 
 def sphere_chords(radius_mm: float, pixels: NDArray[np.int64], view: View) -> Array:
-    """(n,)  exact chords of a sphere about the origin"""
+    """(n,)  exact chords of a sphere about the origin
+
+    pixels  (n, 2)  row, column
+    """
     source, directions = _rays(pixels, view)
     closest = -directions @ source
     squared = radius_mm**2 - (source @ source - closest**2)

@@ -9,7 +9,7 @@ from scipy import stats
 from ..anatomy.trabeculae import PIECE, trabeculae
 from ..core.checks import Array
 from ..core.parallel import ordered_map
-from ..data import tables
+from ..data.references import references
 from ..data.spongy import trabecular_bone
 from ..geometry.view import magnification, view_of
 from ..model.knee import Knee, draw_knee
@@ -66,13 +66,14 @@ def spread_rows(count: int, workers: int) -> list[Row]:
     knees = [draw_knee(grade=0, rng=np.random.default_rng(k)) for k in range(count)]
     found = ordered_map(_texture_of, knees, shared={}, workers=workers)
     rows: list[Row] = []
-    for name, entry in tables.data("reference")["texture"].items():
+    for name, known in references().texture.items():
         values = np.array([one[name] for one in found])
         low, median, high = np.percentile(values, [10, 50, 90])
+        low_real, high_real = known.range or ("", "")
         rows.append({
             "quantity": name, "mean": round(float(values.mean()), 3), "p10": round(float(low), 3),
             "median": round(float(median), 3), "p90": round(float(high), 3), "knees": count,
-            "real_low": entry["range"][0], "real_high": entry["range"][1], "source": entry["source"],
+            "real_low": low_real, "real_high": high_real, "source": known.source,
         })  # fmt: skip
     return rows
 
@@ -95,6 +96,7 @@ def texture(patch: Array, pixel_mm: float) -> dict[str, float]:
     slope_*               of the radially averaged power spectrum in the log-log plane, over so many cycles/mm
     vertical_over_horizontal  power of vertical over horizontal lines (within 30 deg), 0.3 to 1.5 cycles/mm
     sd_over_mean, skewness, excess_kurtosis
+    patch  (side, side)  linear pixels
     """
     side = len(patch)
     row, col = (part.ravel() for part in np.mgrid[:side, :side] / side)

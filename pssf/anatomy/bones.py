@@ -214,7 +214,10 @@ def standing(solid: Manifold, build: Build, short_mm: float = 0.0) -> Manifold:
 
 
 def stand_tibia(points: Array, build: Build) -> Array:
-    """(n, 3)  places of the mean man's tibia in this one: at its size, plateau falling backwards, shaft leaning"""
+    """(n, 3)  places of the mean man's tibia in this one: at its size, plateau falling backwards, shaft leaning
+
+    points  (n, 3)  mm
+    """
     places = sloped(points * build.scale, build)
     pivot_mm = build.shape.tibia.shaft_pivot_z_mm * build.scale
     places[:, 0] += sideways(places[:, 2], pivot_mm, build.tibia_varus_deg, -1)
@@ -222,7 +225,10 @@ def stand_tibia(points: Array, build: Build) -> Array:
 
 
 def stand_femur(points: Array, build: Build) -> Array:
-    """(n, 3)  places of the mean man's femur in this one: at its size, shaft leaning"""
+    """(n, 3)  places of the mean man's femur in this one: at its size, shaft leaning
+
+    points  (n, 3)  mm
+    """
     places = points * build.scale
     pivot_mm = build.shape.femur.shaft_pivot_z_mm * build.scale
     places[:, 0] += sideways(places[:, 2], pivot_mm, -build.femur_valgus_deg, +1)
@@ -230,7 +236,10 @@ def stand_femur(points: Array, build: Build) -> Array:
 
 
 def sloped(points_mm: Array, build: Build) -> Array:
-    """(n, 3)  places of a tibia whose plateau falls backwards; below the tuberosity the shaft stays as it is"""
+    """(n, 3)  places of a tibia whose plateau falls backwards; below the tuberosity the shaft stays as it is
+
+    points_mm  (n, 3)
+    """
     places = points_mm.copy()
     fade = np.clip(1 + places[:, 2] / (60.0 * build.scale), 0.0, 1.0) ** 2
     places[:, 2] -= np.tan(np.deg2rad(build.slope_deg)) * places[:, 1] * fade

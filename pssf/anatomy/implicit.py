@@ -22,13 +22,19 @@ _MOST_MM, _NEAR_MM = 1.5, 0.05
 
 
 def blend(one: Array, other: Array, radius_mm: float) -> Array:
-    """(n,)  union of two fields with a fillet (polynomial smooth minimum, Quilez 2013)"""
+    """(n,)  union of two fields with a fillet (polynomial smooth minimum, Quilez 2013)
+
+    one, other  (n,)  values of two fields, mm
+    """
     overlap = np.maximum(radius_mm - np.abs(one - other), 0.0) / radius_mm
     return np.minimum(one, other) - overlap**2 * radius_mm / 4
 
 
 def meet(one: Array, other: Array, radius_mm: float) -> Array:
-    """(n,)  intersection of two fields with a rounded edge"""
+    """(n,)  intersection of two fields with a rounded edge
+
+    one, other  (n,)  values of two fields, mm
+    """
     return -blend(-one, -other, radius_mm)
 
 
@@ -78,7 +84,10 @@ class Column:
 
 
 def gradient(field: Field, points: Array, value: Array) -> Array:
-    """(n, 3)  differences of a field at points (n, 3), where it has the values (n,)"""
+    """(n, 3)  differences of a field at points (n, 3), where it has the values (n,)
+
+    value  (n,)  the field there, mm
+    """
     return np.stack([(field(points + shift) - value) / _STEP_MM for shift in np.eye(3) * _STEP_MM], axis=1)
 
 
@@ -91,7 +100,10 @@ def project_solid(solid: Manifold, field: Field, *, depth_mm: Field | None = Non
 
 
 def project_to_surface(places: Array, field: Field, depth_mm: Field | None, steps: int) -> Array:
-    """Places (n, 3) after so many steps towards where the field is zero, or a depth below it."""
+    """Places (n, 3) after so many steps towards where the field is zero, or a depth below it.
+
+    places  (n, 3)  mm
+    """
     slope, moved_mm = np.empty(0), np.inf
     for _ in range(steps):
         value = field(places)

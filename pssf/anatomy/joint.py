@@ -83,11 +83,17 @@ class KneeAssembly:
     pose: Pose
 
     def femur_mm(self, points: Array) -> Array:
-        """(n, 3)  places of the mean man's femur in the frame of a right knee"""
+        """(n, 3)  places of the mean man's femur in the frame of a right knee
+
+        points  (n, 3)  mm
+        """
         return moved(stand_femur(points, self.build), self.pose.femur())
 
     def tibia_mm(self, points: Array) -> Array:
-        """(n, 3)  places of the mean man's tibia in the frame of a right knee"""
+        """(n, 3)  places of the mean man's tibia in the frame of a right knee
+
+        points  (n, 3)  mm
+        """
         return moved(stand_tibia(points, self.build), self.pose.tibia())
 
 

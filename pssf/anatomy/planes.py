@@ -13,13 +13,19 @@ _COARSER_MM = 0.03
 
 
 def fat_pad(part: FatPad, scale: float, tibia_frame: Array) -> Manifold:
-    """The infrapatellar fat pad, before bones are taken out of it."""
+    """The infrapatellar fat pad, before bones are taken out of it.
+
+    tibia_frame  (3, 4)  transform of the tibia into the knee frame, mm
+    """
     half, centre = np.array(part.half) * scale, np.array(part.centre) * scale
     return Manifold.sphere(1.0, 36).scale(half).translate(centre).transform(tibia_frame)
 
 
 def tendon(part: Tendon, scale: float, femur_frame: Array, tibia_frame: Array) -> Manifold:
-    """The patellar tendon, a strap from the patella's apex to the tuberosity, before bones are taken out of it."""
+    """The patellar tendon, a strap from the patella's apex to the tuberosity, before bones are taken out of it.
+
+    femur_frame, tibia_frame  (3, 4)  transforms of the bones into the knee frame, mm
+    """
     ends = []
     for end, frame in ((part.patella, femur_frame), (part.tuberosity, tibia_frame)):
         place = moved(np.array([end]) * scale, frame)[0]

@@ -80,7 +80,10 @@ def laplacian_smooth(
 
 
 def neighbour_means(faces: Array, count: int) -> csr_array:
-    """(count, count)  takes values at vertices to their means over those that share an edge with each"""
+    """(count, count)  takes values at vertices to their means over those that share an edge with each
+
+    faces  (m, 3)  vertex numbers
+    """
     ends = np.vstack((faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]))
     beside = coo_array((np.ones(len(ends)), ends.T), shape=(count, count)).tocsr()
     return csr_array(diags_array(1.0 / beside.sum(axis=1)) @ beside)

@@ -45,7 +45,10 @@ def mesh_of(solid: Manifold) -> trimesh.Trimesh:
 
 
 def edges_of(faces: Array) -> Array:
-    """(m, 2)  every edge of a mesh once, the smaller vertex first"""
+    """(m, 2)  every edge of a mesh once, the smaller vertex first
+
+    faces  (m, 3)  vertex numbers
+    """
     number = int(faces.max()) + 1
     ends = np.stack((faces, np.roll(faces, -1, axis=1)), axis=-1)
     key = np.unique(ends.min(axis=-1) * number + ends.max(axis=-1))
@@ -53,7 +56,11 @@ def edges_of(faces: Array) -> Array:
 
 
 def dilate_rings(chosen: NDArray[np.bool_], faces: Array, rings: int) -> NDArray[np.bool_]:
-    """(n,)  which vertices are chosen, or within so many edges of one that is"""
+    """(n,)  which vertices are chosen, or within so many edges of one that is
+
+    faces  (m, 3)  vertex numbers
+    chosen  (n,)
+    """
     wide = chosen.copy()
     for _ in range(rings):
         wide[faces[wide[faces].any(axis=1)]] = True

@@ -40,11 +40,17 @@ class Trabeculae:
     into: tuple[float, ...]
 
     def integrate(self, starts_mm: Array, ends_mm: Array) -> Array:
-        """(n,)  integral along straight segments (n, 3), mm; those of the parts of a segment add up to its own"""
+        """(n,)  integral along straight segments (n, 3), mm; those of the parts of a segment add up to its own
+
+        starts_mm, ends_mm  (n, 3)  knee frame
+        """
         return self.sampled(starts_mm, ends_mm, FINE, PIECE)
 
     def sampled(self, starts_mm: Array, ends_mm: Array, fine: int, piece: int) -> Array:
-        """(n,)  the same with `fine` samples a voxel, and the smooth part straight over `piece` samples"""
+        """(n,)  the same with `fine` samples a voxel, and the smooth part straight over `piece` samples
+
+        starts_mm, ends_mm  (n, 3)  knee frame
+        """
         out = np.empty(len(starts_mm))
         if not len(out):
             return out

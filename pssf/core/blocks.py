@@ -7,7 +7,10 @@ from .checks import Array
 
 
 def block_mean(image: NDArray[np.float32], step: int) -> Array:
-    """(ceil(rows/step), ceil(cols/step))  means of blocks; those at the lower and right edge may be smaller"""
+    """(ceil(rows/step), ceil(cols/step))  means of blocks; those at the lower and right edge may be smaller
+
+    image  (rows, cols)
+    """
     if image.shape[0] % step == 0 and image.shape[1] % step == 0:
         blocks = image.reshape(image.shape[0] // step, step, image.shape[1] // step, step)
         return np.asarray(np.einsum("iajb->ij", blocks, dtype=np.float64)) / step**2

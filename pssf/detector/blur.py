@@ -18,21 +18,30 @@ _MARGIN_PX = 32
 
 
 def forward(image: Map, workers: int = 2) -> Frequencies:
-    """Transform of an image whose margin mirrors it, so that its far sides do not bleed into each other."""
+    """Transform of an image whose margin mirrors it, so that its far sides do not bleed into each other.
+
+    image  (rows, cols)
+    """
     long, before = _padded(image.shape)
     margins = [(b, n - size - b) for b, n, size in zip(before, long, image.shape, strict=True)]
     return np.asarray(fft.rfft2(np.pad(image, margins, mode="symmetric"), workers=workers))
 
 
 def backward(values: Frequencies, shape: tuple[int, ...], workers: int = 2) -> Map:
-    """(rows, cols)  the image of such a shape that `forward` made frequencies of"""
+    """(rows, cols)  the image of such a shape that `forward` made frequencies of
+
+    values  (rows, cols / 2 + 1)  of the padded image
+    """
     long, before = _padded(shape)
     back = fft.irfft2(values, long, workers=workers)
     return np.asarray(back[before[0] : before[0] + shape[0], before[1] : before[1] + shape[1]])
 
 
 def focal_spot_blur(image: Map, focal_spot_mm: float, view: View, workers: int = 2) -> Map:
-    """(rows, cols)  blurred by a square spot, magnified as in the joint plane: width a (M - 1)"""
+    """(rows, cols)  blurred by a square spot, magnified as in the joint plane: width a (M - 1)
+
+    image  (rows, cols)
+    """
     values = forward(image, workers)
     by_focal_spot(values, image.shape, shadow_px(focal_spot_mm, view))
     return backward(values, image.shape, workers)
@@ -44,7 +53,10 @@ def shadow_px(focal_spot_mm: float, view: View) -> float:
 
 
 def by_focal_spot(values: Frequencies, shape: tuple[int, ...], width_px: float) -> None:
-    """In place: blurred by a square spot whose shadow is so wide."""
+    """In place: blurred by a square spot whose shadow is so wide.
+
+    values  (rows, cols / 2 + 1)  as `forward` gives them
+    """
     fy, fx = _axes(shape)
     values *= np.sinc(width_px * fy)[:, None]
     values *= np.sinc(width_px * fx)
@@ -53,7 +65,10 @@ def by_focal_spot(values: Frequencies, shape: tuple[int, ...], width_px: float) 
 def by_panel(
     values: Frequencies, shape: tuple[int, ...], pixel_mm: float, detector: Detector, part: str = "mtf"
 ) -> None:
-    """In place: blurred by the panel, as `transfer` has it for part "mtf" or "ntf"."""
+    """In place: blurred by the panel, as `transfer` has it for part "mtf" or "ntf".
+
+    values  (rows, cols / 2 + 1)  as `forward` gives them
+    """
     f0, power = _law(detector, part)
     fy, fx = (f / np.float32(pixel_mm * f0) for f in _axes(shape))
     # In place: a fresh large array costs more time than the arithmetic.
@@ -64,7 +79,10 @@ def by_panel(
 
 
 def transfer(detector: Detector, per_mm: NDArray[np.float64], part: str = "mtf") -> NDArray[np.float64]:
-    """(...)  1 / (1 + (f / f0)^power) at frequencies (cycles/mm): part "mtf" for the signal, "ntf" for quantum noise"""
+    """(...)  1 / (1 + (f / f0)^power) at frequencies (cycles/mm): part "mtf" for the signal, "ntf" for quantum noise
+
+    per_mm  (...)  cycles/mm
+    """
     f0, power = _law(detector, part)
     return np.asarray(1 / (1 + (per_mm / f0) ** power))
 

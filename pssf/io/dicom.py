@@ -15,8 +15,8 @@ from pydicom.uid import UID, ExplicitVRLittleEndian
 from pydicom.valuerep import DSfloat
 
 from ..core.checks import InputError, require_choice
-from ..data import tables
 from ..data.detectors import detectors
+from ..data.dicom import dicom_tables
 from ..detector import present
 from ..geometry.view import magnification, view_of
 from ..model.knee import Knee, knee_table
@@ -61,7 +61,7 @@ def read(path: Path) -> tuple[NDArray[np.uint16], str]:
     raises  InputError for another's DICOM, or one For Presentation; whatever its reader has for damage
     """
     found, told = opened(path)
-    wanted = tables.data("dicom")["processing"]["PresentationIntentType"]
+    wanted = dicom_tables().processing["PresentationIntentType"]
     if found.PresentationIntentType != wanted:
         raise InputError(
             f"file {path}: PresentationIntentType = {found.PresentationIntentType!r}; allowed: {wanted}, "
@@ -86,7 +86,9 @@ def ours(path: Path, kind: str) -> Dataset:
     """
     found = pydicom.dcmread(path)
     for keyword, among in (("Manufacturer", "every"), ("Modality", kind)):
-        require_choice(f"file {path}: {keyword}", str(found.get(keyword, "")), [tables.data("dicom")[among][keyword]])
+        require_choice(
+            f"file {path}: {keyword}", str(found.get(keyword, "")), [getattr(dicom_tables(), among)[keyword]]
+        )
     return found
 
 
@@ -94,7 +96,7 @@ def start(radiograph: Radiograph, uids: Mapping[str, UID], kinds: Iterable[str])
     """What every object of a radiograph has: the constants of its kinds (`data/dicom.toml`), subject and maker."""
     found = Dataset()
     for kind in ("every", *kinds):
-        found.update(dataset(tables.data("dicom")[kind]))
+        found.update(dataset(getattr(dicom_tables(), kind)))
     knee, version = radiograph.knee, radiograph.versions.get("pssf", "")
     found.StudyInstanceUID = uids["study"]
     found.PatientID = f"PSSF-{uids['study'][5:21]}"
@@ -112,7 +114,10 @@ def start(radiograph: Radiograph, uids: Mapping[str, UID], kinds: Iterable[str])
 
 
 def finish(found: Dataset, pixels: NDArray[Any], path: Path) -> None:
-    """Write an object with its pixels, uncompressed and little-endian."""
+    """Write an object with its pixels, uncompressed and little-endian.
+
+    pixels  (rows, cols), or (frames, rows, cols) packed into bits
+    """
     content = pixels.tobytes()
     found.PixelData = content + b"\0" * (len(content) % 2)
     found["PixelData"].VR = "OW" if found.BitsAllocated == 16 else "OB"
@@ -138,7 +143,7 @@ def uids_of(radiograph: Radiograph, told: str) -> dict[str, UID]:
 def reference(uids: Mapping[str, UID], purpose: str | None = None) -> Dataset:
     """A reference to the For Processing object of a radiograph, if need be with its purpose."""
     found = dataset({
-        "ReferencedSOPClassUID": tables.data("dicom")["processing"]["SOPClassUID"],
+        "ReferencedSOPClassUID": dicom_tables().processing["SOPClassUID"],
         "ReferencedSOPInstanceUID": uids["processing"],
     })  # fmt: skip
     if purpose:
@@ -148,7 +153,7 @@ def reference(uids: Mapping[str, UID], purpose: str | None = None) -> Dataset:
 
 def code(name: str) -> Dataset:
     """A code of `data/dicom.toml` as the item of a code sequence."""
-    scheme, value, meaning = tables.data("dicom")["codes"][name]
+    scheme, value, meaning = dicom_tables().codes[name]
     return dataset({"CodeValue": value, "CodingSchemeDesignator": scheme, "CodeMeaning": meaning})
 
 
@@ -156,7 +161,7 @@ def _anatomy(knee: Knee | None) -> Dataset:
     """Which knee, seen from where; of a scene of one's own neither is known."""
     if knee is None:
         return dataset({"ImageLaterality": "U", "AnatomicRegionSequence": []})
-    found = dataset(tables.data("dicom")["knee"])
+    found = dataset(dicom_tables().knee)
     found.ImageLaterality = {"right": "R", "left": "L"}[knee.side]
     found.AnatomicRegionSequence = [code("knee")]
     found.ViewCodeSequence = [code("antero_posterior")]
@@ -176,7 +181,7 @@ def _technique(protocol: Protocol) -> Dataset:
         if float(protocol.mas).is_integer():  # an integer in DICOM; a rounded one would contradict the line above
             found.Exposure = int(protocol.mas)
     if protocol.mono_kev is None:
-        found.update(dataset(tables.data("dicom")["tube"]))
+        found.update(dataset(dicom_tables().tube))
         found.KVP = _ds(protocol.tube_kv)
         found.FilterThicknessMinimum = found.FilterThicknessMaximum = _ds(protocol.filtration_mm_al)
     return found

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..core.checks import Array
-from ..data import tables
+from ..data.references import references
 from ..io.atomic import write_bytes
 from ..io.records import write_csv
 from ..model.protocol import Protocol
@@ -100,13 +100,17 @@ def _worst(curve: Curve, up_to_per_mm: float) -> float:
 
 
 def _row(name: str, value: float, protocol: Protocol) -> Row:
-    known = tables.data("reference")["quality"]
     row: Row = {"quantity": name, "value": f"{value:.5g}", "reference": "", "low": "", "high": "", "source": ""}
-    beam = known["beam"].get(f"{protocol.tube_kv:g}_{protocol.filtration_mm_al:g}")
+    beam = references().beam.get(f"{protocol.tube_kv:g}_{protocol.filtration_mm_al:g}")
     if name in _BEAM and beam and protocol.anode_angle_deg == 12.0 and protocol.mono_kev is None:
         return row | {"reference": beam[_BEAM.index(name)], "source": "SpekPy 2.5.4"}
-    entry = known.get(name)
-    if not entry or ("csi" in entry["source"] and protocol.detector != "csi"):
+    known = references().quality.get(name)
+    if known is None or ("csi" in known.source and protocol.detector != "csi"):
         return row
-    low, high = entry.get("range", ("", ""))
-    return row | {"reference": entry.get("value", ""), "low": low, "high": high, "source": entry["source"]}
+    low, high = known.range or ("", "")
+    return row | {
+        "reference": "" if known.value is None else known.value,
+        "low": low,
+        "high": high,
+        "source": known.source,
+    }

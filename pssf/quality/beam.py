@@ -20,6 +20,7 @@ def energy_transfer_cm2_per_g(energies_kev: Array) -> Array:
 
     Fluorescence and bremsstrahlung, which air of this energy hardly makes, count as absorbed; xraylib's own energy-
     absorption coefficients are interpolated too coarsely (20 keV: a third too low).
+    energies_kev  (energies,)
     """
     air = tissues()["air"].composition
     assert air is not None
@@ -40,14 +41,20 @@ def _transferred(energies_kev: Array) -> Array:
 
 
 def air_kerma_ugy(energies_kev: Array, photons_per_mm2: Array) -> float:
-    """Air kerma of a fluence, uGy: photons x energy x mass energy transfer to dry air."""
+    """Air kerma of a fluence, uGy: photons x energy x mass energy transfer to dry air.
+
+    energies_kev, photons_per_mm2  (energies,)
+    """
     per_g = energy_transfer_cm2_per_g(energies_kev)
     # keV/mm2 x cm2/g = 100 keV/g = 1e5 keV/kg; a gray is a joule a kilogram.
     return float((photons_per_mm2 * energies_kev * per_g).sum() * 1e5 * _JOULE_PER_KEV * 1e6)
 
 
 def half_value_layers_mm_al(energies_kev: Array, photons_per_mm2: Array) -> tuple[float, float]:
-    """First and second half-value layer in aluminium of the air kerma, narrow beam."""
+    """First and second half-value layer in aluminium of the air kerma, narrow beam.
+
+    energies_kev, photons_per_mm2  (energies,)
+    """
     mu = np.array([xraylib.CS_Total(13, float(energy)) * 2.699 / 10 for energy in energies_kev])
     whole = air_kerma_ugy(energies_kev, photons_per_mm2)
 

@@ -43,7 +43,10 @@ def bare(protocol: Protocol, side_px: int) -> Protocol:
 
 
 def model_mtf(protocol: Protocol, per_mm: Array) -> Array:
-    """(n,)  presampled MTF that the detector is made with"""
+    """(n,)  presampled MTF that the detector is made with
+
+    per_mm  (n,)  cycles/mm
+    """
     if protocol.detector_blur == "none":
         return np.ones_like(per_mm)
     return transfer(technique_of(protocol).detector, per_mm)
@@ -116,7 +119,10 @@ def nnps(protocol: Protocol) -> Curve:
 
 
 def model_nnps(protocol: Protocol, per_mm: Array, mean_dn: float) -> Array:
-    """(...)  quanta seen through their own transfer, readout noise and rounding, mm2"""
+    """(...)  quanta seen through their own transfer, readout noise and rounding, mm2
+
+    per_mm  (...)  cycles/mm
+    """
     technique = technique_of(protocol)
     detector, beam = technique.detector, beam_of(technique)
     per_dn = detector.electrons_per_dn_mm2 * protocol.pixel_mm**2

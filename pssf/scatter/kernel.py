@@ -52,6 +52,8 @@ def coarse(
 ) -> tuple[Array, Array, Array, int]:
     """What the kernel works on, in blocks: open beam (keV a pixel), mass crossed (g/cm2), primary over the open beam
 
+    primary_kev  (rows, cols)  keV a pixel
+    path_mm  material -> (rows, cols)
     returns  three maps (rows, cols) and the pixels along the side of a block
     """
     step = max(1, round(_COARSE_MM / technique.protocol.pixel_mm))
@@ -154,13 +156,17 @@ class _Plane:
         self.exponent = -2 * (np.pi / cell_mm) ** 2 * (fy[:, None] ** 2 + fx**2)
 
     def spectrum(self, image: Array) -> NDArray[np.complex128]:
+        """(long rows, long cols / 2 + 1)  transform of an image (rows, cols)"""
         return np.asarray(fft.rfft2(image, self.long))
 
     def gaussian(self, sigma_mm: float) -> Array:
+        """(long rows, long cols / 2 + 1)  transform of a normalised Gaussian"""
         return np.asarray(np.exp(self.exponent * sigma_mm**2))
 
     def back(self, spectrum: NDArray[np.complex128]) -> Array:
+        """(rows, cols)  the image of a spectrum (long rows, long cols / 2 + 1)"""
         return np.asarray(fft.irfft2(spectrum, self.long)[: self.shape[0], : self.shape[1]])
 
     def spread(self, spectrum: NDArray[np.complex128], sigma_mm: float) -> Array:
+        """(rows, cols)  the image of a spectrum (long rows, long cols / 2 + 1) under a Gaussian"""
         return self.back(spectrum * self.gaussian(sigma_mm))

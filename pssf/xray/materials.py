@@ -18,6 +18,7 @@ def attenuation_per_mm(material: str, energies_kev: Array) -> Array:
 
     material  a tissue or metal of `data/tissues.toml`, a compound of NIST's list by its name, such as "Gypsum", or
               "FORMULA@DENSITY" in g/cm3; a name too may have a density of its own, such as "Polyethylene@0.94"
+    energies_kev  (bins,)
     raises    InputError for an unknown material
     """
     density, weights = _recipe(material)
@@ -50,7 +51,10 @@ def check_materials(materials: Iterable[str]) -> None:
 
 
 def absorbed_fraction(formula: str, mg_per_cm2: float, energies_kev: Array) -> Array:
-    """(bins,)  photons that interact, other than coherently, in a layer of a compound"""
+    """(bins,)  photons that interact, other than coherently, in a layer of a compound
+
+    energies_kev  (bins,)
+    """
     compound = xraylib.CompoundParser(formula)
     parts = zip(compound["Elements"], compound["massFractions"], strict=True)
     mu = sum(w * np.array([xraylib.CS_Photo(z, e) + xraylib.CS_Compt(z, e) for e in energies_kev]) for z, w in parts)

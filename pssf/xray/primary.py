@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -15,6 +16,22 @@ from .spectrum import Beam, beam_for, heel_factor
 from .technique import Technique
 
 _BAND_ROWS = 128
+
+
+class _Nodes(NamedTuple):
+    """Attenuation (materials, nodes), 1/mm, and what each node (nodes,) brings to the two sums in the open beam."""
+
+    mu: Array
+    signal: Array
+    square: Array
+
+
+class _Rays(NamedTuple):
+    """Source and centre of pixel (0, 0), (3,) mm, and the pitch."""
+
+    source: Array
+    corner: Array
+    pixel_mm: float
 
 
 @dataclass(frozen=True)
@@ -38,8 +55,8 @@ def transmit(path_mm: Mapping[str, NDArray[np.float32]], beam: Beam, view: View,
     mu = np.array([attenuation_per_mm(name, beam.energies_kev) for name in path_mm]).reshape(-1, len(beam.energies_kev))
     kev = np.empty((view.rows, view.cols), np.float32)
     photon_kev = np.empty((view.rows, view.cols), np.float32)
-    weights = beam.photons_per_mm2 * beam.signal_kev, beam.photons_per_mm2 * beam.square_kev2
-    source, corner = np.asarray(view.source_mm), np.asarray(view.corner_mm)
+    nodes = _Nodes(mu, beam.photons_per_mm2 * beam.signal_kev, beam.photons_per_mm2 * beam.square_kev2)
+    rays = _Rays(np.asarray(view.source_mm), np.asarray(view.corner_mm), view.pixel_mm)
 
     def band(start: int) -> None:
         stop = min(start + _BAND_ROWS, view.rows)
@@ -47,7 +64,7 @@ def transmit(path_mm: Mapping[str, NDArray[np.float32]], beam: Beam, view: View,
         stack = np.empty((len(path_mm), stop - start, view.cols), np.float32)
         for part, lengths in zip(stack, path_mm.values(), strict=True):
             part[:] = lengths[start:stop]
-        _transmit(stack, mu, *weights, source, corner, view.pixel_mm, start, stop, kev, photon_kev)
+        _transmit(stack, nodes, rays, start, kev[start:stop], photon_kev[start:stop])
 
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(band, range(0, view.rows, _BAND_ROWS)))
@@ -76,42 +93,39 @@ def primary_of(
 @numba.njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
 def _transmit(
     stack: NDArray[np.float32],
-    mu: Array,
-    signal: Array,
-    square: Array,
-    source: Array,
-    corner: Array,
-    pixel_mm: float,
+    nodes: _Nodes,
+    rays: _Rays,
     start: int,
-    stop: int,
     kev: NDArray[np.float32],
     photon_kev: NDArray[np.float32],
 ) -> None:
-    materials, nodes = mu.shape
+    """Fill the rows of a band, whose first is `start`."""
+    mu, signal, square = nodes.mu, nodes.signal, nodes.square
+    materials, count = mu.shape
     open_signal, open_square = signal.sum(), square.sum()
-    depth = corner[1] - source[1]
-    exponent = np.empty(nodes)
-    for row in range(start, stop):
-        dz = corner[2] - row * pixel_mm - source[2]
+    depth = rays.corner[1] - rays.source[1]
+    exponent = np.empty(count)
+    for row in range(kev.shape[0]):
+        dz = rays.corner[2] - (start + row) * rays.pixel_mm - rays.source[2]
         for col in range(kev.shape[1]):
-            dx = corner[0] + col * pixel_mm - source[0]
+            dx = rays.corner[0] + col * rays.pixel_mm - rays.source[0]
             distance2 = dx * dx + depth * depth + dz * dz
             # Inverse square from 1 m, and the pixel seen at a slant.
-            area = pixel_mm * pixel_mm * 1e6 / distance2 * depth / np.sqrt(distance2)
+            area = rays.pixel_mm * rays.pixel_mm * 1e6 / distance2 * depth / np.sqrt(distance2)
             exponent[:] = 0.0
             empty = True
             for m in range(materials):
-                length = stack[m, row - start, col]
+                length = stack[m, row, col]
                 if length != 0.0:
                     empty = False
-                    for k in range(nodes):
+                    for k in range(count):
                         exponent[k] -= mu[m, k] * length
             if empty:
                 kev[row, col] = open_signal * area
                 photon_kev[row, col] = open_square / open_signal if open_signal > 0.0 else 0.0
                 continue
             first, second = 0.0, 0.0
-            for k in range(nodes):
+            for k in range(count):
                 passed = np.exp(exponent[k])
                 first += signal[k] * passed
                 second += square[k] * passed
