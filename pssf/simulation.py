@@ -86,7 +86,7 @@ def _check(
     if not isinstance(protocol, Protocol):
         raise InputError(f"protocol = {protocol!r}; allowed: a Protocol, as load_protocol gives it")
     if not isinstance(knee, Knee | BuiltKnee | Scene):
-        raise InputError(f"knee = {knee!r}; allowed: a Knee, what build gives, or a Scene")
+        raise InputError(f"knee = {knee!r}; allowed: a Knee, a BuiltKnee or a Scene")
 
 
 def _truth(built: BuiltKnee, protocol: Protocol, keep: Collection[str]) -> Truth:

@@ -134,7 +134,7 @@ def test_an_unknown_ambient_material_is_refused(small, ambient):
 
 @pytest.mark.parametrize(("knee", "protocol"), [("knee", None), (None, "small"), (None, "reference")])
 def test_what_is_no_knee_or_no_protocol_is_refused(small, knee, protocol):
-    with pytest.raises(pssf.InputError, match=r"allowed: a (Knee or a Scene|Protocol)"):
+    with pytest.raises(pssf.InputError, match=r"allowed: a (Knee, a BuiltKnee or a Scene|Protocol)"):
         pssf.simulate(knee or pssf.Knee(), protocol or small)
 
 
@@ -259,3 +259,41 @@ def test_what_cannot_be_used_is_refused_before_a_knee_is_built(name, value, monk
     monkeypatch.setattr("pssf.simulation.build", lambda knee: pytest.fail("built"))
     with pytest.raises(pssf.InputError, match=f"{name} = "):
         pssf.simulate(pssf.Knee(), pssf.load_protocol("reference"), **{name: value})
+
+
+def test_the_paths_of_another_knee_are_refused(built, small):
+    other = pssf.build(dataclasses.replace(built.knee, jsw_medial_mm=5.0))
+    paths = pssf.trace(other.scene, small, engine="scanline")
+    with pytest.raises(pssf.InputError, match="paths of another scene"):
+        pssf.simulate(built, small, paths=paths)
+    with pytest.raises(TypeError, match="scene"):
+        pssf.simulate(built.knee, small, scene=other.scene)
+
+
+def test_a_built_knee_has_the_labels_of_its_own_knee(built, small):
+    other = pssf.build(dataclasses.replace(built.knee, jsw_medial_mm=5.0))
+    for one in (built, other):
+        radiograph = pssf.simulate(one, small, engine="scanline")
+        assert radiograph.knee is one.knee
+        assert radiograph.truth == one.truth(small)
+        assert radiograph.truth.jsw_medial_mm == one.knee.jsw_medial_mm
+        assert one.measured_jsw_mm(pssf.load_protocol("reference"))[0] == pytest.approx(
+            one.knee.jsw_medial_mm, abs=1e-3
+        )
+
+
+def test_radiographs_are_equal_by_their_pixels_and_by_what_they_were_made_from(built, small):
+    one, same = (pssf.simulate(built, small, seed=2, engine="scanline", keep=("primary",)) for _ in range(2))
+    other = pssf.simulate(built, small, seed=3, engine="scanline")
+    assert one == same
+    assert hash(one) == hash(same)
+    assert one != other
+    assert one != "radiograph"
+    assert one != dataclasses.replace(one, protocol=dataclasses.replace(small, name="renamed"))
+
+
+def test_what_is_printed_of_a_radiograph_holds_no_arrays(built, small):
+    radiograph = pssf.simulate(built, small, engine="scanline", keep=("primary", "masks", "path_mm"))
+    for text in (repr(radiograph), repr(built), repr(radiograph.truth)):
+        assert "array" not in text
+        assert len(text) < 4000

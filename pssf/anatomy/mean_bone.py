@@ -7,13 +7,12 @@ from functools import cached_property
 import numpy as np
 from manifold3d import Manifold
 
-from ..data.store import Arrays, kept
+from ..data.store import Arrays, Origin, kept
 from .implicit import Field
 from .remesh import mesh_bone
 from .solids import checked, solid_of
 
-# What `kept` solids are made by.
-_MADE_BY = ("core", "data", "anatomy")
+_ORIGIN = Origin(sources=("core", "data", "anatomy"), libraries=("manifold3d", "numpy", "scipy", "trimesh"))
 # Inner surfaces, whose edge trabeculae blur, are drawn with fewer triangles, within this.
 INNER_MM = 0.03
 
@@ -50,7 +49,7 @@ class MeanBone:
 
     @cached_property
     def _solids(self) -> tuple[Manifold, Manifold]:
-        arrays = kept(self.name, _MADE_BY, self._made)
+        arrays = kept(self.name, _ORIGIN, self._made)
         outer, coarser = (
             solid_of(arrays[f"{which}_points"], arrays[f"{which}_faces"], self.name) for which in ("outer", "coarser")
         )

@@ -8,6 +8,7 @@ import hashlib
 import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -22,20 +23,30 @@ from platformdirs import user_cache_path
 Arrays = Mapping[str, NDArray[Any]]
 
 _PACKAGE = Path(__file__).resolve().parents[1]
-_LIBRARIES = ("manifold3d", "numpy", "scipy", "trimesh")
 
 
-def kept(name: str, packages: tuple[str, ...], make: Callable[[], Arrays]) -> Arrays:
+@dataclass(frozen=True, kw_only=True)
+class Origin:
+    """What arrays are made by: when any of it changes, they are made anew.
+
+    sources    packages or modules of pssf, such as "anatomy" or "xray/spectrum.py", with their tables
+    libraries  whose versions count
+    """
+
+    sources: tuple[str, ...]
+    libraries: tuple[str, ...]
+
+
+def kept(name: str, origin: Origin, make: Callable[[], Arrays]) -> Arrays:
     """The arrays that `make` gives, from the cache folder where they stand there.
 
-    name      of the file
-    packages  of pssf, such as "anatomy", whose code and tables the arrays are made by
+    name  of the file
     A folder that cannot be written, or a damaged file, costs the time of making them and nothing else.
     """
     folder = _folder()
     if folder is None:
         return make()
-    path = folder / f"{name}-{digest_of(packages)[:16]}.npz"
+    path = folder / f"{name}-{digest_of(origin)[:16]}.npz"
     with suppress(OSError, ValueError, BadZipFile, KeyError, EOFError), np.load(path, allow_pickle=False) as arrays:
         return dict(arrays)
     arrays = make()
@@ -48,11 +59,12 @@ def kept(name: str, packages: tuple[str, ...], make: Callable[[], Arrays]) -> Ar
 
 
 @cache
-def digest_of(packages: tuple[str, ...]) -> str:
-    """Hash of the code and tables of packages of pssf, and of the versions of the libraries that solids are made by."""
-    digest = hashlib.sha256(repr([(name, version(name)) for name in _LIBRARIES]).encode())
-    for package in packages:
-        for path in sorted((_PACKAGE / package).rglob("*")):
+def digest_of(origin: Origin) -> str:
+    """Hash of the code, the tables and the versions of libraries that arrays are made by."""
+    digest = hashlib.sha256(repr([(name, version(name)) for name in origin.libraries]).encode())
+    for source in origin.sources:
+        place = _PACKAGE / source
+        for path in [place] if place.is_file() else sorted(place.rglob("*")):
             if path.suffix in (".py", ".toml"):
                 digest.update(f"{path.relative_to(_PACKAGE).as_posix()}\n".encode() + path.read_bytes())
     return digest.hexdigest()

@@ -2,17 +2,19 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ..core.checks import Array
 from ..data.detectors import Detector
+from ..data.store import Arrays, Origin, kept
 from .materials import absorbed_fraction, attenuation_per_mm
 from .quadrature import TOLERANCE, spectrum_quadrature
 from .technique import Technique
 
+_ORIGIN = Origin(sources=("xray/spectrum.py",), libraries=("spekpy", "numpy"))
 _ROUND_MM = 20.0
 _MONO_PHOTONS_PER_MM2_MAS = 1e6
 # Places along the anode-cathode axis between which the heel effect is interpolated.
@@ -93,13 +95,21 @@ def tube_spectrum(
 
     off_axis  tangent of the angle from the central ray, positive away from the anode
     """
-    from spekpy import Spek  # slow to import, and a monochromatic protocol does without
+    beam = (float(tube_kv), float(anode_angle_deg), float(filtration_mm_al), float(off_axis))
+    name = "spectrum-" + "-".join(map(repr, beam))
+    # Loading SpekPy takes a second, and a monochromatic protocol does without.
+    arrays = kept(name, _ORIGIN, partial(_computed, *beam))
+    return arrays["energies_kev"], arrays["photons"]
+
+
+def _computed(tube_kv: float, anode_angle_deg: float, filtration_mm_al: float, off_axis: float) -> Arrays:
+    from spekpy import Spek
 
     source = Spek(kvp=tube_kv, th=anode_angle_deg, dk=0.5, mas=1.0, x=100.0 * off_axis, z=100.0)
     source.filter("Al", filtration_mm_al)
     energies, per_kev_cm2 = source.get_spectrum(edges=False)
     keep = per_kev_cm2 > per_kev_cm2.max() * 1e-9
-    return energies[keep], per_kev_cm2[keep] * 0.5 / 100.0
+    return {"energies_kev": energies[keep], "photons": per_kev_cm2[keep] * 0.5 / 100.0}
 
 
 def _response(energies_kev: Array, detector: Detector) -> tuple[Array, Array]:
