@@ -1,4 +1,4 @@
-"""Which features, and which families of features, the models lean on."""
+"""What a fitted model loses without a feature."""
 
 import numpy as np
 import pandas as pd
@@ -6,26 +6,7 @@ from numpy.typing import NDArray
 from sklearn.inspection import permutation_importance
 from sklearn.pipeline import Pipeline
 
-from ...radiomics import FAMILIES
-from ...radiomics.features import family
-
-_TURNS = 5
-
-
-def by_feature(importances: pd.DataFrame, splits: int, value: str = "share") -> pd.DataFrame:
-    """model, selection, feature, `value`, chosen: mean over all splits (0 where not chosen), how often chosen."""
-    columns = ["model", "selection", "feature", value]
-    if importances.empty:
-        return pd.DataFrame(columns=[*columns, "chosen"])
-    grouped = importances.groupby(columns[:3], sort=False)[value]
-    found = grouped.agg(**{value: lambda values: values.sum() / splits, "chosen": "count"}).reset_index()
-    return found.sort_values(["model", "selection", value], ascending=[True, True, False], ignore_index=True)
-
-
-def by_family(features: pd.DataFrame, value: str = "share") -> pd.DataFrame:
-    """(families, models) sum of the means of `by_feature`; every family has a row."""
-    summed = features.assign(family=features["feature"].map(family)).groupby(["family", "model"])[value].sum()
-    return summed.unstack("model").reindex(FAMILIES).fillna(0.0)
+_SHUFFLES = 5
 
 
 def permuted(pipeline: Pipeline, features: pd.DataFrame, truth: NDArray[np.int64], *, seed: int) -> dict[str, float]:
@@ -34,12 +15,12 @@ def permuted(pipeline: Pipeline, features: pd.DataFrame, truth: NDArray[np.int64
     Mean of five shuffles (Breiman 2001); of the features that the model was given, the others change nothing.
 
     features  (rows, features) of the test part
-    truth     (rows,) 0 or 1; without both, nothing is found
+    truth     (rows,) 0 or 1; without both, nothing is given
     """
     if len(set(truth)) < 2:
         return {}
     kept = pipeline[:-1].transform(features)
-    found = permutation_importance(
-        pipeline[-1], kept, truth, scoring="roc_auc", n_repeats=_TURNS, random_state=seed % 2**32, n_jobs=1
+    falls = permutation_importance(
+        pipeline[-1], kept, truth, scoring="roc_auc", n_repeats=_SHUFFLES, random_state=seed % 2**32, n_jobs=1
     )
-    return dict(zip(pipeline.named_steps["select"].kept_, found["importances_mean"].tolist(), strict=True))
+    return dict(zip(pipeline.named_steps["select"].kept_, falls["importances_mean"].tolist(), strict=True))
