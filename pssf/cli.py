@@ -11,13 +11,15 @@ from rich.status import Status
 from rich.table import Table
 
 from .core.checks import InputError, require_choice, require_seed, require_whole, require_workers
-from .core.parallel import WorkersLostError, cores
+from .core.execution import Execution
+from .core.parallel import cores
 from .core.progress import bar
+from .core.workers import WorkersLostError
 from .data import tables
 from .io.atomic import folder
 from .model.knee import Knee, draw_knee, knee_from
-from .radiomics import FAMILIES
-from .study import MODELS, SELECTIONS
+from .radiomics.families import FAMILIES
+from .study.settings import MODELS, SELECTIONS
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help=__doc__)
 
@@ -158,9 +160,10 @@ def cohort(
     if out is None:
         raise InputError("option --out is missing; allowed: a folder for the cohort")
     plan = plan_cohort(preset, seed=seed)
-    with bar("radiographs", sum(len(case.shots) for case in plan.cases)) as pace:
+    total = sum(len(case.exposures) for case in plan.cases)
+    with Execution(bar=bar).stage("radiographs", "radiographs", total) as stage:
         manifest = make_cohort(
-            plan, out, workers=workers, scheduler=scheduler, engine=engine, progress=pace.made, found=pace.found
+            plan, out, workers=workers, scheduler=scheduler, engine=engine, progress=stage.advance, kept=stage.keep
         )
     print(f"manifest  {manifest}")
 
@@ -171,12 +174,12 @@ def verify(folder: Annotated[Path, typer.Argument(help="Folder that pssf cohort 
     from .cohort import verify_cohort
 
     with _waiting("reading"):
-        found = verify_cohort(folder)
-    for fault in found.faults:
+        verified = verify_cohort(folder)
+    for fault in verified.faults:
         print(fault)
-    if found.faults:
+    if verified.faults:
         raise typer.Exit(2)
-    print(f"whole     {found.radiographs} radiographs, {found.files} files, as they were written")
+    print(f"whole     {verified.radiographs} radiographs, {verified.files} files, as they were written")
 
 
 @app.command()
@@ -199,18 +202,18 @@ def study(
 
     What is left out costs nothing: protocols, families of features, selections, models.
     """
-    from .experiment import Crew, make_experiment, measure_experiment, run_experiment
+    from .experiment import make_experiment, measure_experiment, run_experiment
 
     require_choice("until", until, ("features", "report"))
-    crew = Crew(workers=workers, bar=bar, scheduler=scheduler)
+    execution = Execution(workers=workers, bar=bar, scheduler=scheduler)
     wanted = {"families": families, "selections": selections, "models": models}
     settings = {name: tuple(listed.split(",")) for name, listed in wanted.items()}
     cohort = {"protocols": protocols.split(",")} if protocols else None
-    made = make_experiment(out, crew, preset=preset, seed=seed, engine=engine, cohort=cohort, settings=settings)
+    made = make_experiment(out, execution, preset=preset, seed=seed, engine=engine, cohort=cohort, settings=settings)
     if until == "features":
-        print(f"features  {measure_experiment(made, crew)}")
+        print(f"features  {measure_experiment(made, execution)}")
         return
-    result = run_experiment(made, crew)
+    result = run_experiment(made, execution)
     print(f"results   of {result.origin}")
     print(f"report    {result.report}")
     for what, paths in (("picture", result.pictures), ("model", result.models)):
@@ -252,13 +255,13 @@ def quality(
     technique = load_protocol(protocol)
     folder(out)
     with _waiting("measuring") as status:
-        found = measure_quality(technique, progress=lambda what: status.update(f"measuring: {what}"))
+        measured = measure_quality(technique, progress=lambda what: status.update(f"measuring: {what}"))
     table = Table("quantity", "value", "reference", "source")
-    for row in found.rows:
+    for row in measured.rows:
         known = f"{row['low']} to {row['high']}" if row["low"] != "" else str(row["reference"])
         table.add_row(row["quantity"], row["value"], known, row["source"])
     Console(width=None if sys.stdout.isatty() else 160).print(table)
-    for path in write_quality(found, technique, out):
+    for path in write_quality(measured, technique, out):
         print(path)
 
 

@@ -1,8 +1,7 @@
 """The whole experiment: a preset's cohort is made, then studied."""
 
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, ExitStack
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .cohort import Plan, make_cohort, plan_cohort, plan_repeats
-from .core.progress import Pace
+from .cohort import Plan, make_cohort, plan_cohort, plan_retest
+from .core.execution import Execution
 from .io.atomic import sweep
 from .io.images import load
 from .io.records import read_manifest
@@ -19,7 +18,6 @@ from .model.knee import Knee
 from .model.protocol import load_protocol
 from .simulation import simulate
 from .study import StudyResult, StudySettings, measure, require_extra, run
-from .study.report.cost import Meter
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -27,39 +25,26 @@ if TYPE_CHECKING:
     from .radiomics.region import Template
 
 _TEMPLATES_JSW_MM = (5.0, 3.5, 2.0)  # from a healthy joint to one narrower than any of the grades'
-# Shows a stage: its name and total give a context that yields what counts it.
-Bar = Callable[[str, int], AbstractContextManager[Pace]]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Crew:
-    """Who does the work, and what shows it; no result depends on them.
-
-    workers    processes
-    bar        shows the progress of a stage
-    scheduler  address of a Dask scheduler whose workers do it instead
-    """
-
-    workers: int
-    bar: Bar
-    scheduler: str | None = None
-    meter: Meter = field(default_factory=Meter)
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """A cohort that stands, and how it is to be studied."""
+    """A cohort that stands, and how it is to be studied.
+
+    manifest  of the cohort, files as they are called from `out`
+    retest    of the knees taken again, each under the number of the knee that it is of; None where there are none
+    """
 
     out: Path
     engine: str
     settings: StudySettings
     manifest: "pd.DataFrame"
-    again: "pd.DataFrame | None"
+    retest: "pd.DataFrame | None"
 
 
 def make_experiment(
     out: Path,
-    crew: Crew,
+    execution: Execution,
     *,
     preset: str,
     seed: int,
@@ -75,56 +60,53 @@ def make_experiment(
     raises    InputError for an unknown preset, a missing library, a folder that holds something else or is unwritable,
               a scheduler that cannot be used; WorkersLostError when workers keep being killed
     """
-    require_extra(crew.scheduler)
+    require_extra(execution.scheduler)
     plan = plan_cohort(preset, seed=seed, overrides=cohort)
-    names = [shot.protocol.name for shot in plan.cases[0].shots]
+    names = [exposure.protocol.name for exposure in plan.cases[0].exposures]
     known = {"repeats": plan.repeats, "seed": seed, "reference": "reference" if "reference" in names else names[0]}
     chosen = StudySettings(**{**known, **(settings or {})})
-    with crew.meter.stage("cohort", "radiographs") as made:
-        manifest = _below("cohort", read_manifest(_made(plan, out / "cohort", "radiographs", engine, crew, made)))
-    repeats, again = plan_repeats(plan, reference=chosen.reference), None
+    manifest = _made(plan, out, "cohort", engine, execution)
+    repeats, retest = plan_retest(plan, reference=chosen.reference), None
     if repeats is not None:
-        with crew.meter.stage("repeats", "radiographs") as made:
-            again = _again(read_manifest(_made(repeats, out / "repeats", "repeats", engine, crew, made)))
+        retest = _made(repeats, out, "repeats", engine, execution)
+        retest = retest.assign(knee=retest["of_knee"])
     for folder in (out, out / "pictures", out / "models"):
         sweep(folder)
-    return Experiment(out, engine, chosen, manifest, again)
+    return Experiment(out, engine, chosen, manifest, retest)
 
 
-def run_experiment(experiment: Experiment, crew: Crew) -> StudyResult:
+def run_experiment(experiment: Experiment, execution: Execution) -> StudyResult:
     """Regions, features, models, report, into the experiment's folder.
 
     Where an earlier run ended, and neither cohort, settings nor code have changed since, and no file, its result is
     given back.
+
+    raises  InputError and WorkersLostError as `study.run` does
     """
     from .study import finished  # needs the extra `study`
 
-    manifests = [table for table in (experiment.manifest, experiment.again) if table is not None]
+    manifests = [table for table in (experiment.manifest, experiment.retest) if table is not None]
     key = finished.key_of(manifests, experiment.settings, experiment.engine)
     result = finished.earlier(experiment.out, key)
     if result is None:
-        with ExitStack() as stack:
-            result = run(*_given(experiment, crew), **_how(experiment, crew, stack))
+        result = run(*_given(experiment, execution), retest=experiment.retest, execution=execution)
         finished.mark(result, experiment.out, key)
     return result
 
 
-def measure_experiment(experiment: Experiment, crew: Crew) -> Path:
-    """Regions and features alone; returns the path of features.csv."""
-    with ExitStack() as stack:
-        return measure(*_given(experiment, crew), **_how(experiment, crew, stack))
+def measure_experiment(experiment: Experiment, execution: Execution) -> Path:
+    """Regions and features alone; returns the path of features.csv.
+
+    raises  InputError and WorkersLostError as `study.measure` does
+    """
+    return measure(*_given(experiment, execution), retest=experiment.retest, execution=execution)
 
 
-def _given(experiment: Experiment, crew: Crew) -> tuple[Any, ...]:
-    with crew.meter.stage("templates"):
+def _given(experiment: Experiment, execution: Execution) -> tuple[Any, ...]:
+    with execution.timer.stage("templates"):
         templates = standard_templates(experiment.engine)
     load_pixels = partial(_pixels, experiment.out.absolute())
     return experiment.manifest, load_pixels, templates, experiment.settings, experiment.out
-
-
-def _how(experiment: Experiment, crew: Crew, stack: ExitStack) -> dict[str, Any]:
-    who = {"meter": crew.meter, "workers": crew.workers, "scheduler": crew.scheduler}
-    return {"again": experiment.again, "progress": _stages(stack, crew.bar), **who}
 
 
 def standard_templates(engine: str = "embree") -> "tuple[Template, ...]":
@@ -145,30 +127,19 @@ def standard_templates(engine: str = "embree") -> "tuple[Template, ...]":
     return tuple(template(Knee(jsw_medial_mm=jsw)) for jsw in _TEMPLATES_JSW_MM)
 
 
-def _made(plan: Plan, folder: Path, what: str, engine: str, crew: Crew, made: Callable[[int], None]) -> Path:
-    """Make what is missing of a plan, with a bar of its own; returns the manifest."""
-    with crew.bar(what, sum(len(case.shots) for case in plan.cases)) as pace:
-
-        def progress(more: int) -> None:
-            made(more)
-            pace.made(more)
-
-        return make_cohort(
+def _made(plan: Plan, out: Path, name: str, engine: str, execution: Execution) -> "pd.DataFrame":
+    """The manifest of a plan's radiographs in out/name, of which those that are missing are made in a stage."""
+    with execution.stage(name, "radiographs", sum(len(case.exposures) for case in plan.cases)) as stage:
+        path = make_cohort(
             plan,
-            folder,
-            workers=crew.workers,
-            scheduler=crew.scheduler,
+            out / name,
+            workers=execution.workers,
+            scheduler=execution.scheduler,
             engine=engine,
-            progress=progress,
-            found=pace.found,
+            progress=stage.advance,
+            kept=stage.keep,
         )
-
-
-def _again(manifest: "pd.DataFrame") -> "pd.DataFrame":
-    """The manifest of repeats with the knee that each is of, kind and turn."""
-    told = manifest["radiograph"].str.extract(r"_k(?P<knee>\d+)_(?P<kind>[a-z]+)(?P<turn>\d+)$")
-    found = {"knee": told["knee"].astype(int), "kind": told["kind"], "turn": told["turn"]}
-    return _below("repeats", manifest).assign(**found)
+    return _below(name, read_manifest(path))
 
 
 def _below(folder: str, manifest: "pd.DataFrame") -> "pd.DataFrame":
@@ -178,18 +149,3 @@ def _below(folder: str, manifest: "pd.DataFrame") -> "pd.DataFrame":
 
 def _pixels(folder: Path, file: str) -> NDArray[np.uint16]:
     return load(folder / file).pixels
-
-
-def _stages(stack: ExitStack, bar: Bar) -> Callable[[str, int, int], None]:
-    """One bar a stage, from a report of stage, done and total."""
-    shown: dict[str, Pace] = {}
-
-    def report(stage: str, done: int, total: int) -> None:
-        if stage in shown:
-            shown[stage].made(done - shown[stage].done)
-            return
-        stack.close()
-        shown[stage] = stack.enter_context(bar(stage, total))
-        shown[stage].found(done)  # an earlier run's too, which cannot be told apart here
-
-    return report

@@ -7,7 +7,7 @@ from importlib.metadata import version
 
 from .anatomy import BuiltKnee, build
 from .core.checks import InputError, require_choice, require_seed, require_workers
-from .core.timer import Clock
+from .core.timer import Timer
 from .geometry.scene import Scene
 from .geometry.view import view_of
 from .model.knee import Knee
@@ -43,7 +43,7 @@ def simulate(
              of another scene or view
     """
     _check(knee, protocol, seed, keep, engine, workers)
-    clock, technique = Clock(), technique_of(protocol)
+    clock, technique = Timer(), technique_of(protocol)
     subject = build(knee) if isinstance(knee, Knee) else knee
     built = subject if isinstance(subject, BuiltKnee) else None
     scene = subject.scene if isinstance(subject, BuiltKnee) else subject

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .core.timer import Clock
+from .core.timer import Timer
 from .detector import blur
 from .detector.noise import Map, quantum_noise
 from .detector.panel import readout
@@ -222,7 +222,7 @@ STAGES = (
 
 def expose(image: LatentImage, chain: Chain) -> dict[str, float]:
     """Run the stages that the chain's protocol asks for; returns stage -> seconds."""
-    clock = Clock()
+    clock = Timer()
     for stage in STAGES:
         if stage.wanted(chain.technique.protocol):
             stage.run(image, chain)

@@ -2,6 +2,8 @@
 
 import dataclasses
 import json
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -9,6 +11,7 @@ from hypothesis import HealthCheck, settings
 
 import pssf
 from pssf import cohort
+from pssf.io import code
 
 # No test is timed, and a commit that passes passes again: the examples are drawn from the test's own text.
 settings.register_profile("pssf", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
@@ -30,6 +33,23 @@ def knee() -> pssf.Knee:
 @pytest.fixture(scope="session")
 def built(knee: pssf.Knee) -> pssf.BuiltKnee:
     return pssf.build(knee)
+
+
+@pytest.fixture
+def copied_code(tmp_path, monkeypatch) -> Iterator[Path]:
+    """A copy of the package, which digests of code are taken of."""
+    folder = tmp_path / "copied" / "pssf"
+    shutil.copytree(code.ROOT, folder, ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(code, "ROOT", folder)
+    code.code_digest.cache_clear()
+    yield folder
+    code.code_digest.cache_clear()
+
+
+def change(path: Path) -> None:
+    """One byte more in a file of `copied_code`."""
+    path.write_bytes(path.read_bytes() + b"\n")
+    code.code_digest.cache_clear()
 
 
 @pytest.fixture(scope="session")

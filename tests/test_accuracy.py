@@ -9,12 +9,12 @@ from numpy.testing import assert_allclose
 
 from pssf import InputError, accuracy, load_protocol
 from pssf.accuracy import (
+    ablation,
     agreement,
     builds,
     chain,
     engines,
     figure,
-    left_out,
     morphometry,
     solids,
     stages,
@@ -196,11 +196,11 @@ def test_the_chain_tells_seconds_share_and_error_of_every_stage(monkeypatch, sma
 
 
 def test_what_may_be_left_out_of_the_study_is_taken_by_it(tmp_path):
-    for case in left_out.CASES:
-        plan_cohort("quick", seed=0, overrides={**left_out._COHORT, **case.cohort})
+    for case in ablation.CASES:
+        plan_cohort("quick", seed=0, overrides={**ablation._COHORT, **case.cohort})
         StudySettings(**case.settings)
         if case.technique:
-            path = left_out._variant(tmp_path, "low_dose", case.technique)
+            path = ablation._variant(tmp_path, "low_dose", case.technique)
             plain, changed = load_protocol("low_dose"), load_protocol(path)
             assert changed != plain
             assert (changed.name, changed.mas) == ("low_dose", plain.mas)
@@ -214,7 +214,7 @@ def test_times_of_what_is_left_out_are_shares_of_the_whole(monkeypatch):
         asked.append((out.name, case.what))
         return 27, next(seconds)
 
-    monkeypatch.setattr(left_out, "_timed", timed)
-    rows = left_out.left_out_rows(2, left_out.CASES[:3])
+    monkeypatch.setattr(ablation, "_timed", timed)
+    rows = ablation.ablation_rows(2, ablation.CASES[:3])
     assert [row["share"] for row in rows] == [1.0, 0.5, 0.25, 0.05]
     assert [name for name, _ in asked] == ["warm", "0", "1", "2", "0"]

@@ -1,12 +1,9 @@
-import json
-
 import numpy as np
 import pandas as pd
 import pytest
 import scipy.stats
 
 from pssf.study import StudySettings
-from pssf.study.report.checklist import STATUSES, checklist
 from pssf.study.statistics.claims import COLUMNS, claims, spearman, verdict
 
 SETTINGS = StudySettings(replicates=200, models=("lr",), selections=("l1",))
@@ -113,19 +110,3 @@ def test_the_interval_of_a_trend_has_the_width_of_its_sample_count():
     # Fisher's z: standard error 1.03 / sqrt(n - 3), here n = 90.
     z = np.arctanh([found["low"], found["high"]])
     assert np.ptp(z) == pytest.approx(2 * 1.96 * 1.03 / np.sqrt(87), rel=0.35)
-
-
-def test_an_item_is_answered_only_where_its_evidence_is(tmp_path):
-    (tmp_path / "scores.csv").write_text("model,auc\n")
-    (tmp_path / "study.json").write_text(json.dumps({"settings": {}}))
-    found = checklist(tmp_path)
-    answers = {(item["guideline"], item["id"]): item for item in found["items"]}
-    assert answers["CLEAR", "39"]["status"] == "yes"
-    assert answers["CLEAR", "40"] == {
-        "guideline": "CLEAR", "id": "40", "item": "Uncertainty", "status": "no",
-        "evidence": "scores.csv auc_low: not made in this run",
-    }  # fmt: skip
-    assert answers["CLEAR", "1-6"]["status"] == "human"
-    assert {item["status"] for item in found["items"]} <= set(STATUSES)
-    assert 0 < found["metrics_score_percent"] < 60
-    assert sum(found["summary"]["METRICS"].values()) == 30

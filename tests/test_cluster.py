@@ -6,13 +6,15 @@ import sys
 import pandas as pd
 import pytest
 from test_cohort import digests, tiny
-from test_extremes import LIGHT, NAMES, table
+from test_evidence import LIGHT, NAMES, table
 from test_radiomics import TEMPLATE, jobs, load_phantom
 
 import pssf
 from pssf import cohort
 from pssf.core import parallel
-from pssf.core.parallel import WorkersLostError, ordered_map
+from pssf.core.execution import Execution
+from pssf.core.parallel import ordered_map
+from pssf.core.workers import WorkersLostError
 from pssf.radiomics.table import How, extract_all
 from pssf.study.learn.training import train
 
@@ -134,15 +136,14 @@ def test_a_scheduler_that_does_not_answer_is_told_in_one_line_and_nothing_is_lef
 
 def test_regions_are_measured_on_the_cluster_as_they_are_here(cluster):
     how = {"load_pixels": load_phantom, "templates": [TEMPLATE], "how": How(region_px=96)}
-    there, _ = extract_all(jobs(3), scheduler=cluster.scheduler_address, **how)
+    there, _ = extract_all(jobs(3), execution=Execution(scheduler=cluster.scheduler_address), **how)
     here, _ = extract_all(jobs(3), **how)
     assert there == here
 
 
 def test_splits_are_taken_on_the_cluster_as_they_are_here(cluster):
-    given = {"workers": 1, "made": lambda more: None}
-    there, _ = train(table(6), NAMES, LIGHT, scheduler=cluster.scheduler_address, **given)
-    here, _ = train(table(6), NAMES, LIGHT, scheduler=None, **given)
+    there = train(table(6), NAMES, LIGHT, Execution(scheduler=cluster.scheduler_address))
+    here = train(table(6), NAMES, LIGHT, Execution())
     for one, other in zip(there, here, strict=True):
         pd.testing.assert_frame_equal(one.predictions, other.predictions, check_exact=True)
 

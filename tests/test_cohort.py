@@ -14,11 +14,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import change
 
 import pssf
 from pssf import cohort
 from pssf.cohort import make
-from pssf.io import atomic, records
+from pssf.io import atomic, code, records
 
 
 @pytest.fixture
@@ -43,7 +44,7 @@ def test_the_quick_cohort_has_24_subjects_of_three_grades_under_three_protocols(
     plan = cohort.plan_cohort("quick", seed=0)
     assert len({case.subject for case in plan.cases}) == 24
     assert Counter(case.knee.grade for case in plan.cases) == {0: 8, 1: 8, 2: 8}
-    assert {tuple(s.protocol.name for s in case.shots) for case in plan.cases} == {
+    assert {tuple(e.protocol.name for e in case.exposures) for case in plan.cases} == {
         ("reference", "low_dose", "geometry_shift")
     }
 
@@ -52,8 +53,8 @@ def test_the_paper_cohort_has_180_subjects_260_knees_and_780_radiographs():
     plan = cohort.plan_cohort("paper", seed=0)
     assert len({case.subject for case in plan.cases}) == 180
     assert Counter(case.knee.grade for case in plan.cases) == {0: 130, 1: 78, 2: 52}
-    assert sum(len(case.shots) for case in plan.cases) == 780
-    assert len({shot.seed for case in plan.cases for shot in case.shots}) == 780
+    assert sum(len(case.exposures) for case in plan.cases) == 780
+    assert len({e.seed for case in plan.cases for e in case.exposures}) == 780
 
 
 def test_both_knees_of_a_subject_share_their_body_and_differ_in_side():
@@ -162,33 +163,49 @@ def test_a_folder_of_another_seed_is_refused(protocols, tmp_path):
         cohort.make_cohort(other, tmp_path / "c", workers=1)
 
 
+@pytest.mark.parametrize("name", ["data/detector.toml", "raycast/scanline.py"])
+def test_a_folder_that_other_code_made_is_refused_with_the_part_that_differs(protocols, tmp_path, copied_code, name):
+    cohort.make_cohort(tiny(protocols, knees=(0, 0, 1)), tmp_path / "c", workers=1)
+    before = digests(tmp_path / "c")
+    change(copied_code / name)
+    part = name.split("/")[0]
+    with pytest.raises(pssf.InputError, match=rf"holds a cohort made by other code of pssf \({part}\); allowed: "):
+        cohort.make_cohort(tiny(protocols, knees=(0, 0, 1)), tmp_path / "c", workers=1)
+    assert digests(tmp_path / "c") == before
+
+
+def test_a_claim_without_code_is_of_other_code(tmp_path):
+    records.claim(tmp_path / "cohort.json", {"seed": 1})
+    with pytest.raises(pssf.InputError, match=r"made by other code of pssf \(core, data\)"):
+        records.claim(tmp_path / "cohort.json", {"seed": 1, "code": {"core": "a", "data": "b"}})
+
+
 def test_repeats_are_of_single_subjects_evenly_over_the_grades_under_the_reference_protocol():
     plan = cohort.plan_cohort("paper", seed=0)
-    repeats = cohort.plan_repeats(plan)
+    repeats = cohort.plan_retest(plan)
     known = {case.index: case for case in plan.cases}
     again = [case for case in repeats.cases if case.index in known]
     assert Counter(case.knee.grade for case in again) == {0: 7, 1: 7, 2: 6}
     assert len({case.subject for case in again}) == len(again) == 20
     assert len({case.index for case in repeats.cases}) == len(repeats.cases) == 60
     assert all(case.knee == known[case.index].knee for case in again)
-    shots = [shot for case in repeats.cases for shot in case.shots]
-    assert len(shots) == 80
-    seeds = {shot.seed for shot in shots} | {shot.seed for case in plan.cases for shot in case.shots}
+    taken = [exposure for case in repeats.cases for exposure in case.exposures]
+    assert len(taken) == 80
+    seeds = {exposure.seed for exposure in taken} | {e.seed for case in plan.cases for e in case.exposures}
     assert len(seeds) == 80 + 780
-    assert {shot.protocol.name for shot in shots} == {"reference"}
+    assert {exposure.protocol.name for exposure in taken} == {"reference"}
 
 
 def test_a_knee_is_placed_anew_to_opposite_sides_and_changes_in_nothing_else():
     plan = cohort.plan_cohort("quick", seed=0, overrides={"retested": 24})
-    known = {f"k{case.index:04d}": case.knee for case in plan.cases}
-    placed: dict[str, list] = {}
-    for case in cohort.plan_repeats(plan).cases:
-        for shot in case.shots:
-            if "perturbation" in shot.name:
-                placed.setdefault(shot.name.split("_")[1], []).append((case.knee, shot.protocol))
+    placed: dict[int, list] = {}
+    for case in cohort.plan_retest(plan).cases:
+        for exposure in case.exposures:
+            if exposure.kind == "perturbation":
+                placed.setdefault(exposure.of_knee, []).append((case.knee, exposure.protocol))
     assert len(placed) == 24
-    for name, ((one, beam), (two, other)) in placed.items():
-        knee = known[name]
+    for index, ((one, beam), (two, other)) in placed.items():
+        knee = plan.cases[index].knee
         assert one.rotation_deg + two.rotation_deg == pytest.approx(2 * knee.rotation_deg)
         assert abs(one.rotation_deg - knee.rotation_deg) == pytest.approx(2)
         assert {beam.beam_angle_deg, other.beam_angle_deg} == {-1.0, 1.0}
@@ -200,21 +217,22 @@ def test_a_knee_is_placed_anew_to_opposite_sides_and_changes_in_nothing_else():
             assert back == knee
 
 
-def test_repeats_can_be_made_as_a_cohort_and_name_what_they_are(protocols, tmp_path):
+def test_repeats_can_be_made_as_a_cohort_whose_manifest_says_what_they_are(protocols, tmp_path):
     plan = tiny(protocols, retested=2)
-    repeats = cohort.plan_repeats(plan)
+    repeats = cohort.plan_retest(plan)
     rows = rows_of(cohort.make_cohort(repeats, tmp_path / "r", workers=1))
-    kinds = Counter(row["radiograph"].rsplit("_", 1)[1] for row in rows)
-    assert kinds == {"noise1": 2, "noise2": 2, "perturbation1": 2, "perturbation2": 2}
+    turns = (("noise", "1"), ("noise", "2"), ("perturbation", "1"), ("perturbation", "2"))
+    assert Counter((row["kind"], row["turn"]) for row in rows) == dict.fromkeys(turns, 2)
+    assert {row["subject"] for row in rows} == {str(plan.cases[int(row["of_knee"])].subject) for row in rows}
     assert len({row["sha256"] for row in rows}) == 8
     beams = {entry["beam_angle_deg"] for entry in json.loads((tmp_path / "r" / "cohort.json").read_text())["protocols"]}
     assert beams == {-1.0, 0.0, 1.0}
 
 
 def test_a_plan_that_retests_no_knee_has_no_repeats_and_an_unknown_protocol_is_refused(protocols):
-    assert cohort.plan_repeats(tiny(protocols, retested=0)) is None
+    assert cohort.plan_retest(tiny(protocols, retested=0)) is None
     with pytest.raises(pssf.InputError, match=r"protocol = 'x'; allowed: reference, low_dose"):
-        cohort.plan_repeats(tiny(protocols), reference="x")
+        cohort.plan_retest(tiny(protocols), reference="x")
 
 
 RUN = """
@@ -353,24 +371,28 @@ def test_a_full_disk_is_told_in_one_line_and_the_same_command_goes_on_when_there
 
 def test_what_stood_before_is_told_apart_from_what_is_made(protocols, tmp_path):
     plan, folder = tiny(protocols), tmp_path / "c"
-    told = []
+    counted = []
     for _ in range(2):
         cohort.make_cohort(
             plan,
             folder,
             workers=1,
-            progress=lambda n: told.append(("made", n)),
-            found=lambda n: told.append(("found", n)),
+            progress=lambda n: counted.append(("made", n)),
+            kept=lambda n: counted.append(("kept", n)),
         )
         min((folder / "images").iterdir()).unlink()
-    assert told == [("made", 2)] * 3 + [("found", 2)] * 2 + [("made", 2)]
+    assert counted == [("made", 2)] * 3 + [("kept", 2)] * 2 + [("made", 2)]
 
 
-def test_a_worker_that_sees_another_folder_or_has_other_libraries_refuses_to_work(protocols, tmp_path):
+def test_a_worker_that_sees_another_folder_or_has_other_libraries_or_code_refuses_to_work(protocols, tmp_path):
     plan, folder = tiny(protocols), tmp_path / "c"
     claim = records.claim(folder / "cohort.json", plan.table())
-    site = make.Site(folder=folder, claim=claim, versions={**make.versions(), "numpy": "1.0"})
+    here = {"folder": folder, "claim": claim, "code": code.code_digest(make._CODE), "versions": make.versions()}
+    site = make.Site(**{**here, "versions": {**make.versions(), "numpy": "1.0"}})
     with pytest.raises(pssf.InputError, match=r"on .*: numpy = .*; allowed: 1\.0, as where the run started"):
+        make.make_case(plan.cases[0], site=site, engine="scanline", threads=1)
+    site = make.Site(**{**here, "code": {**here["code"], "detector": "0"}})
+    with pytest.raises(pssf.InputError, match=r"on .*: other code of pssf \(detector\); allowed: the code where the"):
         make.make_case(plan.cases[0], site=site, engine="scanline", threads=1)
     (folder / "cohort.json").write_text("{}")
     with pytest.raises(pssf.InputError, match=r"on .*: folder .* holds another cohort; allowed: a folder that all"):

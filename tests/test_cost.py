@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pssf.study.report.cost import Meter, growth
+from pssf.core.timer import Timer
+from pssf.study.report.cost import cost_rows, growth
 
 
 @given(exponent=st.floats(0.3, 3), each=st.floats(1e-3, 10), count=st.integers(8, 300))
@@ -23,25 +24,22 @@ def test_few_marks_give_no_growth():
     assert growth([1.0] * 7) is None
 
 
-def test_a_meter_gives_the_seconds_of_each_stage_and_of_each_made():
-    clock = iter([10.0, 11.0, 13.0, 14.0, 20.0, 20.5])
-    meter = Meter(now=lambda: next(clock))
-    with meter.stage("cohort", "radiographs") as made:
-        made(1)
-        made(3)
-    with meter.stage("claims"):
-        pass
-    assert meter.stages["cohort"].marks == [1.0, 3.0, 3.0, 3.0]
-    assert meter.seconds() == {"cohort": 4.0, "claims": 0.5}
-    first, second = meter.rows()
+def test_a_row_has_the_seconds_of_a_stage_and_of_each_that_was_made():
+    timer = Timer()
+    for name, count in (("cohort", 4), ("claims", 0)):
+        with timer.stage(name, "radiographs" if count else "") as stage:
+            stage.advance(count)
+        stage.seconds = 4.0
+    first, second = cost_rows(timer)
     assert first == {
         "stage": "cohort", "seconds": 4.0, "made": 4, "unit": "radiographs", "seconds_each": 1.0, "growth": None
     }  # fmt: skip
     assert second["seconds_each"] is None
 
 
-def test_a_stage_that_fails_is_timed_too():
-    meter = Meter()
-    with pytest.raises(KeyError), meter.stage("cohort"):
-        raise KeyError
-    assert meter.seconds()["cohort"] >= 0
+def test_a_growth_that_is_known_otherwise_stands():
+    timer = Timer()
+    with timer.stage("training and testing", "splits") as stage:
+        stage.advance(20)
+    stage.growth = 1.7
+    assert cost_rows(timer)[0]["growth"] == 1.7

@@ -2,22 +2,16 @@
 
 import dataclasses
 import json
-from contextlib import contextmanager
 
 import pandas as pd
 import pytest
 
 import pssf
 from pssf import experiment
-from pssf.core.progress import Pace
-from pssf.experiment import Crew, _below, _pixels, make_experiment, run_experiment
+from pssf.core.execution import Execution
+from pssf.experiment import _below, _pixels, make_experiment, run_experiment
 from pssf.io import results
 from pssf.study import StudyResult, StudySettings, finished
-
-
-@contextmanager
-def bar(what, total):
-    yield Pace(total)
 
 
 def tiny(folder):
@@ -30,28 +24,32 @@ def tiny(folder):
 
 
 def made(folder, cohort, **settings):
-    crew = Crew(workers=1, bar=bar)
+    execution = Execution()
     how = {"preset": "quick", "seed": 1, "engine": "scanline", "cohort": cohort, "settings": settings}
-    return make_experiment(folder / "out", crew, **how), crew
+    return make_experiment(folder / "out", execution, **how), execution
 
 
-def test_knees_taken_again_are_told_by_knee_kind_and_turn_and_their_files_are_found(tmp_path):
-    found, crew = made(tmp_path, tiny(tmp_path))
-    first, again = found.manifest.iloc[0], found.again
-    assert list(again["kind"]) == ["noise", "noise", "perturbation", "perturbation"]
-    assert list(again["turn"]) == ["1", "2", "1", "2"]
-    assert (again["knee"] == first["knee"]).all()
-    assert (again["subject"] == first["subject"]).all()
-    for file in [*again["file"], *found.manifest["file"]]:
-        assert _pixels(found.out, file).shape == (64, 64)
-    assert {name: spent.made for name, spent in crew.meter.stages.items()} == {"cohort": 2, "repeats": 4}
-    once_more, crew = made(tmp_path, tiny(tmp_path))
-    assert {name: spent.made for name, spent in crew.meter.stages.items()} == {"cohort": 0, "repeats": 0}
-    assert once_more.manifest.equals(found.manifest)
+def counts(execution):
+    return {name: (stage.kept, stage.made) for name, stage in execution.timer.stages.items()}
+
+
+def test_knees_taken_again_are_told_by_knee_kind_and_turn_and_their_files_are_there(tmp_path):
+    experiment, execution = made(tmp_path, tiny(tmp_path))
+    first, retest = experiment.manifest.iloc[0], experiment.retest
+    assert list(retest["kind"]) == ["noise", "noise", "perturbation", "perturbation"]
+    assert list(retest["turn"]) == [1, 2, 1, 2]
+    assert (retest["knee"] == first["knee"]).all()
+    assert (retest["subject"] == first["subject"]).all()
+    for file in [*retest["file"], *experiment.manifest["file"]]:
+        assert _pixels(experiment.out, file).shape == (64, 64)
+    assert counts(execution) == {"cohort": (0, 2), "repeats": (0, 4)}
+    once_more, execution = made(tmp_path, tiny(tmp_path))
+    assert counts(execution) == {"cohort": (2, 0), "repeats": (4, 0)}
+    assert once_more.manifest.equals(experiment.manifest)
 
 
 def test_without_knees_to_retest_there_are_no_repeats(tmp_path):
-    assert made(tmp_path, tiny(tmp_path) | {"retested": 0})[0].again is None
+    assert made(tmp_path, tiny(tmp_path) | {"retested": 0})[0].retest is None
 
 
 def test_settings_are_refused_before_a_radiograph_is_made(tmp_path):
@@ -64,9 +62,9 @@ def test_where_the_reference_is_left_out_the_first_protocol_stands_for_it(tmp_pa
     cohort = tiny(tmp_path)
     path = tmp_path / "reference.toml"
     path.write_text(path.read_text().replace('name = "reference"', 'name = "mine"'))
-    found, _ = made(tmp_path, cohort)
-    assert found.settings.reference == "mine"
-    assert set(found.again["protocol"]) == {"mine"}
+    experiment, _ = made(tmp_path, cohort)
+    assert experiment.settings.reference == "mine"
+    assert set(experiment.retest["protocol"]) == {"mine"}
 
 
 def test_files_are_named_from_the_folder_above():
@@ -88,18 +86,19 @@ def result_in(out) -> StudyResult:
 
 
 def test_a_finished_run_is_given_back_and_nothing_is_done_again(tmp_path, monkeypatch):
-    found, crew = made(tmp_path, tiny(tmp_path))
+    asked, execution = made(tmp_path, tiny(tmp_path))
     monkeypatch.setattr(experiment, "standard_templates", lambda engine: None)
     runs = []
-    monkeypatch.setattr(experiment, "run", lambda *given, **how: runs.append(1) or result_in(found.out))
-    first = run_experiment(found, crew)
-    again = run_experiment(found, crew)
+    monkeypatch.setattr(experiment, "run", lambda *given, **how: runs.append(1) or result_in(asked.out))
+    first = run_experiment(asked, execution)
+    again = run_experiment(asked, execution)
     assert runs == [1]
     assert (first.origin, again.origin) == ("this run", "an earlier run")
     assert again.tables == first.tables
     assert again.seconds == first.seconds
     pd.testing.assert_frame_equal(again.scores, first.scores, check_exact=True)
-    run_experiment(dataclasses.replace(found, settings=dataclasses.replace(found.settings, bins=32)), crew)
+    settings = dataclasses.replace(asked.settings, bins=32)
+    run_experiment(dataclasses.replace(asked, settings=settings), execution)
     assert runs == [1, 1]
 
 
@@ -121,5 +120,5 @@ def test_the_key_of_a_run_changes_with_manifest_settings_engine_and_code(monkeyp
     keys = {key(), key(2), key(engine="embree"), key(seed=3)}
     assert len(keys) == 4
     assert key() in keys
-    monkeypatch.setattr(results, "code_digest", lambda: "other")
+    monkeypatch.setattr(finished, "code_digest", lambda: {".": "other"})
     assert key() not in keys

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 import SimpleITK as sitk  # noqa: N813
 from radiomics import firstorder
+from test_radiomics import texture
 
 from pssf.data import tables
-from pssf.radiomics.features import TEXTURES, measure
+from pssf.radiomics.families import family
+from pssf.radiomics.features import TEXTURES, extract, measure
+from pssf.radiomics.ibsi import departure_of, tag_of
 
 FOLDER = Path(__file__).parent / "ibsi"
 ENDS = {"glcm": "_2D_avg", "glrlm": "_2D_avg", "glszm": "_2D", "ngtdm": "_2D", "gldm": "_2D"}
@@ -63,3 +66,12 @@ def test_a_value_outside_its_tolerance_does_not_agree():
     assert agrees(5.3349, (5.32, 0.01))
     assert not agrees(5.336, (5.32, 0.01))
     assert agrees(0.0, (0.0, 0.001))
+
+
+def test_every_feature_has_a_tag_or_says_how_it_departs():
+    names = list(extract(texture(32, 1), 0.15))
+    assert all(tag_of(name) or departure_of(name) for name in names)
+    assert tag_of("firstorder_z_Mean") == "stat_mean"
+    assert tag_of("glcm_Idmn") == "cm_inv_diff_mom_norm"
+    assert "IBSI + 3" in departure_of("firstorder_linear_Kurtosis")
+    assert sum(bool(tag_of(name)) for name in names if family(name) not in ("firstorder", "shape2D")) == 74

@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from statsmodels.stats.multitest import multipletests
 
-from pssf.study.learn.scenarios import ARM, score_splits, summarise
+from pssf.study.predictions import ARM
 from pssf.study.statistics import intervals, metrics
+from pssf.study.statistics.scores import score_splits, summarise
 
 
 def predictions(*, subjects: int = 30, splits: int = 4, shift: float = 1.5, seed: int = 0) -> pd.DataFrame:

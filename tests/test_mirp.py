@@ -10,7 +10,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import pssf
-from pssf.radiomics.features import extract, family
+from pssf.radiomics.families import family
+from pssf.radiomics.features import extract
 from pssf.radiomics.ibsi import tag_of
 
 mirp = pytest.importorskip("mirp")

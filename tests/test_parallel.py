@@ -10,11 +10,12 @@ import pytest
 from scipy import fft
 
 from pssf.core import parallel
-from pssf.core.parallel import WorkersLostError, ordered_map
+from pssf.core.parallel import ordered_map
+from pssf.core.workers import WorkersLostError
 
 ENDLESS = """
 import os, time
-from pssf.parallel import ordered_map
+from pssf.core.parallel import ordered_map
 
 def work(item):
     print(os.getpid(), flush=True)

@@ -1,43 +1,35 @@
-import pytest
+"""A bar that shows a stage of the work."""
 
-from pssf.core.progress import Pace, bar, shown
+from rich.console import Console
 
-
-class Clock:
-    seconds = 0.0
-
-    def __call__(self):
-        return self.seconds
+from pssf.core import progress
+from pssf.core.execution import Execution
+from pssf.core.timer import Stage
 
 
-def test_what_stood_before_counts_as_done_and_not_for_the_rate():
-    clock = Clock()
-    pace = Pace(100, now=clock)
-    clock.seconds = 5.0
-    pace.found(70)
-    assert (pace.per_minute(), pace.seconds_left(), shown(pace)) == (None, None, "-- / min")
-    clock.seconds = 35.0
-    pace.made(10)
-    assert pace.done == 80
-    assert pace.per_minute() == pytest.approx(20.0)
-    assert pace.seconds_left() == pytest.approx(60.0)
-    clock.seconds = 45.0
-    assert pace.seconds_left() == pytest.approx(50.0)
-    assert shown(pace) == "20.0 / min, 0:00:50 left"
-
-
-def test_time_left_does_not_fall_below_nothing():
-    clock = Clock()
-    pace = Pace(2, now=clock)
-    clock.seconds = 1.0
-    pace.made(1)
-    clock.seconds = 100.0
-    assert pace.seconds_left() == 0.0
+def test_rate_and_time_left_are_told_from_the_first_that_is_made_on():
+    now = iter([0.0, 0.0, 30.0, 40.0])
+    stage = Stage("radiographs", 100, lambda: next(now))
+    stage.keep(70)
+    assert progress.rate(stage) == "-- / min"
+    stage.advance(10)
+    assert progress.rate(stage) == "20.0 / min, 0:00:50 left"
 
 
 def test_a_bar_that_is_no_terminal_writes_nothing(capsys):
-    with bar("radiographs", 3) as pace:
-        pace.found(1)
-        pace.made(2)
-    assert pace.done == 3
+    with Execution(bar=progress.bar).stage("radiographs", "radiographs", 3) as stage:
+        stage.keep(1)
+        stage.advance(2)
+    assert stage.done == 3
     assert capsys.readouterr() == ("", "")
+
+
+def test_a_bar_shows_what_is_done_of_how_many_and_the_rate(monkeypatch, capsys):
+    monkeypatch.setattr(progress, "Console", lambda stderr: Console(stderr=stderr, force_terminal=True, width=120))
+    with Execution(bar=progress.bar).stage("radiographs", "radiographs", 3) as stage:
+        stage.keep(1)
+        stage.advance(2)
+    line = capsys.readouterr().err
+    assert "radiographs" in line
+    assert "3/3" in line
+    assert "/ min" in line

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 import pssf
 from pssf import quality
-from pssf.quality import beam, detector
+from pssf.quality import beam, detector, measure
 
 REFERENCE = pssf.load_protocol("reference")
 
@@ -27,8 +27,8 @@ def test_the_half_value_layer_of_one_energy_is_a_closed_form():
 
 @pytest.mark.parametrize("name", ["low_kv", "reference", "high_kv"])
 def test_the_beam_is_that_of_an_independent_computation(name):
-    found = beam.beam_quantities(pssf.load_protocol(name))
-    rows = [quality._row(quantity, found[quantity], pssf.load_protocol(name)) for quantity in quality._BEAM]
+    values = beam.beam_quantities(pssf.load_protocol(name))
+    rows = [measure._row(quantity, values[quantity], pssf.load_protocol(name)) for quantity in measure._BEAM]
     assert_allclose([float(row["value"]) for row in rows], [row["reference"] for row in rows], rtol=0.015)
 
 

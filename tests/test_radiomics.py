@@ -5,6 +5,7 @@ from functools import partial
 import numpy as np
 import pytest
 import SimpleITK as sitk  # noqa: N813
+from conftest import change
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
@@ -12,10 +13,12 @@ from radiomics.featureextractor import RadiomicsFeatureExtractor
 from scipy.ndimage import gaussian_filter
 
 from pssf.core.checks import InputError
+from pssf.core.execution import Execution
 from pssf.radiomics.bone import bone_mask
-from pssf.radiomics.features import extract, family
+from pssf.radiomics.families import family
+from pssf.radiomics.features import extract
 from pssf.radiomics.region import Template, cut_region, find_joint
-from pssf.radiomics.table import How, Job, extract_all, settings_key
+from pssf.radiomics.table import How, Job, extract_all, measure, settings_key
 
 PIXEL_MM = 0.5
 SHAPE = (320, 320)
@@ -183,8 +186,8 @@ def jobs(count: int) -> list[Job]:
 
 
 def test_features_are_the_same_for_one_worker_and_two():
-    measure = partial(extract_all, jobs(4), load_pixels=load_phantom, templates=[TEMPLATE], how=How(region_px=96))
-    (one, _), (two, _) = measure(workers=1), measure(workers=2)
+    extract_of = partial(extract_all, jobs(4), load_pixels=load_phantom, templates=[TEMPLATE], how=How(region_px=96))
+    (one, _), (two, _) = extract_of(), extract_of(execution=Execution(workers=2))
     assert [record["radiograph"] for record in two] == ["r0", "r1", "r2", "r3"]
     assert one == two
 
@@ -213,10 +216,10 @@ def test_what_is_measured_already_is_kept_until_its_settings_change():
 
 @pytest.mark.parametrize("name", ["row_px", "status", "glcm_Contrast"])
 def test_a_record_in_which_something_was_changed_is_measured_again(name):
-    measure = partial(extract_all, jobs(2), load_pixels=load_phantom, templates=[TEMPLATE], how=How(region_px=96))
-    first, _ = measure()
+    extract_of = partial(extract_all, jobs(2), load_pixels=load_phantom, templates=[TEMPLATE], how=How(region_px=96))
+    first, _ = extract_of()
     changed = {**first[0], name: "low score" if name == "status" else np.nextafter(first[0][name], np.inf)}
-    again, _ = measure(known={"sha0": changed, "sha1": first[1]})
+    again, _ = extract_of(known={"sha0": changed, "sha1": first[1]})
     assert again == first
 
 
@@ -224,6 +227,18 @@ def test_the_key_of_the_settings_changes_with_the_template():
     other = Template(pixels=TEMPLATE.pixels + 1, row=160, col=180, pixel_mm=PIXEL_MM)
     assert settings_key([TEMPLATE], How()) != settings_key([other], How())
     assert settings_key([TEMPLATE], How()) == settings_key([TEMPLATE], How())
+
+
+@pytest.mark.parametrize("name", ["radiomics/features.py", "radiomics/families.py", "core/workers.py", "io/images.py"])
+def test_the_key_of_the_settings_changes_with_the_code(copied_code, name):
+    before = settings_key([TEMPLATE], How())
+    change(copied_code / name)
+    assert settings_key([TEMPLATE], How()) != before
+
+
+def test_a_worker_with_other_code_measures_nothing():
+    with pytest.raises(InputError, match=r"on .*: other code of pssf \(radiomics\)"):
+        measure(jobs(1)[0], load_pixels=load_phantom, templates=[TEMPLATE], how=How(), code={"radiomics": "0"})
 
 
 def test_a_refused_match_keeps_its_place_and_has_no_features():

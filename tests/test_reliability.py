@@ -6,6 +6,7 @@ import pingouin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_up import features
 from numpy.testing import assert_allclose
 
 from pssf.study.statistics.icc_by_subject import icc_intervals_by_weights, knee_weights
@@ -181,3 +182,40 @@ def test_intervals_are_by_subjects_where_one_gives_two_knees():
     assert alone["ICC(3,1) low"] != paired["ICC(3,1) low"]
     assert paired["ICC(3,1) low"] < paired["ICC(3,1)"] < paired["ICC(3,1) high"]
     assert np.isnan(two.set_index("feature").loc["b", "ICC(2,1) low"])
+
+
+@settings(max_examples=15)
+@given(
+    knees=st.integers(4, 20),
+    protocols=st.integers(2, 4),
+    noise=st.floats(0.05, 3),
+    size=st.sampled_from([1e-6, 1.0, 1e9]),
+    seed=st.integers(0, 1000),
+)
+def test_icc_equals_that_of_pingouin(knees, protocols, noise, size, seed):
+    rng = np.random.default_rng(seed)
+    values = rng.normal(size=(knees, 1)) + noise * rng.normal(size=(knees, protocols)) + rng.normal(size=protocols)
+    table = pd.DataFrame(values).rename_axis(index="knee", columns="protocol").stack().rename("value").reset_index()
+    theirs = pingouin.intraclass_corr(table, "knee", "protocol", "value").set_index("Type")["ICC"]
+    assert_allclose(icc(size * values), [theirs["ICC(A,1)"], theirs["ICC(C,1)"]], rtol=1e-9, atol=1e-12)
+
+
+def test_an_offset_between_protocols_lowers_agreement_and_not_consistency():
+    values = np.arange(10.0)[:, None] + np.array([0.0, 5.0])
+    agreement, consistency = icc(values)
+    assert consistency == pytest.approx(1)
+    assert 0 < agreement < 0.5
+
+
+def test_a_feature_that_is_the_same_everywhere_has_no_icc_and_is_counted_apart():
+    assert np.isnan(icc(np.full((5, 3), 7.0))).all()
+    assert np.isnan(icc(1 + 1e-15 * np.arange(15.0).reshape(5, 3))).all()
+    table = features(8).assign(constant=1.0)
+    stable = count_stable(reliability(table, ["signal", "constant"], "reference"))
+    assert list(stable["across"]) == [
+        "all protocols",
+        "reference and low_dose",
+        "reference and geometry_shift",
+    ]
+    assert (stable["degenerate"] == 1).all()
+    assert (stable["ICC(2,1) of"] == 1).all()

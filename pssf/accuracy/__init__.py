@@ -13,7 +13,7 @@ texture    trabeculae: integrals by step, and their look on radiographs beside r
 monte_carlo  the Monte Carlo of scatter beside an independent one
 scatter    the kernel of scatter beside the Monte Carlo (scatter_fit fits it once more)
 focal      blur of the focal spot against rays from points of it
-left_out   run time of the study against what is left out of it  (extra "study"; not among "all")
+ablation   run time of the study against what is left out of it  (extra "study"; not among "all")
 figure     error against run time, drawn                      (extra "study")
 """
 
@@ -46,7 +46,7 @@ TABLES = (
     "monte_carlo", "scatter", "tessellation", "texture_steps", "texture", "builds", "knees",
 )  # fmt: skip
 # Only by name: minutes long, and about the study rather than about a radiograph.
-BY_NAME = ("left_out",)
+BY_NAME = ("ablation",)
 
 
 def measure(
@@ -88,7 +88,7 @@ def measure(
         "texture": lambda: spread_rows(knees, workers),
         "builds": lambda: build_rows(knees, workers),
         "knees": lambda: knee_rows(knees, workers),
-        "left_out": lambda: _left_out(workers),
+        "ablation": lambda: _ablation(workers),
     }
     paths = []
     for name in (name for name in (*TABLES, *BY_NAME) if name in tables):
@@ -109,10 +109,10 @@ def _machine() -> dict[str, str | int | None]:
     return {"machine": platform.processor() or platform.machine(), "cores": os.cpu_count(), **versions()}
 
 
-def _left_out(workers: int) -> list[Row]:
+def _ablation(workers: int) -> list[Row]:
     from ..study import require_extra
 
     require_extra()
-    from .left_out import left_out_rows
+    from .ablation import ablation_rows
 
-    return left_out_rows(workers)
+    return ablation_rows(workers)

@@ -38,11 +38,11 @@ def build_rows(count: int, workers: int) -> list[Row]:
     least path in any material along any ray (reference and geometry shift), and the knee that has it, is 0 unless a
     surface folds over itself.
     """
-    found = ordered_map(_built, list(range(count)), shared={}, workers=workers)
-    refused = [f"knee {number}: {one['refused']}" for number, one in enumerate(found) if one["refused"]]
-    built = [one for one in found if not one["refused"]]
+    attempts = ordered_map(_built, list(range(count)), shared={}, workers=workers)
+    refused = [f"knee {number}: {one['refused']}" for number, one in enumerate(attempts) if one["refused"]]
+    built = [one for one in attempts if not one["refused"]]
     triangles = [one["triangles"] for one in built]
-    least, where = min((one["least_path_mm"], number) for number, one in enumerate(found) if not one["refused"])
+    least, where = min((one["least_path_mm"], number) for number, one in enumerate(attempts) if not one["refused"])
     return [{
         "knees": count, "built": len(built), "refused": len(refused), "first_refusal": (refused or [""])[0],
         "jsw_error_mm": float(f"{max(one['jsw_error_mm'] for one in built):.2g}"),

@@ -30,12 +30,12 @@ def chain_rows(workers: int) -> list[Row]:
     The error of a stage is measured on the spot against what it stands for: see `_errors`.
     """
     built, protocol = build(Knee()), load_protocol("reference")
-    found = {engine: _seconds(built, protocol, engine, workers) for engine in ("scanline", "embree")}
+    timed = {engine: _seconds(built, protocol, engine, workers) for engine in ("scanline", "embree")}
     errors = _errors(built.scene, protocol, workers)
     rows: list[Row] = []
-    for stage in [name for name in found["scanline"] if name != "anatomy"]:
+    for stage in [name for name in timed["scanline"] if name != "anatomy"]:
         row: Row = {"stage": stage}
-        for engine, seconds in found.items():
+        for engine, seconds in timed.items():
             whole = sum(part for name, part in seconds.items() if name != "anatomy")
             row |= {f"{engine}_seconds": round(seconds[stage], 3), f"{engine}_share": round(seconds[stage] / whole, 3)}
         what, error = errors.get(stage, ("", lambda: None))
@@ -71,7 +71,7 @@ def _errors(scene: Scene, protocol: Protocol, workers: int) -> dict[str, tuple[s
         return float(np.sqrt(np.mean((blurred_primary(scene, technique, workers) / exact - 1) ** 2)))
 
     def noise() -> float:
-        return float(np.mean([abs(found / meant - 1) for _, found, meant in photon_transfer(protocol)]))
+        return float(np.mean([abs(measured / meant - 1) for _, measured, meant in photon_transfer(protocol)]))
 
     def blur() -> float:
         curve = mtf(protocol)

@@ -109,9 +109,9 @@ def _rows_of_mesh(engine: str, triangles: int, sides: tuple[int, ...], workers: 
         timed = [_timed(mesh, view, engine, precision, workers, runs) for precision in PRECISIONS]
         other = trace(_scene(mesh), view, engine=_other(engine), precision="float64", workers=workers).path_mm["water"]
         for precision, (seconds, peak, paths) in zip(PRECISIONS, timed, strict=True):
-            found = paths.path_mm["water"]
-            apart = abs(found - other)
-            sampled = found[pixels[:, 0], pixels[:, 1]]
+            path_mm = paths.path_mm["water"]
+            apart = abs(path_mm - other)
+            sampled = path_mm[pixels[:, 0], pixels[:, 1]]
             rows.append({
                 "engine": engine, "triangles": len(mesh.faces), "pixels": side * side, "precision": precision,
                 "seconds": round(seconds, 4), "million_rays_per_s": round(side * side / seconds / 1e6, 2),

@@ -42,14 +42,14 @@ def _row(kind: str, case: tuple[float, ...], workers: int, photons: int) -> Row:
     protocol = replace(coarse, sod_mm=1150.0 - gap_mm - thick_mm / 2)
     scene = slab(thick_mm) if kind == "slab" else limb(thick_mm)
     technique = technique_of(protocol)
-    found = count(scene, technique, photons=photons, seed=1, workers=workers, cell_mm=_CELL_MM)
+    counts = count(scene, technique, photons=photons, seed=1, workers=workers, cell_mm=_CELL_MM)
     view, beam = technique.view, beam_of(technique)
     opened = float(transmit({}, beam, view, workers).kev[rows // 2, cols // 2])
     behind = transmit(trace(scene, protocol, workers=workers).path_mm, beam, view, workers).kev
     read = _READ[kind]
     # The primary by Beer and Lambert: counted photons would bring an error of their own.
-    primary = float(block_mean(behind, found.step)[read[1:]].mean()) / opened
-    scatter = found.scatter_kev[read].sum(axis=(1, 2)) / (found.pixels[read[1:]].sum() * opened)
+    primary = float(block_mean(behind, counts.step)[read[1:]].mean()) / opened
+    scatter = counts.scatter_kev[read].sum(axis=(1, 2)) / (counts.pixels[read[1:]].sum() * opened)
     value = scatter.mean() / (primary if kind == "slab" else 1.0)
     return {
         "object": kind, "tube_kv": kv, "thickness_mm": thick_mm, "gap_mm": gap_mm,

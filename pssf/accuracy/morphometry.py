@@ -25,9 +25,9 @@ def knee_rows(count: int, workers: int) -> list[Row]:
     off_sd  mean minus reference over the reference's standard deviation
     """
     knees = [draw_knee(grade=k % 3, rng=np.random.default_rng(k)) for k in range(count)]
-    found = ordered_map(measured, knees, shared={}, workers=workers)
+    sizes = ordered_map(measured, knees, shared={}, workers=workers)
     rows: list[Row] = [
-        {"quantity": name, "value": float(f"{max(abs(one[name]) for one in found):.2g}"), "knees": count}
+        {"quantity": name, "value": float(f"{max(abs(one[name]) for one in sizes):.2g}"), "knees": count}
         for name in ("error of jsw_medial_mm", "error of jsw_lateral_mm", "error of varus_deg")
     ]
     for name, known in references().morphometry.items():
@@ -35,7 +35,7 @@ def knee_rows(count: int, workers: int) -> list[Row]:
             size = getattr(known, sex)
             if size is None:
                 continue
-            values = np.array([one[name] for one, knee in zip(found, knees, strict=True) if sex in (knee.sex, "both")])
+            values = np.array([one[name] for one, knee in zip(sizes, knees, strict=True) if sex in (knee.sex, "both")])
             mean, sd = size
             rows.append({
                 "quantity": name, "sex": sex, "value": round(float(values.mean()), 2),

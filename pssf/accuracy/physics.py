@@ -30,10 +30,10 @@ def physics_rows() -> list[Row]:
             mu = float(attenuation_per_mm(tissue, np.array([kev]))[0]) * 10
             rows.append(_row(f"attenuation of {tissue} at {kev:g} keV, 1/cm", mu, value))
     for tube_kv, thick, gap, primary, scatter in known.scatter.limb:
-        found = limb_signals(tube_kv, thick, gap)
+        primary_here, scatter_here = limb_signals(tube_kv, thick, gap)
         where = f"behind bone, {tube_kv:g} kV, limb {thick:g} mm, gap {gap:g} mm, over open beam"
-        rows.append(_row(f"primary {where}", found[0], primary))
-        rows.append(_row(f"scatter {where}", found[1], scatter))
+        rows.append(_row(f"primary {where}", primary_here, primary))
+        rows.append(_row(f"scatter {where}", scatter_here, scatter))
     return rows
 
 

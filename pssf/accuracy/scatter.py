@@ -56,7 +56,7 @@ def scatter_rows(
 ) -> list[Row]:
     """One row a case: scatter over the open beam in the joint region, by Monte Carlo and by kernel.
 
-    exit_gap_mm         what the kernel is told: see `scatter.kernel.exit_gap_mm`
+    exit_gap_mm         what the kernel is given: see `scatter.kernel.exit_gap_mm`
     error_percent       of the Monte Carlo's mean over the region, one standard deviation
     difference_percent  of the kernel's mean over the region
     worst_percent       the kernel's largest difference within it, both smoothed by 10 mm
@@ -67,8 +67,8 @@ def scatter_rows(
         opened = float(transmit({}, beam_of(run.technique), run.technique.view, workers).kev.max())
         fast = block_mean(scatter_kev(run.primary, run.path_mm, run.gap_mm, run.technique), run.counts.step) / opened
         slow = run.counts.scatter_kev / run.counts.pixels / opened
-        told = {"used_to_fit": case in FITTED, "exit_gap_mm": round(run.gap_mm, 1)}
-        rows.append({**told, **_compared(case, slow, fast)})
+        known = {"used_to_fit": case in FITTED, "exit_gap_mm": round(run.gap_mm, 1)}
+        rows.append({**known, **_compared(case, slow, fast)})
     return rows
 
 

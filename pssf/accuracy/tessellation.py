@@ -51,7 +51,7 @@ def tessellation_rows() -> list[Row]:
 def _off_mm(coarse: trimesh.Trimesh, exact: trimesh.Trimesh, lowest: float) -> Array:
     """Distances between two outlines, across them: at the joint from column to column, at the sides from row to row."""
     view = view_of(load_protocol("reference"))
-    found = []
+    distances = []
     for axis, sign, (first, last) in ((0, lowest, (0, view.cols)), (1, 1.0, _ROWS), (1, -1.0, _ROWS)):
         one, other = (
             envelope(_seen(mesh, axis), edges_of(mesh.faces), first * _FINER, (last - first) * _FINER, sign)
@@ -61,8 +61,8 @@ def _off_mm(coarse: trimesh.Trimesh, exact: trimesh.Trimesh, lowest: float) -> A
             slope, away = np.gradient(other), np.abs(one - other)
         # Where an outline runs along the way it is looked up, the other way sees it.
         seen = np.isfinite(away) & np.isfinite(slope) & (np.abs(slope) < 1)
-        found.append(away[seen] / np.sqrt(1 + slope[seen] ** 2))
-    return np.concatenate(found) / _FINER * view.pixel_mm / magnification(view)
+        distances.append(away[seen] / np.sqrt(1 + slope[seen] ** 2))
+    return np.concatenate(distances) / _FINER * view.pixel_mm / magnification(view)
 
 
 def _seen(mesh: trimesh.Trimesh, axis: int) -> Array:

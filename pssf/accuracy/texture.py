@@ -49,9 +49,9 @@ def step_rows() -> list[Row]:
         bone.integrate(starts[:1], ends[:1])
         for fine in (1, 2, 4):
             start = thread_time()
-            found = bone.sampled(starts, ends, fine, PIECE)
+            integrals = bone.sampled(starts, ends, fine, PIECE)
             seconds = (thread_time() - start) / len(x) * 1e6
-            error = found[::8] - exact
+            error = integrals[::8] - exact
             far = np.abs(error / exact)
             rows.append({
                 "turned_deg": turned_deg, "step_mm": step_mm / fine, "used": fine == 1, "seconds": round(seconds, 2),
@@ -64,10 +64,10 @@ def step_rows() -> list[Row]:
 def spread_rows(count: int, workers: int) -> list[Row]:
     """One row a quantity: texture below the medial plateau on `reference` radiographs of grade 0, and of real films."""
     knees = [draw_knee(grade=0, rng=np.random.default_rng(k)) for k in range(count)]
-    found = ordered_map(_texture_of, knees, shared={}, workers=workers)
+    textures = ordered_map(_texture_of, knees, shared={}, workers=workers)
     rows: list[Row] = []
     for name, known in references().texture.items():
-        values = np.array([one[name] for one in found])
+        values = np.array([one[name] for one in textures])
         low, median, high = np.percentile(values, [10, 50, 90])
         low_real, high_real = known.range or ("", "")
         rows.append({

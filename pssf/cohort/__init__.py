@@ -1,5 +1,5 @@
 """cohort.plan_cohort   preset, seed    -> who is in it, and how each knee is taken
-cohort.plan_repeats  plan            -> some of its knees, to be taken again with other noise and placed anew
+cohort.plan_retest   plan            -> some of its knees, to be taken again with other noise and placed anew
 cohort.make_cohort   plan, folder    -> images and a manifest; goes on where an earlier run stopped
 cohort.verify_cohort folder          -> every file against its hash, and what is missing, changed or too much
 
@@ -8,17 +8,17 @@ images) and, when all is made, manifest.csv with one row a radiograph.
 """
 
 from .make import make_cohort
-from .plan import Case, Plan, Shot, plan_cohort, plan_repeats, preset_names
+from .plan import Case, Exposure, Plan, plan_cohort, plan_retest, preset_names
 from .verify import Verification, verify_cohort
 
 __all__ = [
     "Case",
+    "Exposure",
     "Plan",
-    "Shot",
     "Verification",
     "make_cohort",
     "plan_cohort",
-    "plan_repeats",
+    "plan_retest",
     "preset_names",
     "verify_cohort",
 ]

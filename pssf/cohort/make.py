@@ -13,16 +13,22 @@ from ..core.checks import InputError, require_choice, require_workers
 from ..core.parallel import cores, ordered_map, require_scheduler
 from ..geometry.view import view_of
 from ..io import atomic, records
+from ..io.code import code_digest, require_code
 from ..io.images import save
 from ..model.knee import knee_table
 from ..model.protocol import protocol_table
 from ..model.radiograph import Radiograph
 from ..raycast import ENGINES, trace
 from ..simulation import simulate, versions
-from .plan import Case, Plan, Shot
+from .plan import Case, Exposure, Plan
 
 Row = dict[str, Any]
 FOLDERS = ("", "images", "records")
+# What of this package pixels, files and manifest depend on.
+_CODE = (
+    *("anatomy", "cohort", "core", "data", "detector", "geometry", "io", "model", "raycast", "scatter", "simulation.py"),
+    *("stages.py", "xray"),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,11 +37,13 @@ class Site:
 
     claim     hash of its cohort.json
     versions  of all that its pixels depend on
+    code      of this package that they depend on, see `code_digest`
     """
 
     folder: Path
     claim: str
     versions: dict[str, str]
+    code: dict[str, str]
 
 
 def make_cohort(
@@ -46,7 +54,7 @@ def make_cohort(
     scheduler: str | None = None,
     engine: str = "scanline",
     progress: Callable[[int], None] = lambda made: None,
-    found: Callable[[int], None] = lambda there: None,
+    kept: Callable[[int], None] = lambda stood: None,
 ) -> Path:
     """Make what is missing of a cohort and write its manifest; the bytes do not depend on who makes them.
 
@@ -55,7 +63,7 @@ def make_cohort(
     scheduler  address of a Dask scheduler whose workers do the work instead, in the same folder under the same path
     engine     "scanline", or "embree", which gives the same path lengths in fifteen times the time
     progress   called with the number of radiographs that have been made, as they are
-    found      called with the number of radiographs that an earlier run left, as they are checked, before any is made
+    kept       called with the number of radiographs that an earlier run left, as they are checked, before any is made
     returns    the path of the manifest (CSV, one row a radiograph)
     raises     InputError for an unknown engine, a folder that holds another cohort, a damaged file in it, a disk that
                cannot be written, a scheduler that cannot be used; WorkersLostError when workers keep being killed
@@ -66,18 +74,20 @@ def make_cohort(
     if scheduler is not None:
         require_scheduler(scheduler)
     folder = Path(folder)
-    claim = records.claim(folder / "cohort.json", {**plan.table(), "engine": engine, "versions": versions()})
+    code = code_digest(_CODE)
+    asked = {**plan.table(), "engine": engine, "versions": versions(), "code": code}
+    claim = records.claim(folder / "cohort.json", asked)
     _sweep(folder)
-    rows = _found(plan, folder, workers, found)
+    rows = _standing(plan, folder, workers, kept)
     missing = [case for case in plan.cases if case.index not in rows]
 
     def stands(index: int, made: list[Row]) -> None:
         rows[missing[index].index] = made
-        progress(len(missing[index].shots))
+        progress(len(missing[index].exposures))
 
     # Cores that have no knee of their own work on the rays of one.
     threads = 1 if scheduler else max(1, workers // max(1, len(missing)))
-    site = Site(folder=folder.absolute(), claim=claim, versions=versions())
+    site = Site(folder=folder.absolute(), claim=claim, versions=versions(), code=code)
     shared = {"site": site, "engine": engine, "threads": threads}
     ordered_map(make_case, missing, shared=shared, workers=workers, scheduler=scheduler, arrived=stands)
     _sweep(folder)
@@ -95,15 +105,16 @@ def make_case(case: Case, site: Site, engine: str, threads: int) -> list[Row]:
     for name, here in versions().items():
         if here != site.versions[name]:
             raise InputError(f"on {node()}: {name} = {here}; allowed: {site.versions[name]}, as where the run started")
+    require_code(site.code)
     built, paths, rows = build(case.knee), None, []
-    for shot in case.shots:
-        how: dict[str, Any] = {"seed": shot.seed, "engine": engine, "workers": threads}
+    for exposure in case.exposures:
+        how: dict[str, Any] = {"seed": exposure.seed, "engine": engine, "workers": threads}
         # Radiographs of one geometry, such as reference and low dose, have the same paths.
-        if paths is None or (paths.view, paths.texture) != (view_of(shot.protocol), shot.protocol.texture):
-            paths = trace(built.scene, shot.protocol, engine=engine, workers=threads)
-        radiograph = simulate(built, shot.protocol, paths=paths, **how)
-        path = save(radiograph, site.folder / "images" / f"{shot.name}.tif")
-        rows.append(_row(case, shot, radiograph, path.relative_to(site.folder), records.sha256(path)))
+        if paths is None or (paths.view, paths.texture) != (view_of(exposure.protocol), exposure.protocol.texture):
+            paths = trace(built.scene, exposure.protocol, engine=engine, workers=threads)
+        radiograph = simulate(built, exposure.protocol, paths=paths, **how)
+        path = save(radiograph, site.folder / "images" / f"{exposure.name}.tif")
+        rows.append(_row(case, exposure, radiograph, path.relative_to(site.folder), records.sha256(path)))
     records.write_rows(site.folder, case.index, rows)
     return rows
 
@@ -113,39 +124,41 @@ def _sweep(folder: Path) -> None:
         atomic.sweep(folder / name)
 
 
-def _found(plan: Plan, folder: Path, workers: int, found: Callable[[int], None]) -> dict[int, list[Row]]:
+def _standing(plan: Plan, folder: Path, workers: int, kept: Callable[[int], None]) -> dict[int, list[Row]]:
     """The rows of every knee that an earlier run finished, by index."""
 
     def known(case: Case) -> list[Row] | None:
-        return records.read_rows(folder, case.index, [shot.name for shot in case.shots])
+        return records.read_rows(folder, case.index, [exposure.name for exposure in case.exposures])
 
     rows: dict[int, list[Row]] = {}
     # Threads, for hashing lets go of the lock.
     with ThreadPoolExecutor(workers) as pool:
-        for case, of in zip(plan.cases, pool.map(known, plan.cases), strict=True):
-            if of is not None:
-                rows[case.index] = of
-                found(len(case.shots))
+        for case, known_rows in zip(plan.cases, pool.map(known, plan.cases), strict=True):
+            if known_rows is not None:
+                rows[case.index] = known_rows
+                kept(len(case.exposures))
     return rows
 
 
-def _row(case: Case, shot: Shot, radiograph: Radiograph, file: Path, digest: str) -> Row:
+def _row(case: Case, exposure: Exposure, radiograph: Radiograph, file: Path, digest: str) -> Row:
     truth = radiograph.truth
     assert truth is not None
-    knee, protocol = knee_table(case.knee), protocol_table(shot.protocol)
+    knee, protocol = knee_table(case.knee), protocol_table(exposure.protocol)
     row: Row = {
-        "radiograph": shot.name,
+        "radiograph": exposure.name,
         "subject": case.subject,
         "knee": case.index,
         "side": knee.pop("side"),
         "sex": knee.pop("sex"),
         "grade": knee.pop("grade"),
         "protocol": protocol.pop("name"),
-        "seed": shot.seed,
+        "seed": exposure.seed,
         "engine": radiograph.engine,
         "file": file.as_posix(),
         "sha256": digest,
     }
+    if exposure.kind:
+        row |= {"kind": exposure.kind, "turn": exposure.turn, "of_knee": exposure.of_knee}
     row |= {**knee, "osteophytes": json.dumps(knee["osteophytes"])} | protocol
     for name in ("medial", "lateral"):
         place = truth.landmarks_px[f"{name}_joint_line"]

@@ -13,7 +13,7 @@ from ..model.knee import Knee, draw_knee, knee_table
 from ..model.protocol import Protocol, load_protocol, protocol_table
 
 # Keys of the streams under a cohort's seed. A knee's index stands first, so the order of making changes nothing.
-_SHAPE, _NOISE, _AGAIN, _BODY = 0, 3, 4, 2**31
+_SHAPE, _NOISE, _RETEST, _BODY = 0, 3, 4, 2**31
 # Off by which a knee is placed anew: what a careful radiographer is said to keep to (judgement).
 _ROTATION_DEG, _FLEXION_DEG, _BEAM_DEG = 2.0, 2.0, 1.0
 # What the two knees of a subject share.
@@ -21,12 +21,21 @@ _BODY_FIELDS = ("sex", "stature_mm", "bone_scale", "cortex_scale", "limb_ap_mm",
 
 
 @dataclass(frozen=True)
-class Shot:
-    """One radiograph to be made."""
+class Exposure:
+    """One radiograph to be made.
+
+    seed     of its noise
+    kind     of a radiograph taken again: what is other than the first time, noise | perturbation; else ""
+    turn     1 or 2 of its kind; else 0
+    of_knee  index in the plan of the knee that is taken again; else None
+    """
 
     name: str
     protocol: Protocol
     seed: int
+    kind: str = ""
+    turn: int = 0
+    of_knee: int | None = None
 
 
 @dataclass(frozen=True)
@@ -36,7 +45,7 @@ class Case:
     subject: int
     index: int
     knee: Knee
-    shots: tuple[Shot, ...]
+    exposures: tuple[Exposure, ...]
 
 
 @dataclass(frozen=True)
@@ -44,7 +53,7 @@ class Plan:
     """A cohort before it is made.
 
     repeats   splits of its subjects
-    retested  knees that are taken again, see `plan_repeats`
+    retested  knees that are taken again, see `plan_retest`
     """
 
     preset: str
@@ -55,7 +64,7 @@ class Plan:
 
     def table(self) -> dict[str, Any]:
         """All that decides the pixels of this cohort, JSON-ready."""
-        protocols = dict.fromkeys(shot.protocol for case in self.cases for shot in case.shots)
+        protocols = dict.fromkeys(exposure.protocol for case in self.cases for exposure in case.exposures)
         return {
             "preset": self.preset,
             "seed": self.seed,
@@ -98,12 +107,11 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
     return Plan(preset=preset, seed=seed, repeats=table["repeats"], cases=tuple(cases), retested=table["retested"])
 
 
-def plan_repeats(plan: Plan, *, reference: str = "reference") -> Plan | None:
+def plan_retest(plan: Plan, *, reference: str = "reference") -> Plan | None:
     """Knees of a cohort, one a subject and evenly over the grades, to be taken again under one protocol.
 
     Each is taken twice with other noise, and placed anew twice, to opposite sides: rotation and flexion off by 2 deg
-    (flexion not below 0) and the beam by 1 deg, signs drawn, noise other again. A radiograph's name ends in _noise1,
-    _noise2, _perturbation1 or _perturbation2, and has the number of its knee in the plan: s0001_k0003_noise1. A knee
+    (flexion not below 0) and the beam by 1 deg, signs drawn, noise other again. The exposure says which it is. A knee
     that is placed anew is a case of its own, with an index beyond the plan's.
 
     returns  None where the plan retests no knee
@@ -111,13 +119,13 @@ def plan_repeats(plan: Plan, *, reference: str = "reference") -> Plan | None:
     """
     if not plan.retested:
         return None
-    protocols = {shot.protocol.name: shot.protocol for case in plan.cases for shot in case.shots}
+    protocols = {e.protocol.name: e.protocol for case in plan.cases for e in case.exposures}
     require_choice("protocol", reference, tuple(protocols))
     cases: list[Case] = []
     for case in _spread(plan):
         at = len(plan.cases) + 2 * case.index
-        cases += _again(plan.seed, case, protocols[reference], at)
-    return Plan(preset=f"{plan.preset}, repeats", seed=plan.seed, repeats=plan.repeats, cases=tuple(cases))
+        cases += _retest(plan.seed, case, protocols[reference], at)
+    return Plan(preset=f"{plan.preset}, retest", seed=plan.seed, repeats=plan.repeats, cases=tuple(cases))
 
 
 def _spread(plan: Plan) -> list[Case]:
@@ -133,14 +141,17 @@ def _spread(plan: Plan) -> list[Case]:
     return sorted(turns[: plan.retested], key=lambda case: case.index)
 
 
-def _again(seed: int, case: Case, protocol: Protocol, at: int) -> list[Case]:
+def _retest(seed: int, case: Case, protocol: Protocol, at: int) -> list[Case]:
     """The knee as it stands with other noise, and placed anew to one side and to the other."""
-    root = np.random.SeedSequence(seed, spawn_key=(case.index, _AGAIN))
+    root = np.random.SeedSequence(seed, spawn_key=(case.index, _RETEST))
     states = [int(state >> np.uint64(1)) for state in root.generate_state(4, np.uint64)]
     signs = np.random.default_rng(root.spawn(1)[0]).choice([-1.0, 1.0], 3)
     stem = f"s{case.subject:04d}_k{case.index:04d}"
-    shots = tuple(Shot(f"{stem}_noise{turn}", protocol, states[turn - 1]) for turn in (1, 2))
-    cases = [replace(case, shots=shots)]
+
+    def exposure(kind: str, turn: int, protocol: Protocol, seed: int) -> Exposure:
+        return Exposure(f"{stem}_{kind}{turn}", protocol, seed, kind, turn, of_knee=case.index)
+
+    cases = [replace(case, exposures=tuple(exposure("noise", k, protocol, states[k - 1]) for k in (1, 2)))]
     for turn, side in ((1, 1.0), (2, -1.0)):
         rotation, flexion, beam = (float(side * sign) for sign in signs)
         knee = replace(
@@ -149,8 +160,8 @@ def _again(seed: int, case: Case, protocol: Protocol, at: int) -> list[Case]:
             flexion_deg=round(max(0.0, case.knee.flexion_deg + flexion * _FLEXION_DEG), 4),
         )
         placed = replace(protocol, beam_angle_deg=protocol.beam_angle_deg + beam * _BEAM_DEG)
-        shot = Shot(f"{stem}_perturbation{turn}", placed, states[turn + 1])
-        cases.append(Case(subject=case.subject, index=at + turn - 1, knee=knee, shots=(shot,)))
+        taken = (exposure("perturbation", turn, placed, states[turn + 1]),)
+        cases.append(Case(subject=case.subject, index=at + turn - 1, knee=knee, exposures=taken))
     return cases
 
 
@@ -184,11 +195,12 @@ def _case(seed: int, index: int, subject: int, grade: int, side: str | None, pro
         fixed["side"] = side
     shape = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index, _SHAPE)))
     knee = draw_knee(grade=grade, rng=shape, **fixed)
-    shots = []
+    exposures = []
     for place, protocol in enumerate(protocols):
         state = np.random.SeedSequence(seed, spawn_key=(index, _NOISE, place)).generate_state(1, np.uint64)
-        shots.append(Shot(f"s{subject:04d}_k{index:04d}_{protocol.name}", protocol, int(state[0] >> np.uint64(1))))
-    return Case(subject=subject, index=index, knee=knee, shots=tuple(shots))
+        name = f"s{subject:04d}_k{index:04d}_{protocol.name}"
+        exposures.append(Exposure(name, protocol, int(state[0] >> np.uint64(1))))
+    return Case(subject=subject, index=index, knee=knee, exposures=tuple(exposures))
 
 
 @lru_cache(maxsize=1)  # the other knee of a subject comes next

@@ -73,12 +73,12 @@ def _image(folder: Path, row: Row) -> Iterator[str]:
         yield f"{row['file']}: missing"
         return
     try:
-        found = records.sha256(path)
+        digest = records.sha256(path)
     except InputError as error:
         yield f"{row['file']}: unreadable ({error})"
         return
-    if found != row["sha256"]:
-        yield f"{row['file']}: changed (sha256 {found[:12]}..., in the manifest {row['sha256'][:12]}...)"
+    if digest != row["sha256"]:
+        yield f"{row['file']}: changed (sha256 {digest[:12]}..., in the manifest {row['sha256'][:12]}...)"
 
 
 def _records(folder: Path, rows: list[Row]) -> Iterator[str]:

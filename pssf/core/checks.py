@@ -33,8 +33,8 @@ def require_whole(name: str, value: int, low: int, high: int, unit: str) -> None
     raises  InputError
     """
     if not isinstance(value, Integral) or isinstance(value, bool) or not low <= value <= high:
-        told, allowed = (f"{text} {unit}".rstrip() for text in (repr(value), f"{low} to {high}"))
-        raise InputError(f"{name} = {told}; allowed: whole numbers from {allowed}")
+        given, allowed = (f"{text} {unit}".rstrip() for text in (repr(value), f"{low} to {high}"))
+        raise InputError(f"{name} = {given}; allowed: whole numbers from {allowed}")
 
 
 def require_workers(workers: int, unit: str = "threads") -> None:

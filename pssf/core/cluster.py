@@ -19,7 +19,7 @@ from distributed.comm import CommClosedError
 from distributed.scheduler import KilledWorker
 
 from .checks import InputError
-from .parallel import WorkersLostError, one_thread
+from .workers import WorkersLostError, one_thread
 
 _REACH_SECONDS = 10
 # Workers that have been killed are back only when they have loaded everything again.
@@ -44,13 +44,14 @@ def require_workers(address: str, modules: tuple[str, ...] = ()) -> None:
         if isinstance(answer, Exception):
             raise answer
     here = version("pssf")
-    found, lacking = {found for found, _ in answers}, set().union(*(lacking for _, lacking in answers))
-    if found != {here}:
-        told = ", ".join(sorted(found))
-        raise InputError(f"scheduler = {address!r}: workers have pssf {told}; allowed: {here}, as here")
+    there = sorted({release for release, _ in answers})
+    lacking = sorted(set().union(*(names for _, names in answers)))
+    if there != [here]:
+        raise InputError(f"scheduler = {address!r}: workers have pssf {', '.join(there)}; allowed: {here}, as here")
     if lacking:
-        told = ", ".join(sorted(lacking))
-        raise InputError(f"scheduler = {address!r}: a worker lacks {told}; allowed: the extra study on every worker")
+        raise InputError(
+            f"scheduler = {address!r}: a worker lacks {', '.join(lacking)}; allowed: the extra study on every worker"
+        )
 
 
 def spread(
@@ -102,9 +103,9 @@ def _answers(client: Client, modules: tuple[str, ...]) -> list[Any]:
             client.wait_for_workers(1, timeout=left)
         except TimeoutError:
             break
-        told = client.run(_about, modules, on_error="return").values()
+        replies = client.run(_about, modules, on_error="return").values()
         # One that dies as it is asked is seldom the last: whatever started it starts another.
-        answers = [answer for answer in told if not isinstance(answer, CommClosedError)]
+        answers = [reply for reply in replies if not isinstance(reply, CommClosedError)]
         if answers:
             return answers
         time.sleep(_AGAIN_SECONDS)

@@ -2,10 +2,9 @@
 
 import os
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from importlib.util import find_spec
 from multiprocessing import get_context, parent_process
 from typing import Any, TypeVar
@@ -13,6 +12,7 @@ from typing import Any, TypeVar
 from threadpoolctl import threadpool_limits
 
 from .checks import InputError
+from .workers import WorkersLostError, one_thread
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -21,10 +21,6 @@ Result = TypeVar("Result")
 _PATIENCE = 2
 
 _shared: dict[str, Any] = {}  # of a worker process: set once when it starts, read only afterwards
-
-
-class WorkersLostError(RuntimeError):
-    """Workers were killed again and again, or a cluster was lost; what had come to stand by then stands."""
 
 
 def cores() -> int:
@@ -85,19 +81,6 @@ def require_scheduler(address: str, modules: tuple[str, ...] = ()) -> None:
     from .cluster import require_workers
 
     require_workers(address, modules)
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """One thread for BLAS, OpenMP and SimpleITK, since there is a process for every core."""
-    if find_spec("SimpleITK"):
-        # As many threads as cores in every process would wait for each other.
-        import SimpleITK as sitk  # noqa: N813
-
-        sitk.ProcessObject.SetGlobalDefaultNumberOfThreads(1)
-    # The order of a sum, hence its last bit, then does not hang on the machine either.
-    with threadpool_limits(1):
-        yield
 
 
 def _in_processes(

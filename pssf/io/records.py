@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.checks import InputError
 from .atomic import write_bytes
+from .code import differing
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -32,18 +33,24 @@ def sha256(path: Path) -> str:
 def claim(path: Path, asked: dict[str, Any]) -> str:
     """Write down what a folder is for, and return the hash of that; refuse a folder that is for something else.
 
-    raises  InputError naming the first entry that differs
+    asked   JSON-ready; its entry `code`, if any, is what it is made by, see `code.code_digest`
+    raises  InputError naming the first entry that differs, or all parts of the code that do
     """
     if not path.exists():
         write_json(path, asked)
         return sha256(path)
-    found = read_json(path)
-    if not isinstance(found, dict):
+    claimed = read_json(path)
+    if not isinstance(claimed, dict):
         raise InputError(f"file {path}: damaged (not what was asked for); allowed: a new folder")
-    if found != asked:
-        place, old, new = _difference(found, asked)
+    was, wanted = ({name: entry for name, entry in of.items() if name != "code"} for of in (claimed, asked))
+    if was != wanted:
+        place, old, new = _difference(was, wanted)
         what = f"{place} = {old!r}, asked for {new!r}"
         raise InputError(f"folder {path.parent} holds another cohort: {what}; allowed: a new folder")
+    parts = differing(claimed.get("code", {}), asked.get("code", {}))
+    if parts:
+        what = f"a cohort made by other code of pssf ({parts})"
+        raise InputError(f"folder {path.parent} holds {what}; allowed: the code that made it, or a new folder")
     return sha256(path)
 
 
@@ -54,10 +61,10 @@ def require_claimed(path: Path, digest: str) -> None:
     """
     allowed = "allowed: a folder that all workers share, under one path"
     try:
-        found = sha256(path)
+        here = sha256(path)
     except InputError as error:
         raise InputError(f"on {node()}: {str(error).split(';')[0]}; {allowed}") from None
-    if found != digest:
+    if here != digest:
         raise InputError(f"on {node()}: folder {path.parent} holds another cohort; {allowed}")
 
 
@@ -97,10 +104,10 @@ def read_rows(folder: Path, knee: int, names: list[str]) -> list[Row] | None:
     if not all(file.exists() for file in expected):
         return None
     for file, digest in expected.items():
-        found = sha256(file)
-        if found != digest:
-            told = f"sha256 {found[:12]}..., recorded {digest[:12]}..."
-            raise InputError(f"file {file}: damaged ({told}); delete it to have it made again")
+        now = sha256(file)
+        if now != digest:
+            change = f"sha256 {now[:12]}..., recorded {digest[:12]}..."
+            raise InputError(f"file {file}: damaged ({change}); delete it to have it made again")
     return rows
 
 

@@ -1,10 +1,7 @@
 """Results of a study on disk: tables, JSON, pages and pictures. Each file appears whole or not at all."""
 
 import csv
-import hashlib
 import json
-from functools import cache
-from importlib.metadata import distributions
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -66,16 +63,6 @@ def load_json(path: Path) -> Any:
         return json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-
-
-@cache
-def code_digest() -> str:
-    """Hash of the code and data of this package and of the versions of all that is installed."""
-    digest, root = hashlib.sha256(), Path(__file__).parents[1]
-    for path in sorted(path for path in root.rglob("*") if path.suffix in (".py", ".toml", ".j2")):
-        digest.update(f"{path.relative_to(root).as_posix()}\n".encode() + path.read_bytes())
-    installed = sorted({(one.metadata["Name"], one.version) for one in distributions()})
-    return hashlib.sha256(digest.digest() + repr(installed).encode()).hexdigest()
 
 
 def save_json(path: Path, value: Any) -> None:

@@ -66,9 +66,11 @@ def mtf(protocol: Protocol) -> Curve:
     path = -np.log(np.clip(0.5 - across, 1e-6, 1.0)) / per_mm
     pixels = _pixels(_exposed({"Pb@11.35": path.astype(np.float32)}, quiet))
     middle = slice(_EDGE_PX // 8, -_EDGE_PX // 8)
-    frequency, found = _edge_mtf(pixels[middle, middle].astype(np.float64), across[middle, middle], protocol.pixel_mm)
-    found /= np.sinc(frequency * protocol.pixel_mm)
-    return Curve(frequency, found, model_mtf(protocol, frequency))
+    frequency, measured = _edge_mtf(
+        pixels[middle, middle].astype(np.float64), across[middle, middle], protocol.pixel_mm
+    )
+    measured /= np.sinc(frequency * protocol.pixel_mm)
+    return Curve(frequency, measured, model_mtf(protocol, frequency))
 
 
 def _mono_mas(protocol: Protocol) -> float:
@@ -112,9 +114,9 @@ def nnps(protocol: Protocol) -> Curve:
     power = (np.abs(np.fft.fft2(regions * window)) ** 2).mean(axis=(0, 1, 2)) * protocol.pixel_mm**2 / (window**2).sum()
     f = np.fft.fftfreq(_ROI_PX, protocol.pixel_mm)
     radius = np.hypot(*np.meshgrid(f, f))
-    frequency, found = _radial(radius, power / fields.mean() ** 2, protocol.pixel_mm)
+    frequency, measured = _radial(radius, power / fields.mean() ** 2, protocol.pixel_mm)
     return Curve(
-        frequency, found, _radial(radius, model_nnps(protocol, radius, float(fields.mean())), protocol.pixel_mm)[1]
+        frequency, measured, _radial(radius, model_nnps(protocol, radius, float(fields.mean())), protocol.pixel_mm)[1]
     )
 
 
@@ -172,7 +174,7 @@ def noise_moments(protocol: Protocol) -> dict[str, tuple[float, float, float]]:
     quanta = float(np.mean(mean**2 / variance))
     skewness = 1 / np.sqrt(quanta) if quanta < GAUSSIAN_FROM else 0.0
     shape = (off - off.mean()) / off.std()
-    found = {
+    moments = {
         "mean": (off.mean(), 0.0, 1),
         "variance": (off.var(), 1.0, 2),
         "skewness": (np.mean(shape**3), skewness, 6),
@@ -180,7 +182,7 @@ def noise_moments(protocol: Protocol) -> dict[str, tuple[float, float, float]]:
     }
     return {
         f"noise_{name}": (float(value), about - 4 * np.sqrt(var / n), about + 4 * np.sqrt(var / n))
-        for name, (value, about, var) in found.items()
+        for name, (value, about, var) in moments.items()
     }
 
 

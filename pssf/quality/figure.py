@@ -1,15 +1,13 @@
 """The curves of a protocol's quality, measured beside model, in one figure."""
 
 import io
-from typing import TYPE_CHECKING
 
 from matplotlib.figure import Figure
 
-if TYPE_CHECKING:
-    from . import Quality
+from .measure import Quality
 
 
-def draw(quality: "Quality", name: str) -> bytes:
+def draw(quality: Quality, name: str) -> bytes:
     """PNG of MTF, NNPS, DQE, photon transfer and scatter over primary."""
     figure = Figure(figsize=(13, 7), layout="constrained")
     axes = figure.subplots(2, 3)
@@ -22,8 +20,8 @@ def draw(quality: "Quality", name: str) -> bytes:
     axes[0, 1].set_yscale("log")
     for axis in (axes[0, 0], axes[1, 0]):
         axis.set_ylim(bottom=0)
-    mean, found, meant = zip(*quality.transfer, strict=True)
-    axes[1, 1].loglog(mean, found, "o", label="measured")
+    mean, measured, meant = zip(*quality.transfer, strict=True)
+    axes[1, 1].loglog(mean, measured, "o", label="measured")
     axes[1, 1].loglog(mean, meant, "-", linewidth=1, label="model")
     axes[1, 1].set(xlabel="mean signal (DN)", ylabel="variance (DN²)", title="photon transfer, no blur")
     axes[1, 1].legend(frameon=False)

@@ -1,5 +1,6 @@
 """From a radiograph to numbers; needs the extra `study`.
 
+families.family       feature               -> its family, one of FAMILIES
 region.find_joint     pixels, templates     -> where the medial joint line is, and how sure that is
 region.cut_region     pixels, row, col      -> region (size, size)
 bone.bone_mask        region                -> mask (size, size)
@@ -8,4 +9,6 @@ ibsi.tag_of           feature               -> which feature of the IBSI it is; 
 table.extract_all     jobs, how to load     -> one record a radiograph, in the order of the jobs
 """
 
-FAMILIES = ("firstorder", "shape2D", "glcm", "glrlm", "glszm", "ngtdm", "gldm")
+from .families import FAMILIES
+
+__all__ = ["FAMILIES"]

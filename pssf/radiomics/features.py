@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from radiomics import firstorder, glcm, gldm, glrlm, glszm, ngtdm, shape2D
 
 from ..core.checks import Array, InputError, require_choice
-from . import FAMILIES
 from .bone import bone_mask
+from .families import FAMILIES
 
 TEXTURES = {
     "glcm": glcm.RadiomicsGLCM,
@@ -32,7 +32,7 @@ _AFFINE_INVARIANT = ("Entropy", "Uniformity", "Skewness", "Kurtosis")
 def extract(
     region: NDArray[np.generic], pixel_mm: float, bins: int = 64, families: Collection[str] = FAMILIES
 ) -> dict[str, float]:
-    """The features of a region, by names such as `glcm_Contrast`; see `family`.
+    """The features of a region, by names such as `glcm_Contrast`; see `families`.
 
     First order is taken twice: of the linear signal (`firstorder_linear_*`) and of its z-score over the region
     (`firstorder_z_*`). Shape is that of the bone in the region. Texture is of the raw integers in `bins` equal bins
@@ -40,7 +40,7 @@ def extract(
 
     region   (size, size) whole numbers, linear
     bins     a power of two keeps the edges of the bins exact
-    families  of FAMILIES; one that is not asked for costs nothing
+    families of FAMILIES; one that is not asked for costs nothing
     raises   InputError for grey values that are not integers, or an unknown family
     """
     if not np.issubdtype(region.dtype, np.integer):
@@ -48,23 +48,18 @@ def extract(
     for name in families:
         require_choice("family", name, FAMILIES)
     square = np.ones(region.shape, dtype=np.uint8)
-    found: dict[str, float] = {}
+    values: dict[str, float] = {}
     if "firstorder" in families:
-        found |= measure(firstorder.RadiomicsFirstOrder, region, square, pixel_mm, "firstorder_linear", binCount=bins)
+        values |= measure(firstorder.RadiomicsFirstOrder, region, square, pixel_mm, "firstorder_linear", binCount=bins)
         z = measure(firstorder.RadiomicsFirstOrder, _z_score(region), square, pixel_mm, "firstorder_z", binCount=bins)
-        found |= {name: value for name, value in z.items() if name.rsplit("_", 1)[1] not in _AFFINE_INVARIANT}
+        values |= {name: value for name, value in z.items() if name.rsplit("_", 1)[1] not in _AFFINE_INVARIANT}
     if "shape2D" in families:
         bone = bone_mask(region).astype(np.uint8)
-        found |= measure(shape2D.RadiomicsShape2D, region, bone, pixel_mm, "shape2D", binCount=bins)
+        values |= measure(shape2D.RadiomicsShape2D, region, bone, pixel_mm, "shape2D", binCount=bins)
     for name, kind in TEXTURES.items():
         if name in families:
-            found |= measure(kind, region, square, pixel_mm, name, binCount=bins)
-    return found
-
-
-def family(name: str) -> str:
-    """The family of a feature, one of FAMILIES."""
-    return name.split("_", 1)[0]
+            values |= measure(kind, region, square, pixel_mm, name, binCount=bins)
+    return values
 
 
 def measure(

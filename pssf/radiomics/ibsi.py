@@ -1,7 +1,7 @@
 """Which feature of the Image Biomarker Standardisation Initiative a feature is, and where it departs from it."""
 
 from ..data import tables
-from .features import family
+from .families import family
 
 
 def tag_of(name: str) -> str:
@@ -14,8 +14,8 @@ def tag_of(name: str) -> str:
 
 def departure_of(name: str) -> str:
     """How a feature departs from the initiative's definition, or that it is not theirs; "" where it does not."""
-    told = tables.data("ibsi")["departures"]
-    return str(told.get(f"{family(name)}_{_short(name)}", told.get(family(name), "")))
+    departures = tables.data("ibsi")["departures"]
+    return str(departures.get(f"{family(name)}_{_short(name)}", departures.get(family(name), "")))
 
 
 def _short(name: str) -> str:

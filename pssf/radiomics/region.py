@@ -16,7 +16,7 @@ from ..core.checks import Array, InputError, require, require_choice
 _WIDE_MM, _NARROW_MM = 1.2, 0.3
 _WIDE_EXTENT_MM = (36.0, 66.0, 36.0)  # above and below, lateral, medial
 _NARROW_EXTENT_MM = (12.0, 20.0, 24.0)
-_REACH_MM = 8.0  # how far the narrow search may move from what the wide one found
+_REACH_MM = 8.0  # how far the narrow search may move from the wide one's place
 # Sizes of the bone relative to the template's, magnification included.
 _SCALES = (0.76, 0.82, 0.88, 0.94, 1.0, 1.06, 1.12)
 
@@ -44,7 +44,7 @@ class Template:
 
 @dataclass(frozen=True, kw_only=True)
 class Joint:
-    """What the search found.
+    """What the search gave.
 
     row, col  medial joint line, pixels; of the best match even where it is refused
     score     normalised cross-correlation of the wide match, -1 to 1
@@ -85,13 +85,13 @@ def find_joint(
     require_choice("side", side, ("right", "left"))
     if not templates:
         raise InputError("templates = none; allowed: one or more")
-    found = (-2.0, 0.0, 0.0, 1.0)
+    match = (-2.0, 0.0, 0.0, 1.0)
     image, step = _log_mean(pixels, _WIDE_MM / pixel_mm)
     for scale in _SCALES:
         patch, anchor = _patch(templates[0], side, scale, step * pixel_mm, _WIDE_EXTENT_MM)
         score, row, col = _best(image, patch, anchor)
-        found = max(found, (score, row * step + (step - 1) / 2, col * step + (step - 1) / 2, scale))
-    score, row, col, scale = found
+        match = max(match, (score, row * step + (step - 1) / 2, col * step + (step - 1) / 2, scale))
+    score, row, col, scale = match
     if score <= -2.0:
         raise InputError(f"image of {pixels.shape} pixels of {pixel_mm} mm; allowed: one that holds a knee joint")
     row, col = _refine(pixels, templates, side, scale, pixel_mm, row, col)

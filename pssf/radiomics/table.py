@@ -4,17 +4,17 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from importlib.metadata import version
-from inspect import getsource
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.execution import Execution
 from ..core.parallel import ordered_map
-from . import FAMILIES, bone, features, region
+from ..io.code import code_digest, require_code
+from .families import FAMILIES
 from .features import extract
 from .region import Template, cut_region, find_joint
 
@@ -22,6 +22,10 @@ Record = dict[str, Any]
 Load = Callable[[str], NDArray[np.uint16]]
 TEXT = ("radiograph", "sha256", "settings", "checksum", "status")
 NOT_FEATURES = (*TEXT, "row_px", "col_px", "score", "scale")
+# What a record depends on beside the file, templates and `How`: code and tables of the package, what reads files too.
+_CODE = ("core", "data", "io", "radiomics")
+_LIBRARIES = ("numpy", "pyradiomics", "scikit-image", "scipy", "simpleitk")
+_SAVE_SECONDS = 10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,21 +55,18 @@ def extract_all(
     load_pixels: Load,
     templates: Sequence[Template],
     how: How,
-    workers: int = 1,
-    scheduler: str | None = None,
+    execution: Execution | None = None,
     known: Mapping[str, Record] | None = None,
-    save: Callable[[list[Record]], None] | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    save: Callable[[list[Record]], None] = lambda records: None,
 ) -> tuple[list[Record], dict[str, float]]:
-    """Records in the order of the jobs, the same on any number of workers, and the seconds of work in each step.
+    """Records in the order of the jobs, whoever does the work, and the seconds of work in each step.
 
-    load_pixels  file -> (rows, cols) integers; picklable if workers > 1
-    scheduler    address of a Dask scheduler whose workers do it instead; None: processes of this machine
+    load_pixels  file -> (rows, cols) integers; picklable for more than one worker
     known        sha256 -> record of an earlier run; used where its settings are the same and nothing in it has changed
     save         is given all records so far, now and then, so that a run that breaks off can go on from there
-    progress     is told how many of how many are done
+    raises       InputError for a worker with other code; WorkersLostError when workers keep being killed
     """
-    key = settings_key(templates, how)
+    execution, key = execution or Execution(), settings_key(templates, how)
     known = {sha: record for sha, record in (known or {}).items() if _stands(record, key)}
     records: dict[int, Record] = {}
     for index, job in enumerate(jobs):
@@ -81,26 +82,38 @@ def extract_all(
         records[missing[nth]] = {**record, "checksum": _checksum(record)}
         for step, spent in result[1].items():
             seconds[step] += spent
-        if progress is not None:
-            progress(len(records), len(jobs))
-        if save is not None and perf_counter() - saved_at > 10:
+        stage.advance()
+        if perf_counter() - saved_at > _SAVE_SECONDS:
             save([records[index] for index in sorted(records)])
             saved_at = perf_counter()
 
-    shared = {"load_pixels": load_pixels, "templates": templates, "how": how}
-    todo = [jobs[index] for index in missing]
-    ordered_map(measure, todo, shared=shared, workers=workers, scheduler=scheduler, arrived=arrived)
-    in_order = [records[index] for index in range(len(jobs))]
-    if save is not None:
+    with execution.stage("regions and features", "radiographs", len(jobs)) as stage:
+        stage.keep(len(records))
+        shared = {"load_pixels": load_pixels, "templates": templates, "how": how, "code": code_digest(_CODE)}
+        ordered_map(
+            measure,
+            [jobs[index] for index in missing],
+            shared=shared,
+            workers=execution.workers,
+            scheduler=execution.scheduler,
+            arrived=arrived,
+        )
+        in_order = [records[index] for index in range(len(jobs))]
         save(in_order)
     return in_order, seconds
 
 
-def measure(job: Job, *, load_pixels: Load, templates: Sequence[Template], how: How) -> tuple[Record, dict[str, float]]:
+def measure(
+    job: Job, *, load_pixels: Load, templates: Sequence[Template], how: How, code: Mapping[str, str]
+) -> tuple[Record, dict[str, float]]:
     """The record of one radiograph, and the seconds each step took.
 
     A match that is refused has its place and score in the record, and no features.
+
+    code    of `code_digest` where the run started
+    raises  InputError where the code is another here
     """
+    require_code(code)
     began = perf_counter()
     pixels = load_pixels(job.file)
     joint = find_joint(
@@ -122,9 +135,9 @@ def measure(job: Job, *, load_pixels: Load, templates: Sequence[Template], how: 
 
 
 def settings_key(templates: Sequence[Template], how: How) -> str:
-    """Short text that changes with anything but the pixels that a record depends on, this code included."""
+    """Short text that changes with anything but the pixels that a record depends on, code and libraries included."""
     at = [(template.row, template.col, template.pixel_mm) for template in templates]
-    facts = [vars(how), at, _code(), version("pyradiomics"), version("scikit-image"), version("pssf")]
+    facts = [vars(how), at, code_digest(_CODE), {name: version(name) for name in _LIBRARIES}]
     digest = hashlib.sha256(json.dumps(facts).encode())
     for template in templates:
         digest.update(np.ascontiguousarray(template.pixels).tobytes())
@@ -137,11 +150,6 @@ def _stands(record: Mapping[str, Any], key: str) -> bool:
 
 def _checksum(record: Mapping[str, Any]) -> str:
     """Of all values but the radiograph's name; one that is not there is as good as one that is not a number."""
-    told = {name: value if name in TEXT else repr(float(value)) for name, value in sorted(record.items())}
-    kept = {name: value for name, value in told.items() if value != "nan" and name not in ("radiograph", "checksum")}
+    texts = {name: value if name in TEXT else repr(float(value)) for name, value in sorted(record.items())}
+    kept = {name: value for name, value in texts.items() if value != "nan" and name not in ("radiograph", "checksum")}
     return hashlib.sha256(json.dumps(kept).encode()).hexdigest()[:16]
-
-
-@cache
-def _code() -> str:
-    return hashlib.sha256("".join(map(getsource, (region, bone, features))).encode()).hexdigest()

@@ -9,7 +9,9 @@ from typing import Any
 import pandas as pd
 
 from ..io import records, results
-from . import StudyResult, StudySettings
+from ..io.code import code_digest, installed
+from .result import StudyResult
+from .settings import StudySettings
 
 _FILE = "finished.json"
 _KINDS = ("pictures", "tables", "models")
@@ -18,7 +20,8 @@ _LOADED = ("scores", "differences", "reliability", "localisation")
 
 def key_of(manifests: list[pd.DataFrame], settings: StudySettings, engine: str) -> str:
     """Hash of all that the results of a study depend on, the code of the package and its libraries included."""
-    facts = {"settings": asdict(settings), "engine": engine, "code": results.code_digest()}
+    made_by = {"code": code_digest(), "installed": installed()}
+    facts = {"settings": asdict(settings), "engine": engine, **made_by}
     digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
     for manifest in manifests:
         digest.update(manifest.to_csv(index=False).encode())
@@ -27,24 +30,24 @@ def key_of(manifests: list[pd.DataFrame], settings: StudySettings, engine: str) 
 
 def mark(result: StudyResult, out: Path, key: str) -> None:
     """Write down which files a run ended with, and their hashes."""
-    found = {
+    files = {
         kind: {name: str(path.relative_to(out)) for name, path in getattr(result, kind).items()} for kind in _KINDS
     }
     loose = [result.report, out / "study.json", out / "environment.json", out / "checklist.json"]
-    paths = [*loose, *(out / name for kind in found.values() for name in kind.values())]
+    paths = [*loose, *(out / name for kind in files.values() for name in kind.values())]
     digests = {str(path.relative_to(out)): records.sha256(path) for path in paths}
-    told: dict[str, Any] = {"key": key, **found, "seconds": result.seconds, "sha256": digests}
-    results.save_json(out / _FILE, told)
+    end: dict[str, Any] = {"key": key, **files, "seconds": result.seconds, "sha256": digests}
+    results.save_json(out / _FILE, end)
 
 
 def earlier(out: Path, key: str) -> StudyResult | None:
     """The result of an earlier run with the same key, or None where a file of it is missing or changed."""
-    told = results.load_json(out / _FILE)
-    if told is None or told.get("key") != key:
+    end = results.load_json(out / _FILE)
+    if end is None or end.get("key") != key:
         return None
-    for name, digest in told["sha256"].items():
+    for name, digest in end["sha256"].items():
         if not (out / name).exists() or records.sha256(out / name) != digest:
             return None
-    paths = {kind: {name: out / file for name, file in told[kind].items()} for kind in _KINDS}
+    paths = {kind: {name: out / file for name, file in end[kind].items()} for kind in _KINDS}
     tables = {name: results.load_typed_table(paths["tables"][name]) for name in _LOADED}
-    return StudyResult(report=out / "report.html", seconds=told["seconds"], origin="an earlier run", **paths, **tables)
+    return StudyResult(report=out / "report.html", seconds=end["seconds"], origin="an earlier run", **paths, **tables)

@@ -1,4 +1,4 @@
-"""The stages of the study in order; the one module of it that knows, through `files`, the disk."""
+"""The stages of the study in order; the one module of it that knows, through `io`, the disk."""
 
 import platform
 from collections.abc import Sequence
@@ -9,24 +9,26 @@ from pathlib import Path
 import pandas as pd
 
 from ..core.checks import InputError, require_choice
+from ..core.execution import Execution
 from ..io import results
 from ..radiomics.region import Template
 from ..radiomics.table import NOT_FEATURES, TEXT, How, Job, Load, Record, extract_all
-from . import Progress, StudyResult, StudySettings
-from .learn.baselines import SOURCES, with_measures
-from .learn.importance import by_family
-from .learn.scenarios import Outcome
-from .learn.selection import is_degenerate
+from .learn.baselines import SOURCES
 from .learn.training import train
+from .predictions import Outcome, joined
 from .report.checklist import checklist
-from .report.cost import Meter
+from .report.cost import cost_rows
 from .report.environment import environment
 from .report.gallery import gallery
 from .report.page import Findings, Picture, render
+from .result import StudyResult
+from .settings import StudySettings
 from .statistics import localisation
 from .statistics.claims import claims
-from .statistics.evidence import Tables, joined, tables_of_features, tables_of_models, tables_of_truth
-from .statistics.parameters import composition
+from .statistics.degenerate import is_degenerate
+from .statistics.evidence import Tables, tables_of_features, tables_of_models, tables_of_truth
+from .statistics.importance import by_family
+from .statistics.parameters import composition, with_measures
 from .statistics.reliability import REPEATS, count_stable
 
 _COLUMNS = (
@@ -48,32 +50,29 @@ class Run:
     templates: Sequence[Template]
     settings: StudySettings
     out: Path
-    meter: Meter
-    workers: int
-    scheduler: str | None
-    tell: Progress
+    execution: Execution
 
 
-def run_study(run: Run, manifest: pd.DataFrame, again: pd.DataFrame | None) -> StudyResult:
+def run_study(run: Run, manifest: pd.DataFrame, retest: pd.DataFrame | None) -> StudyResult:
     """See `pssf.study.run`."""
-    settings, meter = run.settings, run.meter
-    table, names, work = measured(run, manifest, again)
+    settings, timer = run.settings, run.execution.timer
+    table, names, work = measured(run, manifest, retest)
     located = localisation.errors(with_measures(table[table["kind"] == ""]))
     repeated = table[(table["kind"] != "") & (table["status"] == "found")]
     usable = located[located["status"] == "found"]
     _require_enough(usable, settings)
-    outcomes = _outcomes(run, usable, names)
-    predictions = joined([outcome.predictions for outcome in outcomes])
+    outcomes = train(usable, names, settings, run.execution)
+    predictions = joined(outcome.predictions for outcome in outcomes)
     if predictions.empty:
         raise InputError("regions found = too few to train on; allowed: grades 0 and 2 found among training subjects")
-    with meter.stage("intervals and differences"):
+    with timer.stage("intervals and differences"):
         tables = tables_of_models(outcomes, settings)
-    with meter.stage("reliability and figures"):
+    with timer.stage("reliability and figures"):
         tables = tables_of_features(located, repeated, names, settings) | tables
         tables |= tables_of_truth(manifest, usable, names, predictions, settings)
         pictures = gallery(located, run.load_pixels, settings, predictions, tables)
-    with meter.stage("claims"):
-        importances = joined([outcome.importances for outcome in outcomes])
+    with timer.stage("claims"):
+        importances = joined(outcome.importances for outcome in outcomes)
         tables["claims"] = claims(usable, predictions, importances, tables, settings)
     findings = _findings(run, located, names, tables, outcomes, pictures, work)
     return _write(run.out, findings, tables | {"predictions": predictions}, outcomes)
@@ -93,18 +92,18 @@ def check_manifest(manifest: pd.DataFrame, settings: StudySettings) -> None:
         raise InputError(f"manifest: radiograph {twice.iloc[0]} is listed twice; allowed: once")
 
 
-def _everything(manifest: pd.DataFrame, again: pd.DataFrame | None) -> pd.DataFrame:
+def _with_retest(manifest: pd.DataFrame, retest: pd.DataFrame | None) -> pd.DataFrame:
     """The manifest, the columns that the study reads, and below it what was taken again; `kind` tells them apart."""
     columns = [*_COLUMNS, *(name for name in SOURCES if name in manifest)]
     first = manifest[columns].assign(kind="", turn="")
-    if again is None or again.empty:
+    if retest is None or retest.empty:
         return first
-    missing = [name for name in (*columns, "kind", "turn") if name not in again]
+    missing = [name for name in (*columns, "kind", "turn") if name not in retest]
     if missing:
         raise InputError(f"manifest of repeats: columns {', '.join(missing)} are missing; required: as in the manifest")
-    for kind in again["kind"].unique():
+    for kind in retest["kind"].unique():
         require_choice("kind of repeat", kind, tuple(REPEATS))
-    both = pd.concat([first, again[[*columns, "kind", "turn"]]], ignore_index=True)
+    both = joined([first, retest[[*columns, "kind", "turn"]]])
     twice = both["radiograph"][both["radiograph"].duplicated()]
     if len(twice):
         raise InputError(f"manifest of repeats: radiograph {twice.iloc[0]} is listed twice; allowed: once")
@@ -113,67 +112,42 @@ def _everything(manifest: pd.DataFrame, again: pd.DataFrame | None) -> pd.DataFr
 
 def _require_enough(usable: pd.DataFrame, settings: StudySettings) -> None:
     of_reference = usable[usable["protocol"] == settings.reference]
-    found = sorted({int(grade) for grade in of_reference["grade"]})
-    if not {0, 2} <= set(found):
+    grades = sorted({int(grade) for grade in of_reference["grade"]})
+    if not {0, 2} <= set(grades):
         raise InputError(
-            f"grades with a region found under {settings.reference} = {found}; allowed: 0 and 2 among them, with three "
-            "subjects or more"
+            f"grades with a region found under {settings.reference} = {grades}; allowed: 0 and 2 among them, with "
+            "three subjects or more"
         )
 
 
 def measured(
-    run: Run, manifest: pd.DataFrame, again: pd.DataFrame | None
+    run: Run, manifest: pd.DataFrame, retest: pd.DataFrame | None
 ) -> tuple[pd.DataFrame, list[str], dict[str, float]]:
-    """The manifest with what was found in each radiograph; names of the features; seconds of work by step.
+    """The manifest with the region and features of each radiograph; names of the features; seconds of work by step.
 
     Kept in features.csv, from which a later run goes on.
     """
     check_manifest(manifest, run.settings)
-    everything, path, settings = _everything(manifest, again), run.out / "features.csv", run.settings
+    radiographs, path, settings = _with_retest(manifest, retest), run.out / "features.csv", run.settings
     earlier = results.load_table(path, TEXT)
     known: dict[str, Record] = {}
     if earlier is not None and "sha256" in earlier:
         known = {row["sha256"]: row for row in earlier.to_dict("records")}
     columns = ("radiograph", "file", "sha256", "side", "pixel_mm")
-    jobs = [Job(**{name: row[name] for name in columns}) for row in everything[list(columns)].to_dict("records")]
+    jobs = [Job(**{name: row[name] for name in columns}) for row in radiographs[list(columns)].to_dict("records")]
     how = {name: getattr(settings, name) for name in ("region_px", "bins", "min_score", "families")}
-    with run.meter.stage("regions and features", "radiographs") as made:
-
-        def progress(done: int, of: int) -> None:
-            made(1)
-            run.tell("regions and features", done, of)
-
-        records, work = extract_all(
-            jobs,
-            load_pixels=run.load_pixels,
-            templates=run.templates,
-            how=How(**how),
-            workers=run.workers,
-            scheduler=run.scheduler,
-            known=known,
-            save=lambda records: results.save_table(path, pd.DataFrame(records)),
-            progress=progress,
-        )
-    found = pd.DataFrame(records).drop(columns="sha256")
-    names = [name for name in found.columns if name not in NOT_FEATURES]
-    return everything.merge(found, on="radiograph", how="left", validate="one_to_one").copy(), names, work
-
-
-def _outcomes(run: Run, usable: pd.DataFrame, names: list[str]) -> list[Outcome]:
-    stage, done, of = "training and testing", 0, run.settings.repeats
-    with run.meter.stage(stage, "splits") as made:
-
-        def arrived(more: int) -> None:
-            nonlocal done
-            done += more
-            made(more)
-            run.tell(stage, done, of)
-
-        outcomes, growth = train(
-            usable, names, run.settings, workers=run.workers, scheduler=run.scheduler, made=arrived
-        )
-    run.meter.stages[stage].growth = growth
-    return outcomes
+    records, work = extract_all(
+        jobs,
+        load_pixels=run.load_pixels,
+        templates=run.templates,
+        how=How(**how),
+        execution=run.execution,
+        known=known,
+        save=lambda records: results.save_table(path, pd.DataFrame(records)),
+    )
+    table = pd.DataFrame(records).drop(columns="sha256")
+    names = [name for name in table.columns if name not in NOT_FEATURES]
+    return radiographs.merge(table, on="radiograph", how="left", validate="one_to_one").copy(), names, work
 
 
 def _findings(
@@ -210,9 +184,9 @@ def _findings(
         pictures=pictures,
         settings=asdict(settings),
         versions={"python": platform.python_version()} | {name: version(name) for name in _PACKAGES},
-        cost=run.meter.rows(),
+        cost=cost_rows(run.execution.timer),
         work_seconds=work_seconds,
-        workers=run.workers,
+        workers=run.execution.workers,
         features=len(names),
         test_subjects=(int(tested.min()), int(tested.max())),
     )

@@ -6,27 +6,21 @@ what defines a grade here; so it is an upper reference and no fair competitor.
 
 import pandas as pd
 
-BASELINES = {"chance": "Chance", "body": "Age, sex, stature", "jsw": "JSW (true)"}
 # Columns of the manifest that a baseline may use; a manifest that lacks them goes without it.
 SOURCES = ("sex", "age_years", "stature_mm", "jsw_medial_mm")
 _MEASURES = {"body": ("age_years", "female", "stature_mm"), "jsw": ("jsw_medial_mm",)}
 
 
-def with_measures(table: pd.DataFrame) -> pd.DataFrame:
-    """The table with sex as a number, `female`, where it has a column `sex`."""
-    return table.assign(female=(table["sex"] == "female").astype(float)) if "sex" in table else table
-
-
 def baselines_of(table: pd.DataFrame, features: list[str]) -> dict[str, tuple[str, list[str]]]:
-    """Baseline -> classifier and its columns, of those whose columns the table of `with_measures` has.
+    """Baseline -> classifier and its columns, of those whose columns the table of `parameters.with_measures` has.
 
     features  of the image, of which chance is shown one and uses none
     """
-    found = {"chance": ("chance", features[:1])}
+    baselines = {"chance": ("chance", features[:1])}
     for name, columns in _MEASURES.items():
         if set(columns) <= set(table.columns):
-            found[name] = ("lr", list(columns))
-    return found
+            baselines[name] = ("lr", list(columns))
+    return baselines
 
 
 def measures_of(table: pd.DataFrame) -> list[str]:

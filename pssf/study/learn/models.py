@@ -1,6 +1,5 @@
 """Three classifiers, and what they must do better than, each tuned on the validation subjects over a small grid."""
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +10,6 @@ from numpy.typing import NDArray
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.dummy import DummyClassifier
 from sklearn.ensemble import RandomForestClassifier
-from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LogisticRegression
 from sklearn.metrics import log_loss
 from sklearn.pipeline import Pipeline
@@ -19,8 +17,9 @@ from sklearn.utils.class_weight import compute_sample_weight
 from xgboost import XGBClassifier
 
 from ...core.checks import Array, require_choice
+from ..statistics.fitting import fit_quietly
 
-MODELS = {"lr": "Logistic regression", "rf": "Random forest", "xgb": "XGBoost"}
+# Of each model of `settings.MODELS`, and of chance.
 _GRIDS: dict[str, list[dict[str, Any]]] = {
     "lr": [{"C": c} for c in (0.01, 0.1, 1.0, 10.0)],
     "rf": [{"min_samples_leaf": leaf} for leaf in (4, 1)],
@@ -55,7 +54,7 @@ def tune(
 
     Best is the least logarithmic loss: with a few validation knees the AUC has too few values to choose by.
 
-    model     one of MODELS, or "chance": the shares of the classes in training
+    model     one of `settings.MODELS`, or "chance": the shares of the classes in training
     prepared  fitted `selection.preparation`, of the same training radiographs
     training, validation   features (rows, features), class index (rows,); without validation rows the first, most
                            cautious, parameters are taken
@@ -67,7 +66,7 @@ def tune(
     weight = np.ones(len(y)) if model == "chance" else compute_sample_weight("balanced", y)
     best: tuple[float, Any, dict[str, Any]] | None = None
     for parameters in _GRIDS[model]:
-        candidate = fitted(_unfitted(model, parameters, seed), X, y, weight)
+        candidate = fit_quietly(_unfitted(model, parameters, seed), X, y, weight)
         loss = 0.0 if X_check is None else _loss(candidate, X_check, validation[1], np.unique(y))
         if best is None or loss < best[0]:
             best = loss, candidate, parameters
@@ -79,14 +78,6 @@ def tune(
         parameters=best[2],
         importance=dict(zip(names, shares.tolist(), strict=False)),
     )
-
-
-def fitted(model: Any, X: Array, y: NDArray[np.int64], weight: Array | None = None) -> Any:
-    """The model, fitted, without a word about which of its solvers found the optimum."""
-    with warnings.catch_warnings():
-        # Where Newton's search along a line ends early, the library goes on with L-BFGS by itself, and says so.
-        warnings.filterwarnings("ignore", "Line search of Newton solver", ConvergenceWarning)
-        return model.fit(X, y, sample_weight=weight)
 
 
 def _loss(model: Any, X: Array, y: NDArray[np.int64], classes: NDArray[np.int64]) -> float:

@@ -22,10 +22,10 @@ def portable(fitted: Pipeline) -> Pipeline:
     Its input is a table of the features in `feature_names_in_`; whoever loads it needs no code of this package.
     """
     kept = fitted.named_steps["select"].kept_
-    prune, scale = fitted.named_steps["prune"], fitted.named_steps["scale"]
-    places = [prune.kept_.index(name) for name in kept]
+    drop, scale = fitted.named_steps["drop"], fitted.named_steps["scale"]
+    places = [drop.kept_.index(name) for name in kept]
     # Fitted on one row, a step has the right form; then it is given what was learnt.
-    row = pd.DataFrame([prune.median_[kept].to_numpy()], columns=kept)
+    row = pd.DataFrame([drop.median_[kept].to_numpy()], columns=kept)
     impute, scaler = SimpleImputer(strategy="median").fit(row), StandardScaler().fit(row.to_numpy())
     for name in ("mean_", "var_", "scale_"):
         setattr(scaler, name, getattr(scale, name)[places])

@@ -8,40 +8,18 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from .. import StudySettings
-from ..statistics.metrics import METRICS, score
+from ..predictions import NONE, TASKS, Outcome, joined
+from ..settings import StudySettings
 from ..statistics.reliability import protocols_of
 from .baselines import baselines_of
-from .importance import permuted
 from .models import Fitted, tune
+from .permutation import permuted
 from .saving import dumps
-from .selection import NONE, preparation
+from .selection import preparation
 from .split import split_subjects
 from .transfer import harmonise, stable_features
 
-TASKS = {"0 vs 2": (0, 2), "0/1/2": (0, 1, 2)}
-ARM = ["task", "scenario", "trained_on", "tested_on", "model", "selection"]
 Part = tuple[pd.DataFrame, NDArray[np.int64]]
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Of one split.
-
-    predictions  ARM, repeat, radiograph, knee, subject, protocol, truth (class index), p0, p1[, p2]
-    importances  ARM without `tested_on`, repeat, feature, share
-    permutation  model, selection, repeat, feature, drop: within protocol, 0 vs 2
-    stable       how many features were stable across protocols in the training subjects; None with one protocol
-    models       name -> bytes of a fitted pipeline: of the first split, within protocol, 0 vs 2
-    subjects     repeat, subject, part
-    """
-
-    predictions: pd.DataFrame
-    importances: pd.DataFrame
-    permutation: pd.DataFrame
-    stable: int | None
-    models: dict[str, bytes]
-    subjects: pd.DataFrame
 
 
 @dataclass(frozen=True)
@@ -95,9 +73,8 @@ def one_split(repeat: int, *, table: pd.DataFrame, names: list[str], settings: S
         parts = _Parts(task, grades, *held)
         for recipe in _recipes(parts, protocols, names, stable or [], settings):
             _follow(recipe, parts, settings, seed, repeat, gathered)
-    found = pd.concat(gathered.predictions, ignore_index=True) if gathered.predictions else pd.DataFrame()
     return Outcome(
-        predictions=found,
+        predictions=joined(gathered.predictions) if gathered.predictions else pd.DataFrame(),
         importances=pd.DataFrame(gathered.importances),
         permutation=pd.DataFrame(gathered.permutation),
         stable=None if stable is None else len(stable),
@@ -156,34 +133,6 @@ def _follow(
                 gathered.models[f"{label}_{recipe.selection}"] = dumps(fitted.pipeline)
 
 
-def score_splits(predictions: pd.DataFrame) -> pd.DataFrame:
-    """ARM, repeat, the METRICS, and the subjects and radiographs tested: one row a split."""
-    rows = []
-    for key, part in predictions.groupby([*ARM, "repeat"], sort=False):
-        counts = {"test_subjects": part["subject"].nunique(), "test_radiographs": len(part)}
-        rows.append(dict(zip([*ARM, "repeat"], key, strict=True)) | score(*truth_and_probability(part)) | counts)
-    return pd.DataFrame(rows)
-
-
-def summarise(scores: pd.DataFrame) -> pd.DataFrame:
-    """One row an arm: mean and standard deviation of each metric over the splits that gave it, and how many did."""
-    rows = []
-    for key, part in scores.groupby(ARM, sort=False):
-        row = dict(zip(ARM, key, strict=True)) | {"splits": int(part["auc"].notna().sum())}
-        for metric in METRICS:
-            spread = part[metric].std(ddof=1) if part[metric].notna().sum() > 1 else float("nan")
-            row |= {metric: part[metric].mean(), f"{metric}_sd": spread}
-        counts = {name: int(part[name].median()) for name in ("test_subjects", "test_radiographs")}
-        rows.append(row | counts)
-    return pd.DataFrame(rows)
-
-
-def truth_and_probability(predictions: pd.DataFrame) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """(rows,) class index and (rows, classes) probability of predictions of one task."""
-    columns = [f"p{k}" for k in range(len(TASKS[predictions["task"].iloc[0]]))]
-    return predictions["truth"].to_numpy(np.int64), predictions[columns].to_numpy(np.float64)
-
-
 def _of(table: pd.DataFrame, protocol: str) -> pd.DataFrame:
     return table if protocol == "all" else table[table["protocol"] == protocol]
 
@@ -201,8 +150,8 @@ def _part(table: pd.DataFrame, names: list[str], grades: tuple[int, ...]) -> Par
 
 def _predict(fitted: Fitted, recipe: _Recipe, grades: tuple[int, ...]) -> pd.DataFrame:
     """The predictions of all tests of a recipe, one below the other."""
-    table = pd.concat([rows.assign(scenario=name, tested_on=on) for name, on, rows in recipe.tests], ignore_index=True)
+    table = joined(rows.assign(scenario=name, tested_on=on) for name, on, rows in recipe.tests)
     features, truth = _part(table, recipe.names, grades)
     probability = fitted.pipeline.predict_proba(features) if len(table) else np.empty((0, len(grades)))
-    found = table[["radiograph", "knee", "subject", "protocol", "scenario", "tested_on"]].assign(truth=truth)
-    return found.assign(**{f"p{k}": probability[:, k].astype(np.float64) for k in range(len(grades))})
+    tested = table[["radiograph", "knee", "subject", "protocol", "scenario", "tested_on"]].assign(truth=truth)
+    return tested.assign(**{f"p{k}": probability[:, k].astype(np.float64) for k in range(len(grades))})

@@ -4,22 +4,22 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from feature_engine.selection import MRMR
+from feature_engine.selection import MRMR, DropCorrelatedFeatures
 from numpy.typing import NDArray
-from scipy.stats import rankdata
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.linear_model import LogisticRegression
 from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import StandardScaler
 
 from ...core.checks import require_choice
+from ..predictions import NONE
+from ..settings import SELECTIONS
+from ..statistics.degenerate import is_degenerate
 
-SELECTIONS = {"l1": "L1", "mrmr": "mRMR"}
-NONE = "none"
 _INVERSE_STRENGTHS = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 
 
-class Prune(TransformerMixin, BaseEstimator):
+class DropRedundant(TransformerMixin, BaseEstimator):
     """Leaves out features that carry nothing, and those that repeat an earlier one: |Spearman's rho| above `rho`.
 
     fit  X (rows, features) table; kept_ are the names that stay, in their order
@@ -28,18 +28,22 @@ class Prune(TransformerMixin, BaseEstimator):
     def __init__(self, rho: float = 0.9) -> None:
         self.rho = rho
 
-    def fit(self, X: pd.DataFrame, y: Any = None) -> "Prune":
+    def fit(self, X: pd.DataFrame, y: Any = None) -> "DropRedundant":
+        # Not by DropConstantFeatures, to which what varies in the last bit, as the mean of a z-score, is no constant.
         names = [name for name in X.columns if not is_degenerate(X[name].to_numpy())]
-        ranks = np.apply_along_axis(rankdata, 0, X[names].to_numpy()) if names else np.empty((len(X), 0))
-        rho = np.abs(np.atleast_2d(np.corrcoef(ranks, rowvar=False))) if names else np.empty((0, 0))
-        kept: list[int] = []
-        for candidate in range(len(names)):
-            if not kept or rho[candidate, kept].max() <= self.rho:
-                kept.append(candidate)
+        repeating = self._repeating(X[names])
         # Where nothing varies at all, a model still needs a column: it will learn the shares of the classes.
-        self.kept_ = [names[index] for index in kept] or [X.columns[0]]
+        self.kept_ = [name for name in names if name not in repeating] or [X.columns[0]]
         self.median_ = X[self.kept_].median().fillna(0.0)
         return self
+
+    def _repeating(self, X: pd.DataFrame) -> set[str]:
+        if X.shape[1] < 2:
+            return set()
+        # Numbered, since of two that repeat each other the library keeps the first by the alphabet.
+        numbered = X.set_axis([f"{place:06d}" for place in range(X.shape[1])], axis=1)
+        chooser = DropCorrelatedFeatures(method="spearman", threshold=self.rho).fit(numbered)
+        return {X.columns[int(place)] for place in chooser.features_to_drop_}
 
     def transform(self, X: pd.DataFrame) -> pd.DataFrame:
         # A feature may be undefined in a radiograph met later, such as the elongation of a mask that is a line.
@@ -122,16 +126,8 @@ class SelectAll(TransformerMixin, BaseEstimator):
 
 
 def preparation(selection: str, *, rho: float, most: int, seed: int) -> Pipeline:
-    """Prune, standardise, select; unfitted. `selection` is one of SELECTIONS, or "none"."""
+    """Leave out what repeats, standardise, select; unfitted. `selection` is one of SELECTIONS, or "none"."""
     require_choice("selection", selection, (*SELECTIONS, NONE))
     choosers = {"l1": SelectL1(most=most, random_state=seed), "mrmr": SelectMRMR(most=most), NONE: SelectAll()}
     scale = StandardScaler().set_output(transform="pandas")
-    return Pipeline([("prune", Prune(rho)), ("scale", scale), ("select", choosers[selection])])
-
-
-def is_degenerate(values: NDArray[np.float64]) -> bool:
-    """Whether a feature is the same for all but for rounding, or not finite: it can tell nothing from anything."""
-    if not np.isfinite(values).all():
-        return True
-    largest = float(np.abs(values).max(initial=0.0))
-    return largest < 1e-12 or float(np.ptp(values)) <= 1e-9 * largest
+    return Pipeline([("drop", DropRedundant(rho)), ("scale", scale), ("select", choosers[selection])])

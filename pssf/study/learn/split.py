@@ -8,6 +8,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from ...core.checks import InputError
+from ..statistics.subjects import worst_grades
 
 PARTS = ("training", "validation", "test")
 _SHARES = (0.70, 0.15, 0.15)
@@ -48,11 +49,6 @@ def split_subjects(subjects: Sequence[int], grades: Sequence[int], *, seed: int,
         for part, chosen in zip(PARTS, np.split(order, _cuts(len(members))), strict=True):
             parts[part].extend(int(subject) for subject in chosen)
     return Split(*(np.array(sorted(parts[part]), dtype=np.int64) for part in PARTS))
-
-
-def worst_grades(subjects: Sequence[int], grades: Sequence[int]) -> pd.Series:
-    """subject -> the highest grade of its rows, which it counts under; by subject, in order"""
-    return pd.Series(np.asarray(grades)).groupby(np.asarray(subjects)).max()
 
 
 def _cuts(count: int) -> list[int]:

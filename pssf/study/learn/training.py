@@ -1,17 +1,19 @@
 """All splits of a cohort, trained and tested in parallel, and how the cost of one grows with the subjects."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from time import process_time
 
 import numpy as np
 import pandas as pd
 
+from ...core.execution import Execution
 from ...core.parallel import ordered_map
-from .. import StudySettings
+from ..predictions import Outcome
+from ..settings import StudySettings
+from ..statistics.subjects import worst_grades
 from .baselines import measures_of
-from .scenarios import Outcome, one_split
-from .split import PARTS, worst_grades
+from .scenarios import one_split
+from .split import PARTS
 
 _SHARES = (0.5, 0.25)  # of the subjects, on which the first split is taken once more
 
@@ -24,40 +26,32 @@ class Job:
     share: float = 1.0
 
 
-def train(
-    usable: pd.DataFrame,
-    names: list[str],
-    settings: StudySettings,
-    *,
-    workers: int,
-    scheduler: str | None,
-    made: Callable[[int], None],
-) -> tuple[list[Outcome], float | None]:
-    """`scenarios.one_split` of every repeat.
+def train(usable: pd.DataFrame, names: list[str], settings: StudySettings, execution: Execution) -> list[Outcome]:
+    """`scenarios.one_split` of every repeat, in their order.
+
+    The stage of the execution's timer gets as its growth the exponent of the seconds of a split in the number of
+    subjects, from the first split of all, half and a quarter of them; none where a grade has too few for a half.
 
     usable   radiographs with a region found: radiograph, knee, subject, grade, protocol, features, measures
-    made     is told how many more splits have been made
-    returns  outcomes in the order of the repeats; exponent of the seconds of a split in the number of subjects, from
-             the first split of all, half and a quarter of them; None where a grade has too few for a half
+    names    of the features
     """
     table = usable[["radiograph", "knee", "subject", "grade", "protocol", *measures_of(usable), *names]]
     smaller = [share for share in _SHARES if fewest(table, share) >= len(PARTS)]
     jobs = [*(Job(repeat) for repeat in range(settings.repeats)), *(Job(0, share) for share in smaller)]
-    shared = {"table": table, "names": names, "settings": settings}
-    found = ordered_map(
-        one_job,
-        jobs,
-        shared=shared,
-        workers=workers,
-        scheduler=scheduler,
-        arrived=lambda index, _: made(1) if index < settings.repeats else None,
-    )
-    outcomes = [outcome for outcome, _, _ in found[: settings.repeats]]
-    timed = [found[0], *found[settings.repeats :]]
-    if len(timed) == 1:
-        return outcomes, None
-    subjects, seconds = [one[1] for one in timed], [one[2] for one in timed]
-    return outcomes, float(np.polyfit(np.log(subjects), np.log(seconds), 1)[0])
+    with execution.stage("training and testing", "splits", settings.repeats) as stage:
+        splits = ordered_map(
+            one_job,
+            jobs,
+            shared={"table": table, "names": names, "settings": settings},
+            workers=execution.workers,
+            scheduler=execution.scheduler,
+            arrived=lambda index, _: stage.advance() if index < settings.repeats else None,
+        )
+    timed = [splits[0], *splits[settings.repeats :]]
+    if len(timed) > 1:
+        subjects, seconds = [one[1] for one in timed], [one[2] for one in timed]
+        stage.growth = float(np.polyfit(np.log(subjects), np.log(seconds), 1)[0])
+    return [outcome for outcome, _, _ in splits[: settings.repeats]]
 
 
 def one_job(job: Job, *, table: pd.DataFrame, names: list[str], settings: StudySettings) -> tuple[Outcome, int, float]:

@@ -7,8 +7,8 @@ transductive in it) and no test subject.
 import numpy as np
 import pandas as pd
 
+from ..statistics.degenerate import is_degenerate
 from ..statistics.reliability import THRESHOLD, grid, icc
-from .selection import is_degenerate
 
 
 def stable_features(training: pd.DataFrame, names: list[str], protocols: list[str]) -> list[str]:

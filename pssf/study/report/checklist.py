@@ -30,13 +30,13 @@ def checklist(out: Path) -> dict[str, Any]:
 
 
 def _answer(out: Path, row: list[Any]) -> dict[str, str]:
-    status, told = row[2], row[3]
+    status, evidence = row[2], row[3]
     if status != "yes":
-        return {"status": status, "evidence": told}
-    file, _, key = told.partition(" ")
+        return {"status": status, "evidence": evidence}
+    file, _, key = evidence.partition(" ")
     if file == "checklist.json" or holds(out / file, key):
-        return {"status": "yes", "evidence": told}
-    return {"status": "no", "evidence": f"{told}: not made in this run"}
+        return {"status": "yes", "evidence": evidence}
+    return {"status": "no", "evidence": f"{evidence}: not made in this run"}
 
 
 def _score(items: list[dict[str, Any]]) -> float:

@@ -8,11 +8,11 @@ from typing import Any
 
 def environment() -> dict[str, Any]:
     """python, system, machine, cores, and packages: name -> version of all that is installed"""
-    found = {one.metadata["Name"]: one.version for one in distributions()}
+    installed = {one.metadata["Name"]: one.version for one in distributions()}
     return {
         "python": platform.python_version(),
         "system": platform.platform(),
         "machine": platform.processor() or platform.machine(),
         "cores": os.cpu_count(),
-        "packages": dict(sorted(found.items(), key=lambda pair: pair[0].lower())),
+        "packages": dict(sorted(installed.items(), key=lambda pair: pair[0].lower())),
     }

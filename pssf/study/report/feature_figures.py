@@ -7,9 +7,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from ...radiomics import FAMILIES
-from ...radiomics.features import family
-from ..learn.models import MODELS
+from ...radiomics.families import FAMILIES, family
+from ..settings import MODELS
 from ..statistics.reliability import ICC_FORMS, THRESHOLD
 from .figures import COLOURS, plain, png
 
@@ -69,8 +68,8 @@ def _leading(axis: Any, importance: pd.DataFrame, followed: pd.DataFrame) -> Non
     known = followed.set_index("feature")
     for row, (name, share) in enumerate(zip(names, shares, strict=True)):
         if name in known.index:
-            told = f"{known.loc[name, 'parameter'].split(',')[0]} {known.loc[name, 'rho']:+.2f}".replace("-", "−")
-            axis.text(share + 0.01 * shares.max(), row, told, va="center", fontsize=7.5, color="0.25")
+            follows = f"{known.loc[name, 'parameter'].split(',')[0]} {known.loc[name, 'rho']:+.2f}".replace("-", "−")
+            axis.text(share + 0.01 * shares.max(), row, follows, va="center", fontsize=7.5, color="0.25")
     axis.set_xlim(0, 1.35 * shares.max())
     axis.set_xlabel("mean share of importance", fontsize=9)
     axis.spines[["top", "right"]].set_visible(False)

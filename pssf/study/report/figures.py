@@ -11,8 +11,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from ..learn.models import MODELS
-from ..learn.scenarios import TASKS, truth_and_probability
+from ..predictions import TASKS, truth_and_probability
+from ..settings import MODELS
 from ..statistics.metrics import confusion, mean_roc
 
 # Okabe & Ito 2008: told apart with any colour vision.
@@ -24,45 +24,53 @@ _AUCS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shot:
-    """One radiograph of the panel: a display rendering and, in its pixels, the places to draw."""
+class PanelImage:
+    """One radiograph of the panel: a display rendering and, in its pixels, the places to draw.
+
+    display   (rows, cols), bone bright
+    located   row, column of the joint line where it was found
+    known     row, column of the joint line as it is
+    region    side of the region
+    status    found | low score | leaves image
+    """
 
     display: NDArray[np.uint8]
     title: str
-    found: tuple[float, float]
+    located: tuple[float, float]
     known: tuple[float, float]
     region: float
     status: str
 
 
-def panel(shots: list[list[Shot | None]], row_labels: list[str]) -> bytes:
+def panel(images: list[list[PanelImage | None]], row_labels: list[str]) -> bytes:
     """Radiographs with the found region and the known joint line; rows are protocols, columns grades."""
-    cols = max(len(row) for row in shots)
-    figure = Figure(figsize=(3.2 * cols, 3.25 * len(shots) + 0.3), layout="constrained")
-    axes = figure.subplots(len(shots), cols, squeeze=False)
+    cols = max(len(row) for row in images)
+    figure = Figure(figsize=(3.2 * cols, 3.25 * len(images) + 0.3), layout="constrained")
+    axes = figure.subplots(len(images), cols, squeeze=False)
     for axis in axes.ravel():
         axis.set_xticks([])
         axis.set_yticks([])
-    for row, line in enumerate(shots):
+    for row, line in enumerate(images):
         axes[row, 0].set_ylabel(row_labels[row], fontsize=11)
-        for axis, shot in zip(axes[row], line, strict=False):
-            if shot is None:
+        for axis, image in zip(axes[row], line, strict=False):
+            if image is None:
                 continue
-            axis.imshow(shot.display, cmap="gray", vmin=0, vmax=255, interpolation="antialiased")
-            top, left = (at - shot.region / 2 for at in shot.found)
-            edge = "#F0E442" if shot.status == "found" else "#D55E00"
-            axis.add_patch(Rectangle((left, top), shot.region, shot.region, fill=False, edgecolor=edge, linewidth=1.6))
-            axis.plot(shot.known[1], shot.known[0], "+", color="#56B4E9", markersize=11, markeredgewidth=1.8)
+            axis.imshow(image.display, cmap="gray", vmin=0, vmax=255, interpolation="antialiased")
+            top, left = (at - image.region / 2 for at in image.located)
+            edge = "#F0E442" if image.status == "found" else "#D55E00"
+            side = image.region
+            axis.add_patch(Rectangle((left, top), side, side, fill=False, edgecolor=edge, linewidth=1.6))
+            axis.plot(image.known[1], image.known[0], "+", color="#56B4E9", markersize=11, markeredgewidth=1.8)
             if row == 0:
-                axis.set_title(shot.title, fontsize=11)
+                axis.set_title(image.title, fontsize=11)
     return png(figure)
 
 
-def robustness(predictions: pd.DataFrame, scores: pd.DataFrame, selection: str, told: dict[str, str]) -> bytes:
+def robustness(predictions: pd.DataFrame, scores: pd.DataFrame, selection: str, published: dict[str, str]) -> bytes:
     """Grade 0 vs 2, a column a scenario: the mean ROC curve of the splits above, mean AUC with its interval below.
 
     predictions, scores  of all arms; those of `selection` are drawn
-    told                 scenario -> the paper's AUC, to be read beside
+    published            scenario -> the paper's AUC, to be read beside
     """
     part, scores = (of[(of["task"] == "0 vs 2") & (of["selection"] == selection)] for of in (predictions, scores))
     scenarios = [name for name in SCENARIOS if (part["scenario"] == name).any()]
@@ -74,7 +82,7 @@ def robustness(predictions: pd.DataFrame, scores: pd.DataFrame, selection: str, 
         _curves(axes[0, column], of, tests)
         axes[0, column].set_title(SCENARIOS[scenario], fontsize=11)
         of_scores = scores[(scores["scenario"] == scenario) & scores["model"].isin(list(MODELS))]
-        _intervals(axes[1, column], of_scores, tests, told.get(scenario, ""))
+        _intervals(axes[1, column], of_scores, tests, published.get(scenario, ""))
     axes[0, 0].set_ylabel("sensitivity")
     axes[1, 0].set_ylabel("AUC, mean over the splits")
     return png(figure)
@@ -98,7 +106,7 @@ def _curves(axis: Any, of: pd.DataFrame, tests: list[str]) -> None:
     axis.legend(handles=lines, fontsize=7.5, loc="lower right", frameon=False)
 
 
-def _intervals(axis: Any, scores: pd.DataFrame, tests: list[str], told: str) -> None:
+def _intervals(axis: Any, scores: pd.DataFrame, tests: list[str], published: str) -> None:
     models = list(dict.fromkeys(scores["model"]))
     for place, tested_on in enumerate(tests):
         rows = scores[scores["tested_on"] == tested_on].set_index("model")
@@ -121,8 +129,8 @@ def _intervals(axis: Any, scores: pd.DataFrame, tests: list[str], told: str) -> 
     axis.set(xlim=(-0.6, len(tests) - 0.4), ylim=(0.3, 1.12), xticks=range(len(tests)), yticks=_AUCS)
     axis.set_xticklabels(names, fontsize=8)
     axis.spines[["top", "right"]].set_visible(False)
-    if told:
-        axis.text(0.02, 0.03, f"the paper: {told}", transform=axis.transAxes, fontsize=8, color="0.4")
+    if published:
+        axis.text(0.02, 0.03, f"the paper: {published}", transform=axis.transAxes, fontsize=8, color="0.4")
     axis.legend(fontsize=7.5, loc="lower right", frameon=False)
 
 

@@ -8,13 +8,12 @@ from numpy.typing import NDArray
 
 from ...detector import present
 from ...radiomics.table import Load
-from .. import StudySettings
-from ..learn.importance import by_family
-from ..learn.selection import SELECTIONS
+from ..settings import SELECTIONS, StudySettings
+from ..statistics.importance import by_family
 from ..statistics.parameters import strongest
 from ..statistics.reliability import protocols_of
 from . import feature_figures, figures
-from .figures import Shot
+from .figures import PanelImage
 from .page import PAPER, Picture
 
 _SHRINK = 4  # of the radiographs in the panel; the file stays small and the joint can be seen
@@ -60,7 +59,7 @@ def _panel(located: pd.DataFrame, load_pixels: Load, settings: StudySettings) ->
     for protocol in protocols:
         part = located[(located["protocol"] == protocol) & located["knee"].isin(first)].set_index("knee")
         of = [part.loc[knee].to_dict() if knee in part.index else None for knee in first]
-        rows.append([None if row is None else _shot(row, load_pixels(row["file"]), settings.region_px) for row in of])
+        rows.append([None if row is None else _image(row, load_pixels(row["file"]), settings.region_px) for row in of])
     return Picture(
         name="panel",
         png=figures.panel(rows, [figures.plain(name) for name in protocols]),
@@ -72,14 +71,14 @@ def _panel(located: pd.DataFrame, load_pixels: Load, settings: StudySettings) ->
     )
 
 
-def _shot(row: dict[str, Any], pixels: NDArray[np.uint16], region_px: int) -> Shot:
+def _image(row: dict[str, Any], pixels: NDArray[np.uint16], region_px: int) -> PanelImage:
     rows, cols = (length // _SHRINK for length in pixels.shape)
     shown = present(pixels)[: rows * _SHRINK, : cols * _SHRINK]
     small = shown.reshape(rows, _SHRINK, cols, _SHRINK).mean(axis=(1, 3))
-    return Shot(
+    return PanelImage(
         display=np.round(small).astype(np.uint8),
         title=f"grade {row['grade']}",
-        found=(row["row_px"] / _SHRINK, row["col_px"] / _SHRINK),
+        located=(row["row_px"] / _SHRINK, row["col_px"] / _SHRINK),
         known=(row["truth_medial_row_px"] / _SHRINK, row["truth_medial_col_px"] / _SHRINK),
         region=region_px / _SHRINK,
         status=row["status"],
@@ -87,10 +86,10 @@ def _shot(row: dict[str, Any], pixels: NDArray[np.uint16], region_px: int) -> Sh
 
 
 def _robustness(predictions: pd.DataFrame, scores: pd.DataFrame, selection: str) -> Picture:
-    told = {scenario: str(PAPER[scenario]) for scenario in figures.SCENARIOS}
+    published = {scenario: str(PAPER[scenario]) for scenario in figures.SCENARIOS}
     return Picture(
         name="robustness",
-        png=figures.robustness(predictions, scores, selection, told),
+        png=figures.robustness(predictions, scores, selection, published),
         alt="ROC curves and AUC with intervals of grade 0 against 2, within, across and over protocols, by model",
         caption=f"After the paper’s figure 5. Grade 0 against 2, {SELECTIONS[selection]} selection. Above: the mean "
         "over the splits of their ROC curves, a colour a model (as below), a line style a test protocol. "

@@ -8,10 +8,8 @@ from typing import Any
 import jinja2
 import pandas as pd
 
-from ..learn.baselines import BASELINES
-from ..learn.models import MODELS
-from ..learn.scenarios import TASKS
-from ..learn.selection import NONE, SELECTIONS
+from ..predictions import BASELINES, NONE, TASKS
+from ..settings import MODELS, SELECTIONS
 from ..statistics.intervals import MINUS_JSW
 from ..statistics.localisation import GROSS_MM
 from ..statistics.metrics import METRICS
@@ -49,7 +47,7 @@ class Findings:
     morphology    of `parameters.morphology`
     subgroups     of `subgroups.subgroups`
     localisation  of `localisation.summarise`
-    scores        of `scenarios.summarise`
+    scores        of `scores.summarise`
     differences   of `intervals.differences`
     claims        of `claims.claims`
     calibration   of `calibration.calibration`
@@ -59,7 +57,7 @@ class Findings:
     stable        of `reliability.count_stable`
     leading       model, feature, share, chosen, drop: the features that count most
     degenerate    names of features that are the same in every radiograph
-    cost          of `cost.Meter.rows`; work_seconds: step -> sum over the processes
+    cost          of `cost.cost_rows`; work_seconds: step -> sum over the processes
     test_subjects least and most of a split
     """
 
@@ -162,8 +160,8 @@ def _compared(differences: pd.DataFrame) -> dict[str, dict[str, Any]]:
             if comparison == MINUS_JSW and scenario == "multi" and tested_on != "all":
                 continue  # nearly the row of all protocols; it is in the CSV
             cells = {(line["model"], line["selection"]): line for line in block.to_dict("records")}
-            found = [cells.get((model, selection), {}) for selection, models in groups.items() for model in models]
-            rows.append({"comparison": comparison, "scenario": scenario, "tested_on": tested_on, "cells": found})
+            line = [cells.get((model, selection), {}) for selection, models in groups.items() for model in models]
+            rows.append({"comparison": comparison, "scenario": scenario, "tested_on": tested_on, "cells": line})
         tables[f"{task}: {METRICS[metric]}"] = {"groups": groups, "rows": rows}
     return tables
 

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 
 from ...core.checks import Array
-from ..learn.models import fitted
-from ..learn.scenarios import ARM, TASKS, truth_and_probability
+from ..predictions import ARM, TASKS, truth_and_probability
+from .fitting import fit_quietly
 from .metrics import confusion
 
 _BINS = 10
@@ -31,8 +31,8 @@ def calibration(predictions: pd.DataFrame) -> pd.DataFrame:
         positive = float(truth.mean())
         odds = float(np.log(positive / (1 - positive))) if 0 < positive < 1 else float("nan")
         brier = float(((probability - truth) ** 2).mean())
-        found = {"slope": slope, "intercept": intercept, "brier": brier, "log_odds": odds}
-        rows.append({**labels, "predictions": len(truth), **found})
+        line = {"slope": slope, "intercept": intercept, "brier": brier, "log_odds": odds}
+        rows.append({**labels, "predictions": len(truth), **line})
     columns = ["model", "selection", "predictions", "slope", "intercept", "brier", "log_odds"]
     return pd.DataFrame(rows, columns=columns)
 
@@ -44,9 +44,9 @@ def reliability_curve(predictions: pd.DataFrame) -> pd.DataFrame:
         place = np.minimum((probability * _BINS).astype(int), _BINS - 1)
         for index in sorted(set(place)):
             inside = place == index
-            told = {"mean_probability": probability[inside].mean(), "observed_share": truth[inside].mean()}
+            means = {"mean_probability": probability[inside].mean(), "observed_share": truth[inside].mean()}
             bounds = {"low": index / _BINS, "high": (index + 1) / _BINS, "predictions": int(inside.sum())}
-            rows.append({**labels, **bounds, **told})
+            rows.append({**labels, **bounds, **means})
     columns = ["model", "selection", "low", "high", "predictions", "mean_probability", "observed_share"]
     return pd.DataFrame(rows, columns=columns)
 
@@ -66,11 +66,11 @@ def confusions(predictions: pd.DataFrame) -> pd.DataFrame:
 def _arms(predictions: pd.DataFrame) -> list[tuple[dict[str, Any], NDArray[np.int64], Array]]:
     part = predictions[(predictions["task"] == "0 vs 2") & (predictions["scenario"] == "within")]
     part = part[part["model"] != "chance"]  # which says the same of all in a split
-    found = []
+    arms = []
     for (model, selection), rows in part.groupby(["model", "selection"], sort=False):
         truth, probability = truth_and_probability(rows)
-        found.append(({"model": model, "selection": selection}, truth, probability[:, 1]))
-    return found
+        arms.append(({"model": model, "selection": selection}, truth, probability[:, 1]))
+    return arms
 
 
 def _line(truth: NDArray[np.int64], probability: Array) -> tuple[float, float]:
@@ -79,5 +79,5 @@ def _line(truth: NDArray[np.int64], probability: Array) -> tuple[float, float]:
     one, zero = logit[truth == 1], logit[truth == 0]
     if not len(one) or not len(zero) or np.ptp(logit) < 1e-9 or one.min() >= zero.max() or zero.min() >= one.max():
         return float("nan"), float("nan")
-    model = fitted(LogisticRegression(C=np.inf, solver="newton-cholesky", tol=1e-10), logit[:, None], truth)
+    model = fit_quietly(LogisticRegression(C=np.inf, solver="newton-cholesky", tol=1e-10), logit[:, None], truth)
     return float(model.coef_[0, 0]), float(model.intercept_[0])

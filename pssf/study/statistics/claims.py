@@ -8,16 +8,13 @@ import numpy as np
 import pandas as pd
 
 from ...core.checks import Array
-from .. import StudySettings
-from ..learn.models import MODELS
-from ..learn.scenarios import TASKS
-from ..learn.selection import SELECTIONS
-from ..learn.split import worst_grades
-from .intervals import draws
+from ..predictions import TASKS
+from ..settings import MODELS, SELECTIONS, StudySettings
 from .metrics import METRICS, percentiles
 from .reliability import ICC_FORMS, THRESHOLD
+from .subjects import draws, worst_grades
 
-Found = tuple[float, float, float]  # value, and the ends of its interval
+Estimate = tuple[float, float, float]  # value, and the ends of its interval
 COLUMNS = ["claim", "measure", "value", "low", "high", "bound", "verdict"]
 # Of a linear signal: where bone is denser less arrives, so what is brighter to the eye is a smaller number.
 _TRENDS = (
@@ -46,7 +43,7 @@ def claims(
     """One row a claim and way to measure it: COLUMNS.
 
     usable       radiographs with a region found: subject, grade, protocol, features
-    predictions  of `scenarios.one_split`, all splits
+    predictions  of all splits, see `predictions`
     importances  of the same: task, trained_on, model, selection, repeat, feature, share
     tables       scores, differences, reliability
     """
@@ -70,10 +67,10 @@ def verdict(low: float, high: float, bound: float, side: int = +1) -> str:
     return "holds" if beyond else "does not hold" if short else "not decidable"
 
 
-def _row(claim: str, measure: str, found: Found, bound: float, side: int = +1) -> dict[str, object]:
-    value, low, high = found
-    told = {"value": value, "low": low, "high": high, "bound": bound, "verdict": verdict(low, high, bound, side)}
-    return {"claim": claim, "measure": measure, **told}
+def _row(claim: str, measure: str, estimate: Estimate, bound: float, side: int = +1) -> dict[str, object]:
+    value, low, high = estimate
+    decided = {"bound": bound, "verdict": verdict(low, high, bound, side)}
+    return {"claim": claim, "measure": measure, "value": value, "low": low, "high": high, **decided}
 
 
 def _trends(usable: pd.DataFrame, settings: StudySettings) -> list[dict[str, object]]:
@@ -96,7 +93,7 @@ def _weights(table: pd.DataFrame, settings: StudySettings) -> Array:
     return drawn[worst.index.get_indexer(table["subject"])].T
 
 
-def _interval(replicates: Array) -> Found:
+def _interval(replicates: Array) -> Estimate:
     """The first of a statistic's replicates, and the 2.5th and 97.5th percentile of the others."""
     return float(replicates[0]), *percentiles(replicates[1:])
 
@@ -136,9 +133,9 @@ def _families(importances: pd.DataFrame, settings: StudySettings) -> list[dict[s
         ours = of_model["feature"].str.split("_").str[0].isin(_FAMILIES)
         shares = (of_model["share"] * ours).groupby(of_model["repeat"]).sum()
         low, high = np.percentile(shares, (2.5, 97.5))
-        found = float(shares.mean()), float(low), float(high)
+        estimate = float(shares.mean()), float(low), float(high)
         measure = f"share of GLCM and GLSZM in the importance of {_arm(model, selection)}; interval over the splits"
-        rows.append(_row("The most important features are of GLCM and GLSZM", measure, found, 0.5))
+        rows.append(_row("The most important features are of GLCM and GLSZM", measure, estimate, 0.5))
     return rows
 
 
@@ -172,19 +169,19 @@ def _performance(scores: pd.DataFrame, settings: StudySettings) -> list[dict[str
         if line["model"] == "lr":
             claim = f"Logistic regression is strong with few features (at most {settings.most_features})"
         for metric in _ASKED:
-            found = (line[metric], line[f"{metric}_low"], line[f"{metric}_high"])
+            estimate = (line[metric], line[f"{metric}_low"], line[f"{metric}_high"])
             arm = _arm(line["model"], line["selection"])
-            rows.append(_row(claim, f"{METRICS[metric]}, 0 vs 2, {arm} (paper: 0.92)", found, _HIGH))
+            rows.append(_row(claim, f"{METRICS[metric]}, 0 vs 2, {arm} (paper: 0.92)", estimate, _HIGH))
     return rows
 
 
 def _changes(differences: pd.DataFrame, settings: StudySettings) -> list[dict[str, object]]:
-    told = (
+    claimed = (
         ("cross minus within", "Another protocol lowers the performance", -1),
         ("multi minus cross", "Training on all protocols brings it back", +1),
     )
     rows = []
-    for comparison, claim, side in told:
+    for comparison, claim, side in claimed:
         part = differences[
             (differences["comparison"] == comparison)
             & (differences["task"] == next(iter(TASKS)))

@@ -2,17 +2,18 @@
 
 import pandas as pd
 
-from ...radiomics.features import family
+from ...radiomics.families import family
 from ...radiomics.ibsi import departure_of, tag_of
-from .. import StudySettings
-from ..learn.importance import by_feature
-from ..learn.scenarios import ARM, Outcome, score_splits, summarise
-from ..learn.selection import is_degenerate
+from ..predictions import ARM, Outcome, joined
+from ..settings import StudySettings
 from . import localisation
 from .calibration import calibration, confusions, reliability_curve
+from .degenerate import is_degenerate
+from .importance import by_feature
 from .intervals import differences, intervals, resample
 from .parameters import follows, morphology, parameters_of
 from .reliability import reliability, repeatability
+from .scores import score_splits, summarise
 from .subgroups import subgroups
 
 Tables = dict[str, pd.DataFrame]
@@ -22,7 +23,7 @@ def tables_of_models(outcomes: list[Outcome], settings: StudySettings) -> Tables
     """subjects (part of each in each split), splits, scores (with intervals), differences, confusion, calibration,
     calibration_curve, importance, permutation.
 
-    outcomes  one a split, of `scenarios.one_split`
+    outcomes  one a split
     """
     predictions = joined([outcome.predictions for outcome in outcomes])
     importances = joined([outcome.importances for outcome in outcomes])
@@ -44,21 +45,24 @@ def tables_of_models(outcomes: list[Outcome], settings: StudySettings) -> Tables
 
 
 def tables_of_features(
-    located: pd.DataFrame, repeated: pd.DataFrame, names: list[str], settings: StudySettings
+    located: pd.DataFrame, retest: pd.DataFrame, names: list[str], settings: StudySettings
 ) -> Tables:
     """localisation, dictionary, reliability (across protocols, and across repeats where there are any).
 
-    located   of `localisation.errors`
-    repeated  radiographs taken again, with a region found: kind, turn, knee, features
+    located  of `localisation.errors`
+    retest   radiographs taken again, with a region found: kind, turn, knee, features
     """
     usable = located[located["status"] == "found"]
-    how = {"replicates": settings.replicates, "seed": settings.seed}
-    across = reliability(usable, names, settings.reference, **how)
-    if len(repeated):
-        again = repeatability(usable, repeated, names, settings.reference)
-        across = pd.concat([across, again], ignore_index=True) if len(across) else again
-    told = {"localisation": localisation.summarise(located), "dictionary": dictionary(usable, names)}
-    return {**told, "reliability": across}
+    chance = {"replicates": settings.replicates, "seed": settings.seed}
+    across = reliability(usable, names, settings.reference, **chance)
+    if len(retest):
+        repeated = repeatability(usable, retest, names, settings.reference)
+        across = joined([across, repeated]) if len(across) else repeated
+    return {
+        "localisation": localisation.summarise(located),
+        "dictionary": dictionary(usable, names),
+        "reliability": across,
+    }
 
 
 def dictionary(usable: pd.DataFrame, names: list[str]) -> pd.DataFrame:
@@ -83,8 +87,3 @@ def tables_of_truth(
         "follows": follows(usable, names, parameters, settings.reference),
         "subgroups": subgroups(predictions, parameters, settings),
     }
-
-
-def joined(parts: list[pd.DataFrame]) -> pd.DataFrame:
-    """The tables one below the other."""
-    return pd.concat(parts, ignore_index=True)

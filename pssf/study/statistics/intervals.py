@@ -12,9 +12,9 @@ import numpy as np
 import pandas as pd
 
 from ...core.checks import Array
-from ..learn.scenarios import ARM, TASKS, truth_and_probability
-from ..learn.split import worst_grades
+from ..predictions import ARM, NONE, TASKS, truth_and_probability
 from .metrics import METRICS, percentiles, weighted_scores
+from .subjects import draws, worst_grades
 
 _STREAM = 2**31  # keys below it are those of the splits
 # Comparison -> a scenario, and the one that is taken from it.
@@ -57,7 +57,7 @@ def resample(predictions: pd.DataFrame, *, replicates: int, seed: int) -> Replic
             of_splits.append(weighted_scores(*truth_and_probability(split), values[rows]))
         arms.append(tuple(arm))
         for metric in METRICS:
-            scores[metric].append(mean_of_splits(np.array([found[metric] for found in of_splits])))
+            scores[metric].append(mean_of_splits(np.array([one[metric] for one in of_splits])))
     return Replicates(arms, {metric: np.array(rows) for metric, rows in scores.items()})
 
 
@@ -72,20 +72,6 @@ def subject_weights(predictions: pd.DataFrame, *, replicates: int, seed: int) ->
         grades[rows] = np.array(of_task)[grades[rows]]
     worst = worst_grades(predictions["subject"], grades)
     return pd.DataFrame(draws(worst, replicates=replicates, seed=seed, stream=_STREAM), index=worst.index)
-
-
-def draws(worst: pd.Series, *, replicates: int, seed: int, stream: int) -> Array:
-    """(subjects, 1 + replicates)  how often each subject is in a sample drawn within grades; ones in the first column
-
-    worst   grade of each subject
-    stream  key of the chance, beside the others of a seed
-    """
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(stream,)))
-    weights = np.ones((len(worst), 1 + replicates))
-    for grade in sorted(set(worst)):
-        members = np.flatnonzero(worst == grade)
-        weights[members, 1:] = rng.multinomial(len(members), np.full(len(members), 1 / len(members)), replicates).T
-    return weights
 
 
 def intervals(replicates: Replicates) -> pd.DataFrame:
@@ -113,8 +99,8 @@ def differences(replicates: Replicates) -> pd.DataFrame:
         for metric, scores in replicates.scores.items():
             difference = scores[this] - scores[other]
             low, high = percentiles(difference[1:])
-            found = {"difference": difference[0], "low": low, "high": high, "p": p_value(difference[1:])}
-            rows.append({"comparison": comparison, **label, "metric": metric, **found})
+            estimate = {"difference": difference[0], "low": low, "high": high, "p": p_value(difference[1:])}
+            rows.append({"comparison": comparison, **label, "metric": metric, **estimate})
     table = pd.DataFrame(rows, columns=[*_LABELS, "difference", "low", "high", "p"])
     table["p_holm"] = np.nan
     for _, part in table.dropna(subset="p").groupby(["comparison", "task", "metric"], sort=False):
@@ -146,7 +132,7 @@ def _pairs(arms: list[tuple[str, ...]]) -> Iterator[tuple[str, int, int]]:
     reference = next((on for _, scenario, _, on, _, _ in arms if scenario == "within"), "")
     for comparison, (first, second) in COMPARISONS.items():
         for index, (task, scenario, _, tested_on, model, selection) in enumerate(arms):
-            if scenario != first or selection == "none":
+            if scenario != first or selection == NONE:
                 continue
             if first == "multi" and second == "within" and tested_on != reference:
                 continue  # the other test radiographs are not those of the reference
@@ -154,8 +140,8 @@ def _pairs(arms: list[tuple[str, ...]]) -> Iterator[tuple[str, int, int]]:
             if partner is not None:
                 yield comparison, index, partner
     for index, (task, scenario, _, tested_on, _, selection) in enumerate(arms):
-        partner = known.get((task, scenario, tested_on, "jsw", "none"))
-        if selection != "none" and partner is not None:
+        partner = known.get((task, scenario, tested_on, "jsw", NONE))
+        if selection != NONE and partner is not None:
             yield MINUS_JSW, index, partner
 
 

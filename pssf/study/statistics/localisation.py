@@ -37,17 +37,17 @@ def summarise(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _row(part: pd.DataFrame) -> dict[str, float]:
-    found = part[part["status"] == "found"]
+    accepted = part[part["status"] == "found"]
     return {
         "radiographs": len(part),
         "low_score": int((part["status"] == "low score").sum()),
         "leaves_image": int((part["status"] == "leaves image").sum()),
-        "mean_px": found["error_px"].mean(),
-        "p95_px": found["error_px"].quantile(0.95),
-        "mean_mm": found["error_mm"].mean(),
-        "p95_mm": found["error_mm"].quantile(0.95),
-        "row_bias_mm": found["error_row_mm"].mean(),
-        "col_bias_mm": found["error_col_mm"].mean(),
-        "gross": int((found["error_mm"] > GROSS_MM).sum()),
+        "mean_px": accepted["error_px"].mean(),
+        "p95_px": accepted["error_px"].quantile(0.95),
+        "mean_mm": accepted["error_mm"].mean(),
+        "p95_mm": accepted["error_mm"].quantile(0.95),
+        "row_bias_mm": accepted["error_row_mm"].mean(),
+        "col_bias_mm": accepted["error_col_mm"].mean(),
+        "gross": int((accepted["error_mm"] > GROSS_MM).sum()),
         "lowest_score": part["score"].min(),
     }

@@ -80,13 +80,13 @@ def weighted_scores(truth: NDArray[np.int64], probability: Array, weight: Array)
     true, called, right = counts.sum(axis=1), counts.sum(axis=0), np.einsum("kks->ks", counts)
     ones = range(classes) if classes > 2 else (1,)
     with np.errstate(invalid="ignore", divide="ignore"):
-        found = {
+        scores = {
             "auc": np.mean([_weighted_auc(truth == k, probability[:, k], weight) for k in ones], axis=0),
             "balanced_accuracy": (right / true).mean(axis=0),
             "macro_f1": (2 * right / (true + called)).mean(axis=0),
         }
     lacking = ~(true > 0).all(axis=0)
-    return {metric: np.where(lacking, np.nan, values) for metric, values in found.items()}
+    return {metric: np.where(lacking, np.nan, values) for metric, values in scores.items()}
 
 
 def _weighted_auc(positive: NDArray[np.bool_], value: Array, weight: Array) -> Array:

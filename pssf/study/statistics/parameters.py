@@ -8,8 +8,7 @@ from scipy.stats import rankdata
 
 from ...core.checks import Array
 from ...data import tables
-from ..learn.baselines import with_measures
-from ..learn.selection import is_degenerate
+from .degenerate import is_degenerate
 
 # Column -> what it is; the first six are those that a KL-like grade is drawn by.
 GRADED = {
@@ -35,13 +34,18 @@ BODY = {
 PARAMETERS = GRADED | BODY
 
 
+def with_measures(table: pd.DataFrame) -> pd.DataFrame:
+    """The table with sex as a number, `female`, where it has a column `sex`."""
+    return table.assign(female=(table["sex"] == "female").astype(float)) if "sex" in table else table
+
+
 def parameters_of(manifest: pd.DataFrame) -> pd.DataFrame:
     """One row a knee: knee, subject, grade, and those of PARAMETERS that the manifest tells of."""
     knees = with_measures(manifest).drop_duplicates("knee").reset_index(drop=True)
     if "osteophytes" in knees:
         sizes = knees["osteophytes"].map(lambda text: [float(one["size_mm"]) for one in json.loads(text)])
         knees = knees.assign(
-            largest_osteophyte_mm=sizes.map(lambda found: max(found, default=0.0)), osteophyte_count=sizes.map(len)
+            largest_osteophyte_mm=sizes.map(lambda of_knee: max(of_knee, default=0.0)), osteophyte_count=sizes.map(len)
         )
     return knees[["knee", "subject", "grade", *(name for name in PARAMETERS if name in knees)]]
 
@@ -51,9 +55,9 @@ def composition(table: pd.DataFrame) -> pd.DataFrame:
     counted = {"subjects": ("subject", "nunique"), "knees": ("knee", "nunique"), "radiographs": ("knee", "size")}
     rows = table.assign(grade=table["grade"].astype(str)).groupby("grade").agg(**counted).reset_index()
     total = {"grade": "Total", "subjects": table["subject"].nunique(), "knees": table["knee"].nunique()}
-    found = pd.concat([rows, pd.DataFrame([{**total, "radiographs": len(table)}])], ignore_index=True)
+    counts = pd.concat([rows, pd.DataFrame([{**total, "radiographs": len(table)}])], ignore_index=True)
     names = [str(name).replace("_", " ") for name in table["protocol"].unique()]
-    return found.assign(protocols=f"{len(names)} ({', '.join(names)})")
+    return counts.assign(protocols=f"{len(names)} ({', '.join(names)})")
 
 
 def morphology(parameters: pd.DataFrame) -> pd.DataFrame:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.stats import f as f_distribution
 
 from ...core.checks import Array
-from ..learn.selection import is_degenerate
+from .degenerate import is_degenerate
 from .icc_by_subject import icc_intervals_by_weights, knee_weights
 
 ICC_FORMS = ("ICC(2,1)", "ICC(3,1)")
@@ -54,8 +54,8 @@ def icc(values: Array) -> tuple[float, float]:
     values   (knees, conditions)
     returns  NaN, NaN where nothing varies: 0/0
     """
-    found = squares(values)
-    return (float("nan"), float("nan")) if found is None else _forms(found)
+    s = squares(values)
+    return (float("nan"), float("nan")) if s is None else _forms(s)
 
 
 def icc_intervals(values: Array, level: float = 0.95) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -107,11 +107,11 @@ def variance_shares(values: Array) -> tuple[float, float, float]:
 def grid(table: pd.DataFrame, names: list[str], by: str, conditions: list[str]) -> tuple[Array, NDArray[np.int64]]:
     """(knees, conditions, features) of the knees that have every condition, and (knees,) their subjects."""
     wide = table[table[by].isin(conditions)].pivot(index="knee", columns=by, values=names)
-    found = np.stack([wide[name].reindex(columns=conditions).to_numpy(np.float64) for name in names], axis=2)
+    cells = np.stack([wide[name].reindex(columns=conditions).to_numpy(np.float64) for name in names], axis=2)
     counts = table[table[by].isin(conditions)].groupby("knee")[by].nunique().reindex(wide.index)
     whole = (counts == len(conditions)).to_numpy()
     subjects = table.groupby("knee")["subject"].first().reindex(wide.index)[whole]
-    return found[whole], subjects.to_numpy(np.int64)
+    return cells[whole], subjects.to_numpy(np.int64)
 
 
 def reliability(
@@ -139,15 +139,15 @@ def reliability(
     return pd.DataFrame(rows, columns=_COLUMNS)
 
 
-def repeatability(table: pd.DataFrame, again: pd.DataFrame, names: list[str], reference: str) -> pd.DataFrame:
+def repeatability(table: pd.DataFrame, retest: pd.DataFrame, names: list[str], reference: str) -> pd.DataFrame:
     """`reliability` across repeats of the same knees under the reference protocol.
 
-    table  of `reliability`; it has the first radiograph of every knee, of which no two are one subject's
-    again  radiographs of some knees taken again: knee (as in the table), kind (noise | perturbation), turn, features
+    table   of `reliability`; it has the first radiograph of every knee, of which no two are one subject's
+    retest  radiographs of some knees taken again: knee (as in the table), kind (noise | perturbation), turn, features
     """
     rows = []
     for kind, label in REPEATS.items():
-        part = again[again["kind"] == kind]
+        part = retest[retest["kind"] == kind]
         first = table[(table["protocol"] == reference) & table["knee"].isin(part["knee"])]
         both = pd.concat([first.assign(turn="first"), part.assign(turn=part["turn"].astype(str))])
         turns = ["first", *sorted(set(part["turn"].astype(str)))]

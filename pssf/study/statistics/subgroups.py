@@ -3,8 +3,8 @@
 import numpy as np
 import pandas as pd
 
-from .. import StudySettings
-from ..learn.scenarios import truth_and_probability
+from ..predictions import truth_and_probability
+from ..settings import StudySettings
 from .intervals import mean_of_splits, subject_weights
 from .metrics import METRICS, percentiles, weighted_scores
 
@@ -34,14 +34,14 @@ def subgroups(predictions: pd.DataFrame, parameters: pd.DataFrame, settings: Stu
 
 def _groups(parameters: pd.DataFrame) -> dict[str, set[int]]:
     """group -> its subjects"""
-    people, found = parameters.drop_duplicates("subject"), dict[str, pd.Series]()
+    people, chosen = parameters.drop_duplicates("subject"), dict[str, pd.Series]()
     if "female" in people:
-        found |= {"women": people["female"] > 0, "men": people["female"] == 0}
+        chosen |= {"women": people["female"] > 0, "men": people["female"] == 0}
     if "age_years" in people:
         middle = people["age_years"].median()
-        found |= {f"up to {middle:.0f} years": people["age_years"] <= middle}
-        found |= {f"over {middle:.0f} years": people["age_years"] > middle}
-    return {name: set(people["subject"][chosen]) for name, chosen in found.items()}
+        chosen |= {f"up to {middle:.0f} years": people["age_years"] <= middle}
+        chosen |= {f"over {middle:.0f} years": people["age_years"] > middle}
+    return {name: set(people["subject"][inside]) for name, inside in chosen.items()}
 
 
 def _scores(inside: pd.DataFrame, weights: pd.DataFrame) -> dict[str, float]:
@@ -49,9 +49,9 @@ def _scores(inside: pd.DataFrame, weights: pd.DataFrame) -> dict[str, float]:
         weighted_scores(*truth_and_probability(split), weights.to_numpy()[weights.index.get_indexer(split["subject"])])
         for _, split in inside.groupby("repeat", sort=False)
     ]
-    found = dict[str, float]()
+    row = dict[str, float]()
     for metric in METRICS:
         scores = mean_of_splits(np.array([one[metric] for one in of_splits])) if of_splits else np.full(2, np.nan)
         low, high = percentiles(scores[1:])
-        found |= {metric: float(scores[0]), f"{metric}_low": low, f"{metric}_high": high}
-    return found
+        row |= {metric: float(scores[0]), f"{metric}_low": low, f"{metric}_high": high}
+    return row

@@ -1,14 +1,12 @@
 """Run time of the study against what is left out of it (needs the extra `study`)."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from ..core.progress import Pace
-from ..experiment import Crew, make_experiment, measure_experiment, run_experiment
+from ..core.execution import Execution
+from ..experiment import make_experiment, measure_experiment, run_experiment
 from ..io.atomic import empty_folder
 from ..io.results import save_text
 from .engines import Row
@@ -43,7 +41,7 @@ CASES = (
 )
 
 
-def left_out_rows(workers: int, cases: tuple[Case, ...] = CASES) -> list[Row]:
+def ablation_rows(workers: int, cases: tuple[Case, ...] = CASES) -> list[Row]:
     """One row a case, each from an empty folder, nine knees: what is left out, radiographs, seconds, share of all.
 
     The first row is the whole study; before it one is run that is not counted, so that all find compiled code. The last
@@ -67,23 +65,19 @@ def _timed(out: Path, case: Case, workers: int) -> tuple[int, float]:
     cohort: dict[str, Any] = _COHORT | {"protocols": list(_PROTOCOLS)} | case.cohort
     if case.technique:
         cohort["protocols"] = [_variant(out, name, case.technique) for name in cohort["protocols"]]
-    crew, start = Crew(workers=workers, bar=_unseen), perf_counter()
-    made = make_experiment(out, crew, preset="quick", seed=0, engine="scanline", cohort=cohort, settings=case.settings)
+    execution, start = Execution(workers=workers), perf_counter()
+    made = make_experiment(
+        out, execution, preset="quick", seed=0, engine="scanline", cohort=cohort, settings=case.settings
+    )
     if case.until == "features":
-        measure_experiment(made, crew)
+        measure_experiment(made, execution)
     elif case.until == "report":
-        run_experiment(made, crew)
-    again = 0 if made.again is None else len(made.again)
-    return len(made.manifest) + again, perf_counter() - start
+        run_experiment(made, execution)
+    retested = 0 if made.retest is None else len(made.retest)
+    return len(made.manifest) + retested, perf_counter() - start
 
 
 def _variant(out: Path, name: str, technique: str) -> str:
     path = out / "protocols" / f"{name}.toml"
     save_text(path, f'base = "{name}"\n{technique}')
     return str(path)
-
-
-@contextmanager
-def _unseen(what: str, total: int) -> Iterator[Pace]:
-    """A bar that nobody sees."""
-    yield Pace(total)

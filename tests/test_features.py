@@ -1,7 +1,6 @@
 """Ways in which a feature extractor is silently wrong, each shown, and that regions are measured without it."""
 
 import numpy as np
-import pandas as pd
 import pytest
 import SimpleITK as sitk  # noqa: N813
 from numpy.testing import assert_allclose
@@ -10,9 +9,8 @@ from radiomics.featureextractor import RadiomicsFeatureExtractor
 from test_radiomics import texture
 
 from pssf.radiomics import FAMILIES, features
-from pssf.radiomics.features import TEXTURES, extract, family, measure
-from pssf.radiomics.ibsi import departure_of, tag_of
-from pssf.study.learn.selection import Prune
+from pssf.radiomics.families import family
+from pssf.radiomics.features import TEXTURES, extract, measure
 
 
 def flat(values: np.ndarray) -> sitk.Image:
@@ -67,24 +65,6 @@ def test_grey_values_on_the_edge_of_a_bin_fall_as_whole_numbers_have_it(name):
     assert (places != levels).any()
 
 
-def test_features_that_are_others_in_disguise_are_left_out_before_a_model_sees_them():
-    table = pd.DataFrame([extract(texture(32, seed, 0.5 + 0.1 * seed), 0.15) for seed in range(14)])
-    twice = (
-        ("glcm_SumAverage", 2 * table["glcm_JointAverage"]),
-        ("gldm_GrayLevelNonUniformity", 32 * 32 * table["firstorder_linear_Uniformity"]),
-        ("firstorder_linear_TotalEnergy", 0.15**2 * table["firstorder_linear_Energy"]),  # a slice is 1 mm high
-    )
-    for name, other in twice:
-        assert_allclose(table[name], other, rtol=1e-9, err_msg=name)
-    kept = Prune(0.9).fit(table).kept_
-    for pair in (
-        {"glcm_SumAverage", "glcm_JointAverage"},
-        {"gldm_GrayLevelNonUniformity", "firstorder_linear_Uniformity"},
-        {"firstorder_linear_TotalEnergy", "firstorder_linear_Energy"},
-    ):
-        assert len(pair & set(kept)) < 2
-
-
 def test_a_family_that_is_left_out_costs_nothing_and_changes_no_other(monkeypatch):
     region = texture(32, 1)
     whole = extract(region, 0.15)
@@ -96,12 +76,3 @@ def test_a_family_that_is_left_out_costs_nothing_and_changes_no_other(monkeypatc
         part = extract(region, 0.15, families=(name,))
         assert part == {feature: value for feature, value in whole.items() if family(feature) == name}
         assert len(asked) == (2 if name == "firstorder" else 1)
-
-
-def test_every_feature_has_a_tag_or_says_how_it_departs():
-    names = list(extract(texture(32, 1), 0.15))
-    assert all(tag_of(name) or departure_of(name) for name in names)
-    assert tag_of("firstorder_z_Mean") == "stat_mean"
-    assert tag_of("glcm_Idmn") == "cm_inv_diff_mom_norm"
-    assert "IBSI + 3" in departure_of("firstorder_linear_Kurtosis")
-    assert sum(bool(tag_of(name)) for name in names if family(name) not in ("firstorder", "shape2D")) == 74

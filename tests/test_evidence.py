@@ -9,10 +9,11 @@ import pytest
 
 from pssf.core.checks import InputError
 from pssf.study import StudySettings
-from pssf.study.learn.importance import by_family
-from pssf.study.learn.scenarios import Outcome, one_split
+from pssf.study.learn.scenarios import one_split
 from pssf.study.learn.split import split_subjects
+from pssf.study.predictions import Outcome
 from pssf.study.statistics.evidence import tables_of_features, tables_of_models
+from pssf.study.statistics.importance import by_family
 
 PROTOCOLS = ("reference", "other")
 NAMES = ["glcm_a", "glcm_b", "gldm_c", "ngtdm_d"]

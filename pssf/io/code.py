@@ -1,0 +1,57 @@
+"""Which code something was made by: hashes of the package's own modules and tables."""
+
+import hashlib
+from collections.abc import Mapping
+from functools import cache
+from importlib.metadata import distributions
+from pathlib import Path
+from platform import node
+
+from ..core.checks import InputError
+
+ROOT = Path(__file__).resolve().parents[1]
+# What of the package is read by Python or by its modules; anything else there is not its own.
+SUFFIXES = (".py", ".toml", ".j2", ".html")
+
+
+@cache
+def code_digest(parts: tuple[str, ...] = (".",)) -> dict[str, str]:
+    """part -> hash of the code and tables in it
+
+    parts   modules or folders as they are called below pssf/, such as "simulate.py" or "data"; ".": all of them
+    raises  InputError for a part that the package does not have
+    """
+    return {part: _hash(ROOT / part) for part in parts}
+
+
+@cache
+def installed() -> dict[str, str]:
+    """name -> version of everything that is installed"""
+    return dict(sorted({(one.metadata["Name"], one.version) for one in distributions()}))
+
+
+def require_code(digests: Mapping[str, str]) -> None:
+    """Refuse to work with other code than where the run started, as a worker on another machine may have it.
+
+    digests  of `code_digest`, there
+    raises   InputError naming the machine and the parts that differ
+    """
+    other = differing(digests, code_digest(tuple(digests)))
+    if other:
+        raise InputError(f"on {node()}: other code of pssf ({other}); allowed: the code where the run started")
+
+
+def differing(digests: Mapping[str, str], others: Mapping[str, str]) -> str:
+    """The parts whose hashes are not the same, as they are named in a refusal; "" where all are."""
+    parts = sorted(set(digests) | set(others))
+    return ", ".join(part for part in parts if digests.get(part) != others.get(part))
+
+
+def _hash(path: Path) -> str:
+    if not path.exists():
+        raise InputError(f"part {path.relative_to(ROOT)} of pssf is missing; allowed: a module or folder below {ROOT}")
+    digest = hashlib.sha256()
+    for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
+        if file.suffix in SUFFIXES:
+            digest.update(f"{file.relative_to(ROOT).as_posix()}\n".encode() + file.read_bytes())
+    return digest.hexdigest()[:16]

@@ -1,0 +1,45 @@
+"""The form in which predictions go from training to statistics. An arm: fitted on what, tested on what."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+TASKS = {"0 vs 2": (0, 2), "0/1/2": (0, 1, 2)}
+ARM = ["task", "scenario", "trained_on", "tested_on", "model", "selection"]
+# What a model of the image must do better than, as further models of an arm; their selection is NONE.
+BASELINES = {"chance": "Chance", "body": "Age, sex, stature", "jsw": "JSW (true)"}
+NONE = "none"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Of one split.
+
+    predictions  ARM, repeat, radiograph, knee, subject, protocol, truth (class index), p0, p1[, p2]
+    importances  ARM without `tested_on`, repeat, feature, share
+    permutation  model, selection, repeat, feature, drop: within protocol, 0 vs 2
+    stable       how many features were stable across protocols in the training subjects; None with one protocol
+    models       name -> bytes of a fitted pipeline: of the first split, within protocol, 0 vs 2
+    subjects     repeat, subject, part
+    """
+
+    predictions: pd.DataFrame
+    importances: pd.DataFrame
+    permutation: pd.DataFrame
+    stable: int | None
+    models: dict[str, bytes]
+    subjects: pd.DataFrame
+
+
+def truth_and_probability(predictions: pd.DataFrame) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """(rows,) class index and (rows, classes) probability of predictions of one task."""
+    columns = [f"p{k}" for k in range(len(TASKS[predictions["task"].iloc[0]]))]
+    return predictions["truth"].to_numpy(np.int64), predictions[columns].to_numpy(np.float64)
+
+
+def joined(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
+    """The tables one below the other."""
+    return pd.concat(tables, ignore_index=True)

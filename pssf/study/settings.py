@@ -1,0 +1,60 @@
+"""What the results of a study depend on, beside the cohort."""
+
+from dataclasses import dataclass
+
+from ..core.checks import InputError, require, require_choice, require_seed, require_whole
+from ..radiomics.families import FAMILIES
+
+# Name -> how it is written.
+SELECTIONS = {"l1": "L1", "mrmr": "mRMR"}
+MODELS = {"lr": "Logistic regression", "rf": "Random forest", "xgb": "XGBoost"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudySettings:
+    """What the results depend on, beside the cohort.
+
+    region_px      side of the region about the medial joint line
+    bins           of grey value, for texture
+    min_score      a template match below it is refused, and counted as a failure
+    repeats        splits of the subjects
+    rho            |Spearman's rho| above which the later of two features is left out
+    most_features  that a selection may keep
+    replicates     of the bootstrap; the least p is 2 / (replicates + 1)
+    families       of features; one that is left out costs nothing
+    selections     of SELECTIONS
+    models         of MODELS
+    reference      protocol of the within-protocol scenario, and that ICCs are paired with
+    raises         InputError for a value out of range
+    """
+
+    region_px: int = 512
+    bins: int = 64
+    min_score: float = 0.5
+    repeats: int = 10
+    seed: int = 0
+    rho: float = 0.9
+    most_features: int = 10
+    replicates: int = 2000
+    families: tuple[str, ...] = FAMILIES
+    selections: tuple[str, ...] = tuple(SELECTIONS)
+    models: tuple[str, ...] = tuple(MODELS)
+    reference: str = "reference"
+
+    def __post_init__(self) -> None:
+        require_whole("region_px", self.region_px, 16, 4096, "pixels")
+        require_whole("bins", self.bins, 8, 256, "grey values")
+        require("min_score", self.min_score, -1, 1, "(correlation)")
+        require_whole("repeats", self.repeats, 1, 1000, "splits")
+        require_seed(self.seed)
+        require("rho", self.rho, 0.1, 1, "(correlation)")
+        require_whole("most_features", self.most_features, 1, 100, "features")
+        require_whole("replicates", self.replicates, 100, 100_000, "samples")
+        for name, allowed in (("families", FAMILIES), ("selections", SELECTIONS), ("models", MODELS)):
+            given = getattr(self, name)
+            if not given:
+                raise InputError(f"{name} = (); allowed: one or more of {', '.join(allowed)}")
+            for choice in given:
+                require_choice(name, choice, tuple(allowed))
+            if len(set(given)) < len(given):
+                raise InputError(f"{name} = {', '.join(given)}; allowed: each once")

@@ -1,0 +1,61 @@
+"""Made-up cohorts for tests of the study: one row a radiograph, with features of known make."""
+
+import numpy as np
+import pandas as pd
+
+from pssf.study import StudySettings
+from pssf.study.learn.models import Fitted, tune
+from pssf.study.learn.selection import preparation
+
+PROTOCOLS = ("reference", "low_dose", "geometry_shift")
+NAMES = ["signal", "copy", *[f"n{i}" for i in range(12)]]
+
+
+def features(per_grade: int, *, noise: float = 1.0, seed: int = 0, extra: int = 12) -> pd.DataFrame:
+    """One row a radiograph: `signal` follows the grade, `copy` follows signal, n0, n1, ... are noise of the knee."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for subject in range(3 * per_grade):
+        grade = subject % 3
+        own = rng.normal(size=extra)
+        signal = grade + noise * rng.normal()
+        for protocol in PROTOCOLS:
+            jitter = 0.1 * rng.normal(size=extra)
+            row = {"radiograph": f"{subject}_{protocol}", "knee": subject, "subject": subject, "grade": grade}
+            row |= {"protocol": protocol, "signal": signal + 0.1 * rng.normal()}
+            rows.append(row | {f"n{i}": own[i] + jitter[i] for i in range(extra)})
+    table = pd.DataFrame(rows)
+    return table.assign(copy=2 * table["signal"] + 3)
+
+
+SHAKY_NAMES = ["signal", "shaky", *[f"n{i}" for i in range(4)]]
+
+
+def measured_cohort(per_grade: int = 12, *, shift: float = 0.0, seed: int = 0) -> pd.DataFrame:
+    """One row a radiograph: `signal` follows the grade, `shaky` of the radiograph; protocol `b` shifts the others."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for subject in range(3 * per_grade):
+        own, signal = rng.normal(size=4), subject % 3 + 0.3 * rng.normal()
+        for protocol in ("a", "b"):
+            off = shift if protocol == "b" else 0.0
+            row = {"radiograph": f"{subject}_{protocol}", "knee": subject, "subject": subject, "grade": subject % 3}
+            row |= {"protocol": protocol, "signal": signal + off + 0.02 * rng.normal(), "shaky": 2.0 * rng.normal()}
+            rows.append(row | {f"n{i}": own[i] + off + 0.02 * rng.normal() for i in range(4)})
+    table = pd.DataFrame(rows)
+    return table.assign(
+        sex=np.where(table["subject"] % 2, "female", "male"),
+        age_years=50.0 + table["subject"] % 7,
+        stature_mm=1700.0 + table["subject"] % 11,
+        jsw_medial_mm=5.0 - table["grade"],
+    )
+
+
+def settings_of(**more) -> StudySettings:
+    return StudySettings(**({"selections": ("l1",), "models": ("lr",), "reference": "a"} | more))
+
+
+def fitted(model: str, table: pd.DataFrame) -> tuple[Fitted, pd.DataFrame, np.ndarray]:
+    """A model of grade 2 against the others of a `measured_cohort`, its features and truth."""
+    X, y = table[SHAKY_NAMES], (table["grade"] == 2).astype(int).to_numpy()
+    return tune(preparation("l1", rho=0.9, most=5, seed=0).fit(X, y), model, (X, y), (X, y), seed=0), X, y

@@ -1,0 +1,92 @@
+"""Which code something was made by."""
+
+import ast
+from pathlib import Path
+
+import pytest
+from conftest import change
+
+import pssf
+from pssf.cohort import make
+from pssf.io import code
+from pssf.radiomics import table
+
+ROOT = Path(pssf.__file__).parent
+
+
+def test_a_copy_has_the_digest_of_what_it_is_copied_from(copied_code):
+    there = code.code_digest((".", "data"))
+    code.ROOT = ROOT
+    code.code_digest.cache_clear()
+    assert code.code_digest((".", "data")) == there
+
+
+@pytest.mark.parametrize("name", ["data/detector.toml", "detector/panel.py", "study/report/report.html.j2"])
+def test_a_byte_changes_the_digest_of_its_part_and_of_no_other(copied_code, name):
+    parts = ("data", "detector", "study", ".")
+    before = code.code_digest(parts)
+    change(copied_code / name)
+    assert code.differing(before, code.code_digest(parts)) == f"., {name.split('/')[0]}"
+
+
+def test_a_file_that_is_moved_or_new_changes_the_digest(copied_code):
+    before = code.code_digest()
+    (copied_code / "data" / "new.toml").write_text("")
+    code.code_digest.cache_clear()
+    assert code.code_digest() != before
+
+
+def test_what_is_compiled_or_left_by_an_editor_does_not_count(copied_code):
+    before = code.code_digest()
+    (copied_code / "__pycache__").mkdir()
+    for name in ("__pycache__/cli.cpython-311.pyc", "data/detector.toml~"):
+        (copied_code / name).write_text("anything")
+    code.code_digest.cache_clear()
+    assert code.code_digest() == before
+
+
+def test_a_part_that_is_not_there_is_refused():
+    with pytest.raises(pssf.InputError, match=r"part rays\.py of pssf is missing; allowed: a module or folder below"):
+        code.code_digest(("rays.py",))
+
+
+def test_other_code_is_refused_by_the_machine_that_has_it():
+    here = code.code_digest(("core", "data"))
+    code.require_code(here)
+    with pytest.raises(pssf.InputError, match=r"on .*: other code of pssf \(data\); allowed: the code where the run"):
+        code.require_code({**here, "data": "0"})
+
+
+def test_every_kind_of_file_in_the_package_counts():
+    kinds = {path.suffix for path in ROOT.rglob("*") if path.is_file() and "__pycache__" not in path.parts}
+    assert kinds == set(code.SUFFIXES)
+
+
+def imported(name):
+    """Every module of the package that a module imports, directly or not, by its path below pssf/."""
+    modules = {}
+    for path in ROOT.rglob("*.py"):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        modules[parts[:-1] if parts[-1] == "__init__" else parts] = path
+    seen, todo = set(), [name]
+    while todo:
+        module = todo.pop()
+        if module in seen:
+            continue
+        seen.add(module)
+        path = modules[module]
+        package = module if path.name == "__init__.py" else module[:-1]
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.level:
+                start = package[: len(package) - node.level + 1]
+                start += tuple(node.module.split(".")) if node.module else ()
+                reached = [start, *((*start, alias.name) for alias in node.names)]
+                reached += [start[:k] for k in range(1, len(start))]
+                todo += [one for one in reached if one in modules]
+    return {modules[module].relative_to(ROOT).as_posix() for module in seen if module}
+
+
+@pytest.mark.parametrize(("start", "parts"), [(("cohort", "make"), make._CODE), (("radiomics", "table"), table._CODE)])
+def test_all_that_is_imported_on_the_way_to_a_result_counts(start, parts):
+    missing = [path for path in imported(start) if not set(parts) & {path, path.split("/")[0]}]
+    assert missing == []

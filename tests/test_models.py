@@ -1,0 +1,36 @@
+"""Models, tuned on the validation subjects."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from made_up import NAMES, features
+from numpy.testing import assert_allclose
+
+from pssf.study.learn.models import tune
+from pssf.study.learn.selection import preparation
+from pssf.study.settings import SELECTIONS
+
+
+@pytest.mark.parametrize("selection", list(SELECTIONS))
+def test_features_without_anything_in_them_give_a_model_of_chance(selection):
+    table = pd.DataFrame({"a": np.ones(12), "b": np.zeros(12)})
+    y = np.arange(12) % 2
+    prepared = preparation(selection, rho=0.9, most=4, seed=0).fit(table, y)
+    fitted = tune(prepared, "lr", (table, y), (table, y), seed=0)
+    assert_allclose(fitted.pipeline.predict_proba(table), 0.5, atol=1e-6)
+
+
+@pytest.mark.parametrize("model", ["lr", "rf", "xgb"])
+def test_importances_are_shares_and_the_signal_leads(model):
+    table = features(20, noise=0.2)
+    X, y = table[NAMES], table["grade"].to_numpy()
+    fitted = tune(preparation("l1", rho=0.9, most=5, seed=0).fit(X, y), model, (X, y), (X, y), seed=0)
+    assert sum(fitted.importance.values()) == pytest.approx(1)
+    assert max(fitted.importance, key=fitted.importance.get) == "signal"
+
+
+def test_without_validation_rows_the_most_cautious_parameters_are_taken():
+    table = features(10)
+    X, y = table[NAMES], table["grade"].to_numpy()
+    fitted = tune(preparation("l1", rho=0.9, most=5, seed=0).fit(X, y), "lr", (X, y), (X[:0], y[:0]), seed=0)
+    assert fitted.parameters == {"C": 0.01}

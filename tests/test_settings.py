@@ -1,0 +1,12 @@
+"""What the results of a study depend on."""
+
+import pytest
+
+from pssf.core.checks import InputError
+from pssf.study.settings import StudySettings
+
+
+@pytest.mark.parametrize("wrong", [{"rho": 2}, {"models": ("svm",)}, {"selections": ()}, {"repeats": 0}, {"bins": 7.5}])
+def test_settings_out_of_range_are_refused(wrong):
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        StudySettings(**wrong)

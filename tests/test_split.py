@@ -1,0 +1,47 @@
+"""Training, validation and test subjects."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
+
+from pssf.core.checks import InputError
+from pssf.study.learn.split import split_subjects
+
+
+@settings(max_examples=50)
+@given(
+    counts=st.tuples(*[st.integers(3, 30)] * 3),
+    knees=st.integers(1, 2),
+    seed=st.integers(0, 2**63 - 1),
+    repeat=st.integers(0, 20),
+)
+def test_no_subject_is_in_two_parts_and_every_grade_is_in_every_part(counts, knees, seed, repeat):
+    grades = np.repeat([0, 1, 2], counts)
+    subjects = np.arange(len(grades))
+    split = split_subjects(np.repeat(subjects, knees), np.repeat(grades, knees), seed=seed, repeat=repeat)
+    parts = [split.training, split.validation, split.test]
+    assert_array_equal(np.sort(np.concatenate(parts)), subjects)
+    for part in parts:
+        assert set(grades[part]) == {0, 1, 2}
+    assert len(split.training) >= 0.5 * len(subjects) - 3
+
+
+def test_a_split_depends_on_seed_and_repeat_and_not_on_the_order_of_rows():
+    subjects, grades = np.arange(40), np.arange(40) % 3
+    order = np.random.default_rng(0).permutation(40)
+    first = split_subjects(subjects, grades, seed=5, repeat=1)
+    assert_array_equal(first.test, split_subjects(subjects[order], grades[order], seed=5, repeat=1).test)
+    assert set(first.test) != set(split_subjects(subjects, grades, seed=5, repeat=2).test)
+    assert set(first.test) != set(split_subjects(subjects, grades, seed=6, repeat=1).test)
+
+
+def test_a_split_of_two_hundred_subjects_is_seventy_fifteen_fifteen():
+    split = split_subjects(np.arange(200), np.zeros(200, int), seed=0)
+    assert [len(split.training), len(split.validation), len(split.test)] == [140, 30, 30]
+
+
+def test_too_few_subjects_of_a_grade_are_refused():
+    with pytest.raises(InputError, match="grade 1 has 2 subjects"):
+        split_subjects([0, 1, 2, 3, 4], [0, 0, 0, 1, 1], seed=0)
