@@ -25,10 +25,8 @@ from .plan import Case, Exposure, Plan
 Row = dict[str, Any]
 FOLDERS = ("", "images", "records")
 # What of this package pixels, files and manifest depend on.
-_CODE = (
-    *("anatomy", "cohort", "core", "data", "detector", "geometry", "io", "model", "raycast", "scatter", "simulation.py"),
-    *("stages.py", "xray"),
-)
+_CODE = ("anatomy", "cohort", "core", "data", "detector", "geometry", "io", "model", "raycast", "scatter", "xray")
+_CODE += ("simulation.py", "stages.py")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from ...data import tables
+from ...data.reporting import guidelines
 from ...io.results import holds
 
 STATUSES = ("yes", "no", "human", "none")
@@ -18,18 +18,18 @@ def checklist(out: Path) -> dict[str, Any]:
     """
     items = [
         {"guideline": name, "id": row[0], "item": row[1], **_answer(out, row)}
-        for name, guideline in tables.data("reporting").items()
-        for row in guideline["items"]
+        for name, guideline in guidelines().items()
+        for row in guideline.items
     ]
     summary = {
         name: {status: sum(i["guideline"] == name and i["status"] == status for i in items) for status in STATUSES}
-        for name in tables.data("reporting")
+        for name in guidelines()
     }
-    versions = {name: guideline["version"] for name, guideline in tables.data("reporting").items()}
+    versions = {name: guideline.version for name, guideline in guidelines().items()}
     return {"versions": versions, "summary": summary, "metrics_score_percent": _score(items), "items": items}
 
 
-def _answer(out: Path, row: list[Any]) -> dict[str, str]:
+def _answer(out: Path, row: tuple[Any, ...]) -> dict[str, str]:
     status, evidence = row[2], row[3]
     if status != "yes":
         return {"status": status, "evidence": evidence}
@@ -40,7 +40,7 @@ def _answer(out: Path, row: list[Any]) -> dict[str, str]:
 
 
 def _score(items: list[dict[str, Any]]) -> float:
-    weights = {row[0]: row[4] for row in tables.data("reporting")["METRICS"]["items"]}
+    weights = {row[0]: float(row[4]) for row in guidelines()["METRICS"].items}
     ours = [item for item in items if item["guideline"] == "METRICS" and item["status"] != "none"]
     earned = sum(weights[item["id"]] for item in ours if item["status"] == "yes")
     return round(100 * earned / sum(weights[item["id"]] for item in ours), 1)
