@@ -25,7 +25,19 @@ from .plan import Case, Exposure, Plan
 Row = dict[str, Any]
 FOLDERS = ("", "images", "records")
 # What of this package pixels, files and manifest depend on.
-_CODE = ("anatomy", "cohort", "core", "data", "detector", "geometry", "io", "model", "raycast", "scatter", "xray")
+_CODE: tuple[str, ...] = (
+    "anatomy",
+    "cohort",
+    "core",
+    "data",
+    "detector",
+    "geometry",
+    "io",
+    "model",
+    "raycast",
+    "scatter",
+    "xray",
+)
 _CODE += ("simulation.py", "stages.py")
 
 
