@@ -46,6 +46,10 @@ Scheduler = Annotated[
     ),
 ]
 Engine = Annotated[str, typer.Option(help="Ray caster: embree or scanline; they agree, and scanline is faster.")]
+Readme = Annotated[
+    Path | None,
+    typer.Option("--readme", help="Source checkout; its READMEs get what was measured, between the markers there."),
+]
 Preset = Annotated[str, typer.Option(help="Cohort: quick (24 subjects) or paper (180 subjects).")]
 
 
@@ -194,6 +198,7 @@ def study(
     selections: Annotated[str, typer.Option(help="Selections of features, with commas.")] = ",".join(SELECTIONS),
     models: Annotated[str, typer.Option(help="Models, with commas.")] = ",".join(MODELS),
     until: Annotated[str, typer.Option(help="report, or features: stop when they are measured.")] = "report",
+    readme: Readme = None,
 ) -> None:
     """The whole study: cohort, regions, features, models, report; goes on where an earlier run stopped.
 
@@ -202,6 +207,10 @@ def study(
     from .experiment import Crew, make_experiment, measure_experiment, run_experiment
 
     require_choice("until", until, ("features", "report"))
+    if readme is not None:
+        from .study.report.readme import require_readme
+
+        require_readme(readme)
     crew = Crew(workers=workers, bar=bar, scheduler=scheduler)
     wanted = {"families": families, "selections": selections, "models": models}
     settings = {name: tuple(listed.split(",")) for name, listed in wanted.items()}
@@ -211,6 +220,10 @@ def study(
         print(f"features  {measure_experiment(made, crew)}")
         return
     result = run_experiment(made, crew)
+    if readme is not None:
+        from .study.report.readme import write_readme
+
+        write_readme(readme, result, preset)
     print(f"results   of {result.origin}")
     print(f"report    {result.report}")
     for what, paths in (("picture", result.pictures), ("model", result.models)):
@@ -226,6 +239,7 @@ def accuracy(
     ] = "all",
     knees: Annotated[int, typer.Option(help="Random knees for the tables that draw some.")] = 30,
     workers: Workers = 2,
+    readme: Readme = None,
 ) -> None:
     """Error against run time on this machine, as tables (CSV) and a figure."""
     from .accuracy import TABLES, measure
@@ -234,7 +248,12 @@ def accuracy(
     wanted = TABLES if tables == "all" else tuple(name.strip() for name in tables.split(","))
     with _waiting("measuring") as status:
         paths = measure(
-            out, workers=workers, tables=wanted, knees=knees, progress=lambda what: status.update(f"measuring: {what}")
+            out,
+            workers=workers,
+            tables=wanted,
+            knees=knees,
+            readme=readme,
+            progress=lambda what: status.update(f"measuring: {what}"),
         )
     for path in paths:
         print(path)
@@ -244,13 +263,19 @@ def accuracy(
 def quality(
     out: Out,
     protocol: Annotated[str, typer.Option(help="Protocol by name, or the path of a TOML file.")] = "reference",
+    readme: Readme = None,
 ) -> None:
     """A protocol measured beside references: beam, MTF, NPS, DQE, exposure; tables (CSV) and a figure."""
+    from .io.readme import copy_picture, origin_now, require_checkout, write_tables
     from .model.protocol import load_protocol
     from .quality import measure_quality, write_quality
 
     technique = load_protocol(protocol)
+    measured = f"quality_{technique.name}"
+    if readme is not None:
+        require_checkout(readme, [measured])
     folder(out)
+    origin = origin_now()
     with _waiting("measuring") as status:
         found = measure_quality(technique, progress=lambda what: status.update(f"measuring: {what}"))
     table = Table("quantity", "value", "reference", "source")
@@ -258,7 +283,12 @@ def quality(
         known = f"{row['low']} to {row['high']}" if row["low"] != "" else str(row["reference"])
         table.add_row(row["quantity"], row["value"], known, row["source"])
     Console(width=None if sys.stdout.isatty() else 160).print(table)
-    for path in write_quality(found, technique, out):
+    paths = write_quality(found, technique, out)
+    if readme is not None:
+        paths += write_tables(readme, {measured: found.rows}, origin)
+        for picture in [path for path in paths if path.suffix == ".png"]:
+            paths += copy_picture(readme, measured, picture)
+    for path in paths:
         print(path)
 
 
