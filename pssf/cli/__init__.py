@@ -1,0 +1,53 @@
+"""The command line: pssf simulate | meshes | cohort | study | accuracy | quality | protocols.
+
+options  what commands share
+make     simulate, meshes, cohort, study
+measure  accuracy, quality, protocols
+
+Commands import what they need when they run, so that help does not wait for what computes.
+"""
+
+import sys
+
+import typer
+
+from . import make, measure
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Knee radiographs from physics, with labels that are true by construction, and the study they exist for.",
+)
+for command in (make.simulate, make.meshes, make.study, measure.accuracy, measure.quality, measure.protocols):
+    app.command()(command)
+app.add_typer(make.cohort_app, name="cohort")
+
+
+def main() -> None:
+    """Run the command line; bad input ends in one line and exit code 2."""
+    try:
+        sys.exit(app(standalone_mode=False))
+    except typer.Abort:
+        sys.exit(130)
+    except KeyboardInterrupt:
+        print("pssf: stopped; run the same command to go on from there", file=sys.stderr)
+        sys.exit(130)
+    except Exception as error:
+        sys.exit(_refused(error))
+
+
+def _refused(error: Exception) -> int:
+    """Tell of a refusal in one line; returns the exit code. What is no refusal is raised again."""
+    from ..core.checks import InputError
+    from ..core.workers import WorkersLostError
+
+    if isinstance(error, WorkersLostError):
+        print(f"pssf: {error}; run the same command to go on from there", file=sys.stderr)
+        return 1
+    # A misused option: the parser's own classes are private, their one-line message is not.
+    message = error.format_message() if hasattr(error, "format_message") else str(error)
+    if not (isinstance(error, InputError) or hasattr(error, "format_message")):
+        raise error
+    print(f"pssf: {message}", file=sys.stderr)
+    return 2

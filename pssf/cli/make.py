@@ -1,0 +1,186 @@
+"""Commands that make something: simulate, meshes, cohort, study."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .options import (
+    Engine,
+    Grade,
+    KneeFile,
+    Out,
+    Preset,
+    Processes,
+    ProtocolName,
+    Readme,
+    Scheduler,
+    Seed,
+    Workers,
+    knee_of,
+    waiting,
+)
+
+
+def simulate(
+    *,
+    out: Out,
+    grade: Grade = 0,
+    protocol: ProtocolName = "reference",
+    seed: Seed = 0,
+    knee: KneeFile = None,
+    engine: Engine = "embree",
+    workers: Workers = 2,
+    kinds: Annotated[
+        str, typer.Option("--formats", help="Any of tif, png, json, dcm (two: linear, and for eyes), with commas.")
+    ] = "tif,png,json",
+    border: Annotated[
+        str, typer.Option(help="none, or marked: collimator's edge and side marker in what is for eyes.")
+    ] = "none",
+) -> None:
+    """One radiograph: 16-bit TIFF, PNG for eyes, the parameters as JSON; DICOM if asked for."""
+    with waiting("simulating; the first run after an installation compiles for some seconds more"):
+        from ..core.checks import require_choice, require_workers
+        from ..io.atomic import folder
+        from ..io.images import BORDERS, KINDS, save_kinds
+        from ..model.protocol import load_protocol
+        from ..raycast import ENGINES
+        from ..simulation import simulate as run
+
+        technique, wanted = load_protocol(protocol), kinds.split(",")
+        require_choice("engine", engine, ENGINES)
+        require_workers(workers)
+        for kind in wanted:
+            require_choice("formats", kind, KINDS)
+        require_choice("border", border, BORDERS)
+        subject, name = knee_of(knee, grade, seed)
+        folder(out)
+        radiograph = run(subject, technique, seed=seed, engine=engine, workers=workers)
+    stem = out / f"{name}_{technique.name}_seed{seed}"
+    for path in save_kinds(radiograph, stem, wanted, border=border):
+        print(path)
+
+
+def meshes(
+    *,
+    out: Out,
+    grade: Grade = 0,
+    seed: Seed = 0,
+    knee: KneeFile = None,
+    kinds: Annotated[
+        str, typer.Option("--formats", help="Any of stl, ply, glb, 3mf, with commas.")
+    ] = "stl,ply,glb,3mf",
+    tolerance_mm: Annotated[float, typer.Option(help="How far a surface may move to save triangles, mm.")] = 0.0,
+) -> None:
+    """The solids of a knee as STL, PLY, GLB and 3MF, in mm."""
+    from ..anatomy import build
+    from ..io.meshes import export_meshes
+
+    subject, name = knee_of(knee, grade, seed)
+    formats = tuple(kinds.split(","))
+    for path in export_meshes(build(subject).scene, out, formats=formats, stem=name, tolerance_mm=tolerance_mm):
+        print(path)
+
+
+cohort_app = typer.Typer(pretty_exceptions_enable=False)
+
+
+@cohort_app.callback(invoke_without_command=True)
+def cohort(
+    context: typer.Context,
+    *,
+    workers: Processes,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder for what is made; made if need be. Required.")
+    ] = None,
+    preset: Preset = "quick",
+    seed: Seed = 0,
+    scheduler: Scheduler = None,
+    engine: Engine = "scanline",
+) -> None:
+    """Radiographs of a whole cohort and their manifest.
+
+    Goes on where an earlier run stopped or was killed, and ends with the same bytes: what stands is checked and kept.
+    A folder that holds another cohort is refused, with the first difference.
+    """
+    if context.invoked_subcommand is not None:
+        return
+    from ..cohort import make_cohort, plan_cohort
+    from ..core.checks import InputError
+    from ..core.execution import Execution
+    from ..core.progress import bar
+
+    if out is None:
+        raise InputError("out = none; allowed: a folder for the cohort (--out)")
+    plan = plan_cohort(preset, seed=seed)
+    total = sum(len(case.exposures) for case in plan.cases)
+    with Execution(bar=bar).stage("radiographs", "radiographs", total) as stage:
+        manifest = make_cohort(
+            plan, out, workers=workers, scheduler=scheduler, engine=engine, progress=stage.advance, kept=stage.keep
+        )
+    print(f"manifest  {manifest}")
+
+
+@cohort_app.command()
+def verify(folder: Annotated[Path, typer.Argument(help="Folder that pssf cohort made.")]) -> None:
+    """Check every file of a cohort against its hash; a line for each fault, and exit code 2 if there is one."""
+    from ..cohort import verify_cohort
+
+    with waiting("reading"):
+        verified = verify_cohort(folder)
+    for fault in verified.faults:
+        print(fault)
+    if verified.faults:
+        raise typer.Exit(2)
+    print(f"whole     {verified.radiographs} radiographs, {verified.files} files, as they were written")
+
+
+def study(
+    *,
+    out: Out,
+    workers: Processes,
+    preset: Preset = "quick",
+    seed: Seed = 0,
+    scheduler: Scheduler = None,
+    engine: Engine = "scanline",
+    protocols: Annotated[
+        str, typer.Option(help="Names or TOML files, with commas, instead of the preset's; the first may be alone.")
+    ] = "",
+    families: Annotated[str, typer.Option(help="Families of features, with commas; all if none is named.")] = "",
+    selections: Annotated[str, typer.Option(help="Selections of features, with commas; all if none is named.")] = "",
+    models: Annotated[str, typer.Option(help="Models, with commas; all if none is named.")] = "",
+    until: Annotated[str, typer.Option(help="report, or features: stop when they are measured.")] = "report",
+    readme: Readme = None,
+) -> None:
+    """The whole study: cohort, regions, features, models, report; goes on where an earlier run stopped.
+
+    What is left out costs nothing: protocols, families of features, selections, models.
+    """
+    from ..core.checks import require_choice
+    from ..core.execution import Execution
+    from ..core.progress import bar
+    from ..experiment import make_experiment, measure_experiment, run_experiment
+
+    require_choice("until", until, ("features", "report"))
+    if readme is not None:
+        from ..study.report.readme import require_readme
+
+        require_readme(readme)
+    execution = Execution(workers=workers, bar=bar, scheduler=scheduler)
+    wanted = {"families": families, "selections": selections, "models": models}
+    settings = {name: tuple(listed.split(",")) for name, listed in wanted.items() if listed}
+    overrides = {"protocols": protocols.split(",")} if protocols else None
+    made = make_experiment(out, execution, preset=preset, seed=seed, engine=engine, cohort=overrides, settings=settings)
+    if until == "features":
+        print(f"features  {measure_experiment(made, execution)}")
+        return
+    result = run_experiment(made, execution)
+    if readme is not None:
+        from ..study.report.readme import write_readme
+
+        write_readme(readme, result, preset)
+    print(f"results   of {result.origin}")
+    print(f"report    {result.report}")
+    for what, paths in (("picture", result.pictures), ("model", result.models)):
+        for path in paths.values():
+            print(f"{what:<10}{path}")

@@ -1,0 +1,89 @@
+"""Commands that measure or tell: accuracy, quality, protocols."""
+
+import sys
+from typing import Annotated
+
+import typer
+
+from .options import Out, ProtocolName, Readme, Workers, waiting
+
+
+def accuracy(
+    *,
+    out: Out,
+    tables: Annotated[
+        str, typer.Option(help="Names with commas, or all; an unknown one is refused with those there are.")
+    ] = "all",
+    knees: Annotated[int, typer.Option(help="Random knees for the tables that draw some.")] = 30,
+    workers: Workers = 2,
+    readme: Readme = None,
+) -> None:
+    """Error against run time on this machine, as tables (CSV) and a figure."""
+    from ..accuracy import TABLES, measure
+    from ..core.checks import require_whole
+
+    require_whole("knees", knees, 1, 100_000, "")
+    wanted = TABLES if tables == "all" else tuple(name.strip() for name in tables.split(","))
+    with waiting("measuring") as status:
+        paths = measure(
+            out,
+            workers=workers,
+            tables=wanted,
+            knees=knees,
+            readme=readme,
+            progress=lambda what: status.update(f"measuring: {what}"),
+        )
+    for path in paths:
+        print(path)
+
+
+def quality(*, out: Out, protocol: ProtocolName = "reference", readme: Readme = None) -> None:
+    """A protocol measured beside references: beam, MTF, NPS, DQE, exposure; tables (CSV) and a figure."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from ..io.atomic import folder
+    from ..io.readme import copy_picture, origin_now, require_checkout, write_tables
+    from ..model.protocol import load_protocol
+    from ..quality import measure_quality, write_quality
+
+    technique = load_protocol(protocol)
+    name = f"quality_{technique.name}"
+    if readme is not None:
+        require_checkout(readme, [name])
+    folder(out)
+    origin = origin_now()
+    with waiting("measuring") as status:
+        measured = measure_quality(technique, progress=lambda what: status.update(f"measuring: {what}"))
+    table = Table("quantity", "value", "reference", "source")
+    for row in measured.rows:
+        known = f"{row['low']} to {row['high']}" if row["low"] != "" else str(row["reference"])
+        table.add_row(row["quantity"], row["value"], known, row["source"])
+    Console(width=None if sys.stdout.isatty() else 160).print(table)
+    paths = write_quality(measured, technique, out)
+    if readme is not None:
+        paths += write_tables(readme, {name: measured.rows}, origin)
+        for picture in [path for path in paths if path.suffix == ".png"]:
+            paths += copy_picture(readme, name, picture)
+    for path in paths:
+        print(path)
+
+
+def protocols(
+    name: Annotated[str, typer.Argument(help="Protocol, by name or path, whose values to show.")] = "",
+) -> None:
+    """Fields of a protocol: what each is, its unit, what it may be, its default, where usual values come from."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from ..data.tables import protocol_names
+    from ..model.protocol import field_rows, load_protocol, protocol_table
+
+    values = protocol_table(load_protocol(name)) if name else {}
+    if not name:
+        print("protocols:", ", ".join(protocol_names()))
+    table = Table("field", *([name] if name else ["default"]), "unit", "allowed", "what", "source")
+    for row in field_rows():
+        shown = str(values[row["field"]]) if name else row["default"]
+        table.add_row(row["field"], shown, row["unit"], row["allowed"], row["what"], row["source"])
+    Console(width=None if sys.stdout.isatty() else 200).print(table)

@@ -1,0 +1,71 @@
+"""Options that commands share, and what they become."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.status import Status
+
+    from ..model.knee import Knee
+
+
+def _cores() -> int:
+    from ..core.parallel import cores
+
+    return cores()
+
+
+Out = Annotated[Path, typer.Option("--out", help="Folder for what is made; made if need be.")]
+Seed = Annotated[int, typer.Option(help="Seed of all chance; the same seed gives the same bytes.")]
+Grade = Annotated[int, typer.Option(help="KL-like grade of the drawn knee: 0, 1 or 2.")]
+KneeFile = Annotated[
+    Path | None, typer.Option("--knee", help="TOML file with the parameters of a knee, instead of a draw.")
+]
+ProtocolName = Annotated[str, typer.Option("--protocol", help="Protocol by name, or the path of a TOML file.")]
+Workers = Annotated[int, typer.Option(help="Processes or threads; they do not change the result.")]
+Processes = Annotated[
+    int,
+    typer.Option(
+        "--workers",
+        default_factory=_cores,
+        show_default="all cores that this process may use",
+        help="Processes of this machine, one thread each; they do not change the result.",
+    ),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="tcp://HOST:PORT",
+        help="Dask scheduler whose workers make the radiographs, instead of processes of this machine; all must see "
+        "--out under the same path and have the same pssf (extra: cluster).",
+    ),
+]
+Engine = Annotated[str, typer.Option(help="Ray caster: embree or scanline; they agree, and scanline is faster.")]
+Readme = Annotated[
+    Path | None,
+    typer.Option("--readme", help="Source checkout; its READMEs get what was measured, between the markers there."),
+]
+Preset = Annotated[str, typer.Option(help="Cohort: quick (24 subjects) or paper (180 subjects).")]
+
+
+def knee_of(path: Path | None, grade: int, seed: int) -> "tuple[Knee, str]":
+    """A knee from a file, or drawn by grade and seed; and a name for its files."""
+    import numpy as np
+
+    from ..core.checks import require_seed
+    from ..data.tables import read_toml
+    from ..model.knee import draw_knee, knee_from
+
+    require_seed(seed)
+    if path is not None:
+        return knee_from(read_toml(path), f"knee {path.name}"), path.stem
+    return draw_knee(grade=grade, rng=np.random.default_rng(seed)), f"knee_grade{grade}"
+
+
+def waiting(why: str) -> "Status":
+    """Says on standard error what is being waited for, while it lasts."""
+    from rich.console import Console
+
+    return Console(stderr=True).status(why)
