@@ -11,9 +11,9 @@ from typing import Any
 from ..anatomy import build
 from ..core.checks import InputError, require_choice, require_workers
 from ..core.parallel import cores, ordered_map, require_scheduler
+from ..data.code import code_digest, require_code
 from ..geometry.view import view_of
 from ..io import atomic, records
-from ..io.code import code_digest, require_code
 from ..io.images import save
 from ..model.knee import knee_table
 from ..model.protocol import protocol_table
@@ -26,8 +26,8 @@ Row = dict[str, Any]
 FOLDERS = ("", "images", "records")
 # What of this package pixels, files and manifest depend on.
 _CODE = (
-    *("anatomy", "cohort", "core", "data", "detector", "geometry", "io", "model", "raycast", "scatter", "simulation.py"),
-    *("stages.py", "xray"),
+    *("anatomy", "cohort", "core", "data", "detector", "geometry", "io", "model", "raycast", "scatter"),
+    *("simulation.py", "stages.py", "xray"),
 )
 
 

@@ -6,9 +6,10 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from msgspec import structs
 
 from ..core.checks import InputError, require_choice, require_seed, require_whole
-from ..data import tables
+from ..data.presets import presets
 from ..model.knee import Knee, draw_knee, knee_table
 from ..model.protocol import Protocol, load_protocol, protocol_table
 
@@ -75,7 +76,7 @@ class Plan:
 
 def preset_names() -> list[str]:
     """Names of the cohorts that come with the package."""
-    return list(tables.data("presets"))
+    return list(presets())
 
 
 def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None = None) -> Plan:
@@ -92,19 +93,18 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
     """
     require_choice("preset", preset, preset_names())
     require_seed(seed)
-    table = dict(tables.data("presets")[preset])
-    for name, value in (overrides or {}).items():
-        require_choice("preset entry", name, tuple(table))
-        table[name] = value
-    protocols = [load_protocol(name) for name in table["protocols"]]
+    for name in overrides or {}:
+        require_choice("preset entry", name, presets()[preset].__struct_fields__)
+    chosen = structs.replace(presets()[preset], **(overrides or {}))
+    protocols = [load_protocol(name) for name in chosen.protocols]
     names = [protocol.name for protocol in protocols]
     if len(set(names)) < len(names) or not names:
         raise InputError(f"protocols = {', '.join(names) or 'none'}; allowed: one or more, each once")
     cases = []
-    for index, (subject, grade, side) in enumerate(_people(table["knees"], table["bilateral"])):
+    for index, (subject, grade, side) in enumerate(_people(chosen.knees, chosen.bilateral)):
         cases.append(_case(seed, index, subject, grade, side, protocols))
-    require_whole("retested", table["retested"], 0, 100_000, "knees")
-    return Plan(preset=preset, seed=seed, repeats=table["repeats"], cases=tuple(cases), retested=table["retested"])
+    require_whole("retested", chosen.retested, 0, 100_000, "knees")
+    return Plan(preset=preset, seed=seed, repeats=chosen.repeats, cases=tuple(cases), retested=chosen.retested)
 
 
 def plan_retest(plan: Plan, *, reference: str = "reference") -> Plan | None:

@@ -8,7 +8,6 @@ import hashlib
 import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from tempfile import NamedTemporaryFile
@@ -19,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from platformdirs import user_cache_path
 
+from .code import code_digest
+
 Arrays = Mapping[str, NDArray[Any]]
 
-_PACKAGE = Path(__file__).resolve().parents[1]
 _LIBRARIES = ("manifold3d", "numpy", "scipy", "trimesh")
 
 
@@ -35,7 +35,8 @@ def kept(name: str, packages: tuple[str, ...], make: Callable[[], Arrays]) -> Ar
     folder = _folder()
     if folder is None:
         return make()
-    path = folder / f"{name}-{digest_of(packages)[:16]}.npz"
+    made_by = [code_digest(packages), [(library, version(library)) for library in _LIBRARIES]]
+    path = folder / f"{name}-{hashlib.sha256(repr(made_by).encode()).hexdigest()[:16]}.npz"
     with suppress(OSError, ValueError, BadZipFile, KeyError, EOFError), np.load(path, allow_pickle=False) as arrays:
         return dict(arrays)
     arrays = make()
@@ -45,17 +46,6 @@ def kept(name: str, packages: tuple[str, ...], make: Callable[[], Arrays]) -> Ar
             if stale != path:
                 stale.unlink()
     return arrays
-
-
-@cache
-def digest_of(packages: tuple[str, ...]) -> str:
-    """Hash of the code and tables of packages of pssf, and of the versions of the libraries that solids are made by."""
-    digest = hashlib.sha256(repr([(name, version(name)) for name in _LIBRARIES]).encode())
-    for package in packages:
-        for path in sorted((_PACKAGE / package).rglob("*")):
-            if path.suffix in (".py", ".toml"):
-                digest.update(f"{path.relative_to(_PACKAGE).as_posix()}\n".encode() + path.read_bytes())
-    return digest.hexdigest()
 
 
 def _folder() -> Path | None:
