@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, settings
 
 import pssf
 from pssf import cohort
-from pssf.io import code
+from pssf.data import code
 
 # No test is timed, and a commit that passes passes again: the examples are drawn from the test's own text.
 settings.register_profile("pssf", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])

@@ -8,7 +8,7 @@ from conftest import change
 
 import pssf
 from pssf.cohort import make
-from pssf.io import code
+from pssf.data import code
 from pssf.radiomics import table
 
 ROOT = Path(pssf.__file__).parent

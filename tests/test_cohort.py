@@ -19,7 +19,8 @@ from conftest import change
 import pssf
 from pssf import cohort
 from pssf.cohort import make
-from pssf.io import atomic, code, records
+from pssf.data import code
+from pssf.io import atomic, records
 
 
 @pytest.fixture

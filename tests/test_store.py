@@ -5,7 +5,7 @@ import pytest
 
 import pssf
 from pssf.anatomy.femur import mean_femur
-from pssf.data import store
+from pssf.data import code, store
 from pssf.data.bones import mean_shape
 from pssf.xray.spectrum import tube_spectrum
 
@@ -16,6 +16,11 @@ ORIGIN = store.Origin(sources=("core",), libraries=("numpy",))
 def folder(tmp_path, monkeypatch):
     monkeypatch.setenv("PSSF_CACHE_DIR", str(tmp_path))
     return tmp_path
+
+
+def forget():
+    store.digest_of.cache_clear()
+    code.code_digest.cache_clear()
 
 
 def counted():
@@ -42,11 +47,11 @@ def test_a_change_of_code_or_library_makes_them_anew_and_takes_the_old_ones_away
     package = tmp_path / "package"
     (package / "core").mkdir(parents=True)
     (package / "core" / "checks.py").write_text("changed = True\n")
-    monkeypatch.setattr(store, "_PACKAGE", package)
-    store.digest_of.cache_clear()
+    monkeypatch.setattr(code, "ROOT", package)
+    forget()
     store.kept("thing", ORIGIN, make)
     store.kept("thing", store.Origin(sources=("core",), libraries=("numpy", "scipy")), make)
-    store.digest_of.cache_clear()
+    forget()
     assert len(calls) == 3
     assert len(list(folder.glob("thing-*"))) == 1
 

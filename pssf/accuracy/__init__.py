@@ -79,7 +79,29 @@ def measure(
     if {"engines", "growth"} & set(tables):
         progress("ray casting")
         engines = engine_rows(workers)
-    jobs: dict[str, Callable[[], list[Row]]] = {
+    jobs, paths = _jobs(engines, workers, knees), list[Path]()
+    for name in (name for name in (*TABLES, *BY_NAME) if name in tables):
+        progress(name)
+        paths.append(out / f"{name}.csv")
+        rows = jobs[name]()
+        write_csv(paths[-1], rows)
+        if readme is not None:
+            paths += write_tables(readme, {name: rows}, origin)
+    paths.append(out / "machine.json")
+    write_json(paths[-1], _machine())
+    if engines and find_spec("matplotlib"):
+        from .figure import draw
+
+        paths.append(out / "engines.png")
+        write_bytes(paths[-1], draw(engines))
+        if readme is not None:
+            paths += copy_picture(readme, "engines", paths[-1])
+    return paths
+
+
+def _jobs(engines: list[Row], workers: int, knees: int) -> dict[str, Callable[[], list[Row]]]:
+    """Table -> what measures it."""
+    return {
         "engines": lambda: engines,
         "growth": lambda: growth_rows(engines),
         "nested": lambda: nested_rows(workers),
@@ -99,24 +121,6 @@ def measure(
         "ablation": lambda: _ablation(workers),
         "gvxr": lambda: gvxr_rows(workers),
     }
-    paths = []
-    for name in (name for name in (*TABLES, *BY_NAME) if name in tables):
-        progress(name)
-        paths.append(out / f"{name}.csv")
-        rows = jobs[name]()
-        write_csv(paths[-1], rows)
-        if readme is not None:
-            paths += write_tables(readme, {name: rows}, origin)
-    paths.append(out / "machine.json")
-    write_json(paths[-1], _machine())
-    if engines and find_spec("matplotlib"):
-        from .figure import draw
-
-        paths.append(out / "engines.png")
-        write_bytes(paths[-1], draw(engines))
-        if readme is not None:
-            paths += copy_picture(readme, "engines", paths[-1])
-    return paths
 
 
 def _machine() -> dict[str, str | int | None]:

@@ -11,9 +11,9 @@ from typing import Any
 from ..anatomy import build
 from ..core.checks import InputError, require_choice, require_workers
 from ..core.parallel import cores, ordered_map, require_scheduler
+from ..data.code import code_digest, require_code
 from ..geometry.view import view_of
 from ..io import atomic, records
-from ..io.code import code_digest, require_code
 from ..io.images import save
 from ..model.knee import knee_table
 from ..model.protocol import protocol_table
@@ -25,20 +25,10 @@ from .plan import Case, Exposure, Plan
 Row = dict[str, Any]
 FOLDERS = ("", "images", "records")
 # What of this package pixels, files and manifest depend on.
-_CODE: tuple[str, ...] = (
-    "anatomy",
-    "cohort",
-    "core",
-    "data",
-    "detector",
-    "geometry",
-    "io",
-    "model",
-    "raycast",
-    "scatter",
-    "xray",
+_CODE = (
+    *("anatomy", "cohort", "core", "data", "detector", "geometry", "io", "model", "raycast", "scatter"),
+    *("simulation.py", "stages.py", "xray"),
 )
-_CODE += ("simulation.py", "stages.py")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -93,10 +93,9 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
     """
     require_choice("preset", preset, preset_names())
     require_seed(seed)
-    chosen = presets()[preset]
-    for name, value in (overrides or {}).items():
-        require_choice("preset entry", name, chosen.__struct_fields__)
-        chosen = structs.replace(chosen, **{name: value})
+    for name in overrides or {}:
+        require_choice("preset entry", name, presets()[preset].__struct_fields__)
+    chosen = structs.replace(presets()[preset], **(overrides or {}))
     protocols = [load_protocol(name) for name in chosen.protocols]
     names = [protocol.name for protocol in protocols]
     if len(set(names)) < len(names) or not names:

@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 from platformdirs import user_cache_path
 
-Arrays = Mapping[str, NDArray[Any]]
+from .code import code_digest
 
-_PACKAGE = Path(__file__).resolve().parents[1]
+Arrays = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,13 +61,8 @@ def kept(name: str, origin: Origin, make: Callable[[], Arrays]) -> Arrays:
 @cache
 def digest_of(origin: Origin) -> str:
     """Hash of the code, the tables and the versions of libraries that arrays are made by."""
-    digest = hashlib.sha256(repr([(name, version(name)) for name in origin.libraries]).encode())
-    for source in origin.sources:
-        place = _PACKAGE / source
-        for path in [place] if place.is_file() else sorted(place.rglob("*")):
-            if path.suffix in (".py", ".toml"):
-                digest.update(f"{path.relative_to(_PACKAGE).as_posix()}\n".encode() + path.read_bytes())
-    return digest.hexdigest()
+    made_by = [code_digest(origin.sources), [(name, version(name)) for name in origin.libraries]]
+    return hashlib.sha256(repr(made_by).encode()).hexdigest()
 
 
 def _folder() -> Path | None:

@@ -8,5 +8,4 @@ meshes   scenes as STL, PLY, GLB and 3MF
 viewer   a page to inspect a scene beside its radiograph
 records  a cohort's records and manifest
 results  tables, pictures and pages of a study
-code     which code something was made by
 """

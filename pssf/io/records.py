@@ -9,8 +9,8 @@ from platform import node
 from typing import TYPE_CHECKING, Any
 
 from ..core.checks import InputError
+from ..data.code import differing
 from .atomic import write_bytes
-from .code import differing
 
 if TYPE_CHECKING:
     import pandas as pd

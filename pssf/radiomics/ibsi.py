@@ -1,6 +1,6 @@
 """Which feature of the Image Biomarker Standardisation Initiative a feature is, and where it departs from it."""
 
-from ..data.reporting import ibsi_tags
+from ..data.ibsi import ibsi_tags
 from .families import family
 
 
@@ -9,12 +9,13 @@ def tag_of(name: str) -> str:
 
     name  as `features.extract` gives it
     """
-    return ibsi_tags().get(family(name), {}).get(_short(name), "")
+    tags: dict[str, str] = getattr(ibsi_tags(), family(name), {})
+    return tags.get(_short(name), "")
 
 
 def departure_of(name: str) -> str:
     """How a feature departs from the initiative's definition, or that it is not theirs; "" where it does not."""
-    departures = ibsi_tags()["departures"]
+    departures = ibsi_tags().departures
     return departures.get(f"{family(name)}_{_short(name)}", departures.get(family(name), ""))
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..core.execution import Execution
 from ..core.parallel import ordered_map
-from ..io.code import code_digest, require_code
+from ..data.code import code_digest, require_code
 from .families import FAMILIES
 from .features import extract
 from .region import Template, cut_region, find_joint

@@ -8,8 +8,8 @@ from typing import Any
 
 import pandas as pd
 
+from ..data.code import code_digest, installed
 from ..io import records, results
-from ..io.code import code_digest, installed
 from .result import StudyResult
 from .settings import StudySettings
 

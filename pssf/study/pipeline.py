@@ -64,7 +64,9 @@ def run_study(run: Run, manifest: pd.DataFrame, retest: pd.DataFrame | None) -> 
     outcomes = train(usable, names, settings, run.execution)
     predictions = joined(outcome.predictions for outcome in outcomes)
     if predictions.empty:
-        raise InputError("regions found = too few to train on; allowed: grades 0 and 2 found among training subjects")
+        raise InputError(
+            f"regions found = {len(usable)}, grades 0 and 2 in no split among training subjects; allowed: in one or more"
+        )
     with timer.stage("intervals and differences"):
         tables = tables_of_models(outcomes, settings)
     with timer.stage("reliability and figures"):

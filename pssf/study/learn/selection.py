@@ -57,6 +57,8 @@ class SelectL1(TransformerMixin, BaseEstimator):
     """Features to which L1-regularised logistic regression gives a coefficient, at most `most` of the largest.
 
     The penalty is the strongest of a list that leaves at least three features, or all where there are fewer.
+
+    fit  X (rows, features) table, y (rows,) grade; kept_ are the names that stay
     """
 
     def __init__(self, most: int = 10, random_state: int = 0) -> None:
@@ -96,7 +98,10 @@ class SelectL1(TransformerMixin, BaseEstimator):
 
 
 class SelectMRMR(TransformerMixin, BaseEstimator):
-    """`most` features of least redundancy and most relevance, by the quotient of F and correlation (Zhao 2019, FCQ)."""
+    """`most` features of least redundancy and most relevance, by the quotient of F and correlation (Zhao 2019, FCQ).
+
+    fit  X (rows, features) table, y (rows,) grade; kept_ are the names that stay
+    """
 
     def __init__(self, most: int = 10) -> None:
         self.most = most

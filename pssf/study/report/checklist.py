@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from ...data.reporting import guidelines
+from ...data.reporting import Item, guidelines
 from ...io.results import holds
 
 STATUSES = ("yes", "no", "human", "none")
@@ -17,9 +17,9 @@ def checklist(out: Path) -> dict[str, Any]:
              over applicable weight, items for a human not counted; items: guideline, id, item, status, evidence
     """
     items = [
-        {"guideline": name, "id": row[0], "item": row[1], **_answer(out, row)}
+        {"guideline": name, "id": item.id, "item": item.item, **_answer(out, item)}
         for name, guideline in guidelines().items()
-        for row in guideline.items
+        for item in guideline.items
     ]
     summary = {
         name: {status: sum(i["guideline"] == name and i["status"] == status for i in items) for status in STATUSES}
@@ -29,18 +29,17 @@ def checklist(out: Path) -> dict[str, Any]:
     return {"versions": versions, "summary": summary, "metrics_score_percent": _score(items), "items": items}
 
 
-def _answer(out: Path, row: tuple[Any, ...]) -> dict[str, str]:
-    status, evidence = row[2], row[3]
-    if status != "yes":
-        return {"status": status, "evidence": evidence}
-    file, _, key = evidence.partition(" ")
+def _answer(out: Path, item: Item) -> dict[str, str]:
+    if item.status != "yes":
+        return {"status": item.status, "evidence": item.evidence}
+    file, _, key = item.evidence.partition(" ")
     if file == "checklist.json" or holds(out / file, key):
-        return {"status": "yes", "evidence": evidence}
-    return {"status": "no", "evidence": f"{evidence}: not made in this run"}
+        return {"status": "yes", "evidence": item.evidence}
+    return {"status": "no", "evidence": f"{item.evidence}: not made in this run"}
 
 
 def _score(items: list[dict[str, Any]]) -> float:
-    weights = {row[0]: float(row[4]) for row in guidelines()["METRICS"].items}
+    weights = {item.id: item.weight for item in guidelines()["METRICS"].items}
     ours = [item for item in items if item["guideline"] == "METRICS" and item["status"] != "none"]
     earned = sum(weights[item["id"]] for item in ours if item["status"] == "yes")
     return round(100 * earned / sum(weights[item["id"]] for item in ours), 1)

@@ -99,9 +99,12 @@ def _interval(replicates: Array) -> Estimate:
 
 
 def spearman(one: Array, other: Array, weights: Array) -> Array:
-    """(replicates,)  Spearman's rho of two variables (rows,) whose rows are taken so many times (replicates, rows)
+    """(replicates,)  Spearman's rho of two variables in samples of their rows
 
     Pearson's correlation of mid-ranks, as `scipy.stats.spearmanr` of the rows written out.
+
+    one, other  (rows,)
+    weights     (replicates, rows)  how often each row is in a sample
     """
     whole = weights.sum(axis=1, keepdims=True)
     ranks = []

@@ -109,7 +109,11 @@ def differences(replicates: Replicates) -> pd.DataFrame:
 
 
 def p_value(differences: Array) -> float:
-    """Two-sided p of replicates of a difference (Davison & Hinkley 1997, with one added to both counts)."""
+    """Two-sided p of a difference (Davison & Hinkley 1997, with one added to both counts).
+
+    differences  (replicates,); those that are not finite are left out
+    returns      NaN where none is
+    """
     known = differences[np.isfinite(differences)]
     if not len(known):
         return float("nan")
@@ -118,7 +122,10 @@ def p_value(differences: Array) -> float:
 
 
 def holm(p: Array) -> Array:
-    """(tests,) p-values corrected for their number, in the order given (Holm 1979)."""
+    """(tests,) p-values corrected for their number, in the order given (Holm 1979).
+
+    p  (tests,)
+    """
     # statsmodels has it too, and collects the garbage of the whole process at each call: 0.3 s.
     order = np.argsort(p, kind="stable")
     corrected = np.empty(len(p))
@@ -146,7 +153,10 @@ def _pairs(arms: list[tuple[str, ...]]) -> Iterator[tuple[str, int, int]]:
 
 
 def mean_of_splits(splits: Array) -> Array:
-    """(samples,) mean over the (splits, samples) that have a score; NaN where none has."""
+    """(samples,) mean over the splits that have a score; NaN where none has.
+
+    splits  (splits, samples)  scores
+    """
     known = np.isfinite(splits)
     with np.errstate(invalid="ignore"):
         return np.where(known, splits, 0.0).sum(axis=0) / known.sum(axis=0)

@@ -99,14 +99,21 @@ def _weighted_auc(positive: NDArray[np.bool_], value: Array, weight: Array) -> A
 
 
 def confusion(truth: NDArray[np.int64], probability: Array) -> NDArray[np.int64]:
-    """(classes, classes) counts: rows are the true class, columns the most probable."""
+    """(classes, classes) counts: rows are the true class, columns the most probable.
+
+    truth        (rows,) class index
+    probability  (rows, classes)
+    """
     counts = np.zeros((probability.shape[1], probability.shape[1]), dtype=np.int64)
     np.add.at(counts, (truth, probability.argmax(axis=1)), 1)
     return counts
 
 
 def percentiles(values: Array) -> tuple[float, float]:
-    """The 2.5th and 97.5th percentile of those that are finite; NaN without any."""
+    """The 2.5th and 97.5th percentile of those that are finite; NaN without any.
+
+    values  (replicates,)
+    """
     known = values[np.isfinite(values)]
     if not len(known):
         return float("nan"), float("nan")

@@ -66,12 +66,12 @@ def morphology(parameters: pd.DataFrame) -> pd.DataFrame:
     parameters  of `parameters_of`
     returns     parameter, grade, low, high (NaN where no range is set), least, mean, most
     """
-    ranges, rows = grades().grade, []
+    rows = []
     for name, label in PARAMETERS.items():
         if name not in parameters:
             continue
         for grade, part in parameters.groupby("grade"):
-            low, high = getattr(ranges.get(str(grade)), name, (np.nan, np.nan))
+            low, high = getattr(grades().grade.get(str(grade)), name, (np.nan, np.nan))
             drawn = {"least": part[name].min(), "mean": part[name].mean(), "most": part[name].max()}
             rows.append({"parameter": label, "grade": int(grade), "low": low, "high": high, **drawn})
     columns = ["parameter", "grade", "low", "high", "least", "mean", "most"]

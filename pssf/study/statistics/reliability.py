@@ -32,7 +32,10 @@ class Squares:
 
 
 def squares(values: Array) -> Squares | None:
-    """Mean squares of (knees, conditions), or None where nothing varies."""
+    """Mean squares, or None where nothing varies.
+
+    values  (knees, conditions)
+    """
     knees, conditions = values.shape
     if knees < 2 or conditions < 2 or is_degenerate(values.ravel()):
         return None
