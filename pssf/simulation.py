@@ -101,9 +101,7 @@ def _check_paths(paths: Paths, scene: Scene, protocol: Protocol) -> None:
     if not isinstance(paths, Paths):
         raise InputError(f"paths = {type(paths).__name__}; allowed: Paths, as trace gives them")
     if paths.scene is not scene:
-        raise InputError(
-            "paths of another scene; allowed: of the one that is simulated, as trace(built.scene, ...) gives"
-        )
+        raise InputError(f"paths of another scene ({paths.scene!r}); allowed: of {scene!r}, which is simulated")
     if paths.view != view_of(protocol):
         raise InputError(f"paths of {paths.view}; allowed: of {view_of(protocol)}, as the protocol sees it")
     if paths.texture != protocol.texture:

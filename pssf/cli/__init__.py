@@ -17,6 +17,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,
     help="Knee radiographs from physics, with labels that are true by construction, and the study they exist for.",
 )
 for command in (make.simulate, make.meshes, make.study, measure.accuracy, measure.quality, measure.protocols):

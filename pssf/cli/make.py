@@ -82,7 +82,7 @@ def meshes(
         print(path)
 
 
-cohort_app = typer.Typer(pretty_exceptions_enable=False)
+cohort_app = typer.Typer(pretty_exceptions_enable=False, rich_markup_mode=None)
 
 
 @cohort_app.callback(invoke_without_command=True)
