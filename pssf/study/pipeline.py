@@ -65,7 +65,7 @@ def run_study(run: Run, manifest: pd.DataFrame, retest: pd.DataFrame | None) -> 
     predictions = joined(outcome.predictions for outcome in outcomes)
     if predictions.empty:
         raise InputError(
-            f"regions found = {len(usable)}, grades 0 and 2 in no split for training; allowed: in one or more"
+            f"regions found = {len(usable)}, in no split of grades 0 and 2 in training; allowed: of both in one or more"
         )
     with timer.stage("intervals and differences"):
         tables = tables_of_models(outcomes, settings)
