@@ -11,7 +11,7 @@ import trimesh
 
 from ..core.checks import Array, InputError
 from .density import Density
-from .repair import Fault, Solid, mend, require_sound
+from .repair import Fault, Solid, repair, require_sound
 
 # Smaller or larger than this across, and the unit is likely not the millimetre.
 SIZE_MM = (5.0, 3000.0)
@@ -56,7 +56,7 @@ class Surface:
     @cached_property
     def solid(self) -> Solid:
         """What the mesh bounds, mended where only one reading is possible, with an account of it."""
-        return mend(self.mesh.vertices, self.mesh.faces, self.name)
+        return repair(self.mesh.vertices, self.mesh.faces, self.name)
 
     @property
     def bounds_mm(self) -> Array:
