@@ -151,14 +151,14 @@ def test_both_engines_give_the_exact_chords_of_nested_spheres_of_different_mater
 @few
 @given(at=places, turn=turns, seed=st.integers(0, 2**31))
 def test_paths_in_all_materials_and_air_add_up_to_the_length_inside_the_box(engine, at, turn, seed):
-    shell, core = rough(seed, 25.0), rough(seed, 14.0)
-    limb = moved(box(60, 40, 90), at, turn)
+    shell, core = rough(seed, 15.0), rough(seed, 8.0)
+    limb = moved(box(50, 50, 56), at, turn)
     scene = Scene(
         [
             Surface(limb, "muscle", "air"),
             Surface(moved(shell, at, turn), "cortical_bone", "muscle"),
             Surface(moved(core, at, turn), "marrow", "cortical_bone"),
-            Surface(ball(12.0, at=(75.0, 5.0, -20.0)), "Ti@4.51", "air"),
+            Surface(ball(12.0, at=(5.0, 90.0, -20.0)), "Ti@4.51", "air"),
         ]
     )
     protocol = detector()
@@ -167,8 +167,8 @@ def test_paths_in_all_materials_and_air_add_up_to_the_length_inside_the_box(engi
     assert list(paths.path_mm) == ["air", "muscle", "cortical_bone", "marrow", "Ti@4.51"]
     whole = sum(path_mm.astype(np.float64) for path_mm in paths.path_mm.values())
     assert_allclose(whole, box_length(scene.bounds_mm, view_of(protocol)), atol=1e-4)
-    assert paths.path_mm["air"].min() > -1e-4
-    assert paths.path_mm["marrow"].min() > -1e-4
+    assert min(path_mm.min() for path_mm in paths.path_mm.values()) > -1e-4
+    assert all(path_mm.max() > 1.0 for path_mm in paths.path_mm.values())
 
 
 @few

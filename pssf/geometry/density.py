@@ -1,6 +1,7 @@
 """Densities that vary within a material, relative to its own: what an engine integrates instead of a length."""
 
 import math
+import reprlib
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -25,6 +26,37 @@ class Density(Protocol):
         ...
 
 
+def integrated(density: Density, starts_mm: Array, ends_mm: Array) -> Array:
+    """(n,)  integrals of a density along straight segments, mm, held to what a Density promises
+
+    starts_mm, ends_mm  (n, 3)  knee frame
+    raises              InputError for anything but one finite number a segment
+    """
+    integrals = density.integrate(starts_mm, ends_mm)
+    allowed = f"allowed: ({len(starts_mm)},) finite numbers, mm, one a segment"
+    what = f"{type(density).__name__}.integrate gave"
+    try:
+        values = np.asarray(integrals)
+    except ValueError:  # rows of unequal length
+        values = np.empty(0, object)
+    if values.dtype.kind not in "fiu" or values.shape != (len(starts_mm),):
+        kind = f"{values.dtype} of shape {values.shape}" if values.ndim else reprlib.repr(integrals)
+        raise InputError(f"{what} {kind}; {allowed}")
+    finite = np.isfinite(values)
+    if not finite.all():
+        first = int(np.argmin(finite))
+        bad = len(values) - int(finite.sum())
+        raise InputError(
+            f"{what} {values[first]} for {bad} segments, first from {_place(starts_mm[first])} to "
+            f"{_place(ends_mm[first])} mm; {allowed}"
+        )
+    return values.astype(np.float64, copy=False)
+
+
+def _place(point_mm: Array) -> str:
+    return "(" + ", ".join(f"{part:.4g}" for part in point_mm) + ")"
+
+
 @dataclass(frozen=True, kw_only=True)
 class PlaneWaves:
     """mean + sum over k of amplitude[k] cos(wave[k] . place + phase[k]), whose integrals are closed forms.
@@ -42,14 +74,19 @@ class PlaneWaves:
         counts = len(self.amplitudes), len(self.waves_per_mm), len(self.phases)
         if len(set(counts)) > 1:
             raise InputError(f"plane waves: {counts} amplitudes, waves and phases; allowed: as many of each")
+        for wave in self.waves_per_mm:
+            if len(wave) != 3:
+                raise InputError(f"plane waves: a wave of {len(wave)} parts, {wave!r}; allowed: three, in radians/mm")
         numbers = (self.mean, *self.amplitudes, *self.phases, *(part for wave in self.waves_per_mm for part in wave))
-        if not all(map(math.isfinite, numbers)) or any(len(wave) != 3 for wave in self.waves_per_mm):
-            raise InputError(
-                "plane waves: a number is not finite or a wave has not three parts; allowed: finite numbers"
-            )
+        for number in numbers:
+            if not math.isfinite(number):
+                raise InputError(f"plane waves: {number!r} is not finite; allowed: finite numbers")
 
     def integrate(self, starts_mm: Array, ends_mm: Array) -> Array:
-        """(n,)  integral along straight segments (n, 3), mm"""
+        """(n,)  integral along straight segments, mm
+
+        starts_mm, ends_mm  (n, 3)  knee frame
+        """
         waves = np.array(self.waves_per_mm, float).reshape(-1, 3)
         out = np.empty(len(starts_mm))
         _sum_waves(starts_mm, ends_mm, self.mean, np.array(self.amplitudes, float), waves, np.array(self.phases), out)

@@ -4,13 +4,15 @@ A mesh bounds a solid if every directed edge stands in it as often as its revers
 any ray add up to zero, whatever else is odd about it (bodies that touch, cavities, slivers, overlaps).
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.checks import Array, InputError
-from .topology import Faces, bodies, distinct, edge_sum, narrowed, used, volumes_mm3, winding
+from .nesting import flipped, inside_out
+from .topology import Faces, bodies, distinct, edge_sum, named, narrowed, pointed, repeats, used, volumes_mm3
 
 # A mesh whose volume is less than this part of the cube around it is a sheet.
 _FLAT = 1e-12
@@ -20,8 +22,8 @@ _FLAT = 1e-12
 class Fault:
     """Something amiss with a surface.
 
-    count    faces, edges or vertices concerned; 0 for the whole
-    first    the first few of them: face numbers, vertex numbers, or pairs of vertex numbers for edges
+    count    faces, edges, vertices or sample rays concerned; 0 for the whole
+    first    the first few of them, by the user's numbers: faces, vertices, or pairs of vertices for edges
     outcome  "refused", "mended", or "noted" for what is traced as it is
     """
 
@@ -42,13 +44,15 @@ class Fault:
 class Solid:
     """What a mesh bounds, as the engines take it.
 
-    points  (n, 3)  mm
-    faces   (m, 3)  int32, outward; closed unless a fault is "refused"
-    faults  what was found on the way
+    points    (n, 3)  mm
+    faces     (m, 3)  int32, outward; closed unless a fault is "refused"
+    vertices  (n,)    number of each point in the mesh that it comes from
+    faults    what was found on the way
     """
 
     points: Array
     faces: Faces
+    vertices: NDArray[np.int64]
     faults: tuple[Fault, ...] = ()
 
     @property
@@ -56,27 +60,35 @@ class Solid:
         """Faults that have no right answer; tracing such a mesh raises InputError with them."""
         return tuple(fault for fault in self.faults if fault.outcome == "refused")
 
+    def and_also(self, *faults: Fault) -> "Solid":
+        """The same with more faults."""
+        return replace(self, faults=(*self.faults, *faults))
 
-def mend(vertices: Array, faces: NDArray[np.integer], name: str) -> Solid:
+
+def repair(vertices: Array, faces: NDArray[np.integer], name: str) -> Solid:
     """The solid that a mesh bounds, with an account of what was mended or has to be refused.
 
     vertices  (n, 3)  mm
     faces     (m, 3)  vertex numbers
+    name      of the surface, for the account
     """
     points = np.ascontiguousarray(vertices, dtype=np.float64)
     triangles = np.empty((len(faces), 3), np.int32)
     stray = narrowed(np.asarray(faces), len(points), triangles)
     if fault := _unusable(points, np.asarray(faces), stray, name):
-        return Solid(points=points[:0], faces=triangles[:0], faults=(fault,))
-    origin = np.arange(0)
-    faults: list[Fault] = []
-    if edge_sum(triangles):
-        points, triangles, origin, faults = _joined(points, triangles, name)
-        if edge_sum(triangles):
-            return Solid(points=points, faces=triangles, faults=(*faults, *_open_edges(triangles, origin, name)))
+        return Solid(points=points[:0], faces=triangles[:0], vertices=np.arange(0), faults=(fault,))
+    numbers = np.flatnonzero(named(triangles, len(points)))
     points, triangles = used(points, triangles)
-    triangles, turned = _outward(points, triangles, name)
-    return Solid(points=points, faces=triangles, faults=(*faults, *turned))
+    solid = Solid(points=points, faces=triangles, vertices=numbers)
+    closed = edge_sum(triangles) == 0
+    if not closed or repeats(points + 0.0, triangles):
+        single = _single(solid, name)
+        if edge_sum(single.faces) == 0:
+            return _outward(single, name)
+        if not closed:
+            return single.and_also(*_open_edges(single, name))
+        # Two bodies share a part of their walls, and each needs its own.
+    return _outward(_without_pointed(solid, np.arange(len(triangles)), name)[0], name)
 
 
 def require_sound(solid: Solid) -> None:
@@ -100,35 +112,41 @@ def _unusable(points: Array, faces: NDArray[np.integer], stray: int, name: str) 
         return refuse("faces with vertices that are not there", outside, f"allowed: vertices 0 to {len(points) - 1}")
     if not np.isfinite(points).all():
         bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
-        used = np.isin(bad, faces)
-        if used.any():
-            return refuse("vertices that are not finite", bad[used], "allowed: finite coordinates")
+        concerned = bad[np.isin(bad, faces)]
+        if len(concerned):
+            return refuse("vertices that are not finite", concerned, "allowed: finite coordinates")
     return None
 
 
-def _joined(points: Array, faces: Faces, name: str) -> tuple[Array, Faces, NDArray[np.int64], list[Fault]]:
-    """Equal corners made one, faces without area of their own and repeated ones left out; and each vertex's number."""
-    faults = []
+def _mended(name: str, what: str, numbers: NDArray[np.integer], hint: str) -> Fault:
+    first = tuple(map(int, numbers[:3]))
+    return Fault(surface=name, what=what, count=len(numbers), first=first, outcome="mended", hint=hint)
 
-    def mended(what: str, count: int, first: NDArray[np.integer], hint: str) -> None:
-        numbers = tuple(map(int, first[:3]))
-        faults.append(Fault(surface=name, what=what, count=count, first=numbers, outcome="mended", hint=hint))
 
-    first, number = distinct(points + 0.0)  # -0.0 is 0.0
-    if len(first) < len(points):
-        mended("corners equal to another", len(points) - len(first), _others(first, len(points)), "welded")
-        points, faces = points[first], number[faces]
-    pointed = (faces[:, [0, 1, 2]] == faces[:, [1, 2, 0]]).any(axis=1)
-    kept = np.flatnonzero(~pointed)
-    if pointed.any():
-        mended("faces with two equal corners", int(pointed.sum()), np.flatnonzero(pointed), "left out")
-    start = faces[kept].argmin(axis=1)
-    turned = np.take_along_axis(faces[kept], (start[:, None] + np.arange(3)) % 3, axis=1)
+def _single(solid: Solid, name: str) -> Solid:
+    """Equal corners made one, then faces without area of their own and repeated ones left out."""
+    first, number = distinct(solid.points + 0.0)  # -0.0 is 0.0
+    if len(first) < len(solid.points):
+        again = solid.vertices[_others(first, len(solid.points))]
+        welded = replace(solid, points=solid.points[first], faces=number[solid.faces], vertices=solid.vertices[first])
+        solid = welded.and_also(_mended(name, "corners equal to another", again, "welded"))
+    solid, kept = _without_pointed(solid, np.arange(len(solid.faces)), name)
+    start = solid.faces.argmin(axis=1)
+    turned = np.take_along_axis(solid.faces, (start[:, None] + np.arange(3)) % 3, axis=1)
     once, _ = distinct(turned.astype(np.float64))
-    if len(once) < len(kept):
-        again = kept[_others(once, len(kept))]
-        mended("faces that stand twice", len(again), again, "left out once")
-    return points, np.ascontiguousarray(faces[kept[once]]), first, faults
+    if len(once) == len(kept):
+        return solid
+    fault = _mended(name, "faces that stand twice", kept[_others(once, len(kept))], "left out once")
+    return replace(solid, faces=np.ascontiguousarray(solid.faces[once])).and_also(fault)
+
+
+def _without_pointed(solid: Solid, numbers: NDArray[np.int64], name: str) -> tuple[Solid, NDArray[np.int64]]:
+    """Without the faces that name a vertex twice; `numbers` are the faces' (m,), and come back for those that stay."""
+    twice = pointed(solid.faces)
+    if not twice.any():
+        return solid, numbers
+    fault = _mended(name, "faces with two equal corners", numbers[twice], "left out")
+    return replace(solid, faces=np.ascontiguousarray(solid.faces[~twice])).and_also(fault), numbers[~twice]
 
 
 def _others(picked: NDArray[np.int64], count: int) -> NDArray[np.int64]:
@@ -138,9 +156,9 @@ def _others(picked: NDArray[np.int64], count: int) -> NDArray[np.int64]:
     return np.flatnonzero(left)
 
 
-def _open_edges(faces: Faces, origin: NDArray[np.int64], name: str) -> list[Fault]:
-    """Faults for the edges at which a mesh is not closed; `origin` is the number of each vertex as the user has it."""
-    start, end = (faces[:, order].ravel().astype(np.int64) for order in ([0, 1, 2], [1, 2, 0]))
+def _open_edges(solid: Solid, name: str) -> list[Fault]:
+    """Faults for the edges at which a mesh is not closed."""
+    start, end = (solid.faces[:, order].ravel().astype(np.int64) for order in ([0, 1, 2], [1, 2, 0]))
     edges, inverse, degree = np.unique(
         np.column_stack((np.minimum(start, end), np.maximum(start, end))),
         axis=0,
@@ -155,7 +173,7 @@ def _open_edges(faces: Faces, origin: NDArray[np.int64], name: str) -> list[Faul
         ("edges of three or more faces that do not close", (excess != 0) & (degree > 2)),
     ):
         if bad.any():
-            first = tuple(f"{a}-{b}" for a, b in origin[edges[bad][:3]])
+            first = tuple(f"{a}-{b}" for a, b in solid.vertices[edges[bad][:3]])
             hint = "allowed: closed meshes with consistent winding"
             faults.append(
                 Fault(surface=name, what=what, count=int(bad.sum()), first=first, outcome="refused", hint=hint)
@@ -163,26 +181,33 @@ def _open_edges(faces: Faces, origin: NDArray[np.int64], name: str) -> list[Faul
     return faults
 
 
-def _outward(points: Array, faces: Faces, name: str) -> tuple[Faces, list[Fault]]:
+def _outward(solid: Solid, name: str) -> Solid:
     """Faces turned outward where the whole mesh, or a body of it that is no cavity, is inside out."""
-
-    def turned(what: str, count: int) -> Fault:
-        return Fault(surface=name, what=what, count=count, first=(), outcome="mended", hint="turned outward")
-
+    faces, faults = solid.faces, []
+    half_mm = max(float(column.max() / 2 - column.min() / 2) for column in solid.points.T)
+    # In a unit near the mesh's size, a power of two: the same bits, and no size overflows.
+    unit_mm = math.ldexp(1.0, math.frexp(half_mm)[1] - 1)
+    points = solid.points / unit_mm
     body, count = bodies(faces, len(points))
     volumes = volumes_mm3(points, faces, body, count)
-    size = max(float(np.ptp(points[:, axis])) for axis in range(3))
-    if not abs(volumes).sum() > _FLAT * size**3:
-        flat = f"mesh has no volume ({abs(volumes).sum():.3g} mm3)"
-        hint = "allowed: meshes that bound a solid"
-        return faces, [Fault(surface=name, what=flat, count=0, first=(), outcome="refused", hint=hint)]
-    faults = []
-    if volumes.sum() < 0:
+    least = _FLAT * (2 * half_mm / unit_mm) ** 3
+
+    def turned(what: str, number: int) -> Fault:
+        return Fault(surface=name, what=what, count=number, first=(), outcome="mended", hint="turned outward")
+
+    # Two bodies that cancel, but for rounding, are judged one by one.
+    if volumes.sum() < -1e-9 * abs(volumes).sum():
         faces, volumes = np.ascontiguousarray(faces[:, ::-1]), -volumes
         faults.append(turned("mesh is inside out; faces", len(faces)))
-    for inverted in np.flatnonzero(volumes < 0):
-        own = body[faces[:, 0]] == inverted
-        if round(winding(points, faces[~own], points[faces[own][0, 0]])) < 1:
-            faces = np.where(own[:, None], faces[:, ::-1], faces)
-            faults.append(turned("a body that is no cavity is inside out; faces", int(own.sum())))
-    return np.ascontiguousarray(faces), faults
+    if abs(volumes).sum() > least:
+        wrong = inside_out(points, faces, body, volumes)
+        if len(wrong):
+            who = "a body that is no cavity is" if len(wrong) == 1 else f"{len(wrong)} bodies that are no cavities are"
+            faults.append(turned(f"{who} inside out; faces", int(np.isin(body[faces[:, 0]], wrong).sum())))
+            faces, volumes[wrong] = np.ascontiguousarray(flipped(faces, body, wrong)), -volumes[wrong]
+    if not volumes.sum() > least:
+        flat_mm3 = least * unit_mm * unit_mm * unit_mm
+        what = f"mesh has no volume (less than {flat_mm3:.3g} mm3)"
+        hint = "allowed: meshes that bound a solid"
+        return solid.and_also(Fault(surface=name, what=what, count=0, first=(), outcome="refused", hint=hint))
+    return replace(solid, faces=faces).and_also(*faults)

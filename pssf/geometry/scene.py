@@ -1,27 +1,32 @@
 """Scene: closed surfaces and what is on either side of each."""
 
+import math
 import re
+import reprlib
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 import trimesh
 
-from ..core.checks import Array, InputError
+from ..core.checks import Array, InputError, require
 from .density import Density
-from .repair import Fault, Solid, mend, require_sound
+from .repair import Fault, Solid, repair, require_sound
 
 # Smaller or larger than this across, and the unit is likely not the millimetre.
 SIZE_MM = (5.0, 3000.0)
+# Whatever the unit: the cubes of what is larger overflow when rays are cast.
+_LARGEST_MM = 1e12
 
 
 class MeshNotice(UserWarning):
     """A mesh was mended before it was traced; the message says where and how."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Surface:
     """A closed mesh (mm, outward normals) between two materials.
 
@@ -31,7 +36,7 @@ class Surface:
     outside_density  the same of what is outside: that of the surface around, where it has one
     raises           InputError for a wrong type or name; the mesh itself is judged by `check` and `trace`
 
-    The mesh is read once, when it is first needed.
+    The mesh is read once, when it is first needed. Two surfaces are equal if they are one.
     """
 
     mesh: trimesh.Trimesh
@@ -45,18 +50,26 @@ class Surface:
         if not isinstance(self.name, str) or not re.fullmatch(r"[\w .-]{1,64}", self.name):
             raise InputError(f"surface name = {self.name!r}; allowed: 1 to 64 letters, digits, _, -, . and blanks")
         if not isinstance(self.mesh, trimesh.Trimesh):
-            raise InputError(f"{self.name}: mesh is a {type(self.mesh).__name__}; allowed: trimesh.Trimesh")
+            raise InputError(f"{self.name}: mesh = {reprlib.repr(self.mesh)}; allowed: a trimesh.Trimesh")
         for label, material in (("inside", self.inside), ("outside", self.outside)):
             if not isinstance(material, str) or not material:
                 raise InputError(f"{self.name}: {label} = {material!r}; allowed: the name of a material")
         for label, density in (("inside_density", self.inside_density), ("outside_density", self.outside_density)):
             if density is not None and not isinstance(density, Density):
-                raise InputError(f"{self.name}: {label} = {density!r}; allowed: None, or a Density such as PlaneWaves")
+                raise InputError(
+                    f"{self.name}: {label} = {reprlib.repr(density)}; allowed: None, or a Density such as PlaneWaves"
+                )
+
+    def __repr__(self) -> str:
+        densities = (("inside_density", self.inside_density), ("outside_density", self.outside_density))
+        varying = "".join(f", {label}={type(value).__name__}" for label, value in densities if value is not None)
+        faces = f"{len(self.mesh.faces)} faces"
+        return f"Surface({self.name!r}, inside={self.inside!r}, outside={self.outside!r}, {faces}{varying})"
 
     @cached_property
     def solid(self) -> Solid:
         """What the mesh bounds, mended where only one reading is possible, with an account of it."""
-        return mend(self.mesh.vertices, self.mesh.faces, self.name)
+        return repair(self.mesh.vertices, self.mesh.faces, self.name)
 
     @property
     def bounds_mm(self) -> Array:
@@ -65,12 +78,14 @@ class Surface:
         return np.array([[edge(points[:, axis]) for axis in range(3)] for edge in (np.min, np.max)])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scene:
     """Surfaces in `ambient`. Each surface's `outside` is the material that immediately surrounds it.
 
     size_mm  least and greatest extent; outside of it the unit is doubted. (0, inf) allows any
     raises   InputError for no surfaces or wrong types; meshes and size are judged by `check` and `trace`
+
+    Two scenes are equal if they are one.
     """
 
     surfaces: tuple[Surface, ...]
@@ -78,16 +93,18 @@ class Scene:
     size_mm: tuple[float, float] = SIZE_MM
 
     def __init__(
-        self, surfaces: Sequence[Surface], ambient: str = "air", size_mm: tuple[float, float] = SIZE_MM
+        self, surfaces: Iterable[Surface], ambient: str = "air", size_mm: tuple[float, float] = SIZE_MM
     ) -> None:
+        if not isinstance(surfaces, Iterable):
+            raise InputError(f"scene: surfaces = {reprlib.repr(surfaces)}; allowed: a list of Surface")
         object.__setattr__(self, "surfaces", tuple(surfaces))
         object.__setattr__(self, "ambient", ambient)
-        object.__setattr__(self, "size_mm", size_mm)
+        object.__setattr__(self, "size_mm", _span_of(size_mm))
         if not self.surfaces:
             raise InputError("scene: 0 surfaces; allowed: 1 or more")
         for surface in self.surfaces:
             if not isinstance(surface, Surface):
-                raise InputError(f"scene: {type(surface).__name__} among the surfaces; allowed: Surface")
+                raise InputError(f"scene: {reprlib.repr(surface)} among the surfaces; allowed: Surface")
         if not isinstance(ambient, str) or not ambient:
             raise InputError(f"scene: ambient = {ambient!r}; allowed: the name of a material")
 
@@ -113,16 +130,37 @@ class Scene:
     @property
     def faults(self) -> tuple[Fault, ...]:
         """What is wrong with the meshes, in the order of the surfaces, and then with the size of it all."""
-        found = [fault for surface in self.surfaces for fault in surface.solid.faults]
-        if any(fault.outcome == "refused" for fault in found):
-            return tuple(found)
-        low, high = self.size_mm
-        across_mm = float(np.ptp(self.bounds_mm, axis=0).max())
+        faults = [fault for surface in self.surfaces for fault in surface.solid.faults]
+        if any(fault.outcome == "refused" for fault in faults):
+            return tuple(faults)
+        low, high = self.size_mm[0], min(self.size_mm[1], _LARGEST_MM)
+        # Halves, so that what spans all of float64 does not overflow.
+        across_mm = 2.0 * float((self.bounds_mm[1] / 2 - self.bounds_mm[0] / 2).max())
         if not low <= across_mm <= high:
             what = f"scene is {across_mm:.4g} mm across"
-            hint = f"allowed: {low:g} to {high:g} mm{_unit_hint(across_mm, low, high)}; or Scene(..., size_mm=...)"
-            found.append(Fault(surface="scene", what=what, count=0, first=(), outcome="refused", hint=hint))
-        return tuple(found)
+            other = "; or Scene(..., size_mm=...)" if across_mm <= _LARGEST_MM else ""
+            hint = f"allowed: {low:g} to {high:g} mm{_unit_hint(across_mm, low, high)}{other}"
+            faults.append(Fault(surface="scene", what=what, count=0, first=(), outcome="refused", hint=hint))
+        return tuple(faults)
+
+
+class HasScene(Protocol):
+    """Something that was built and carries its scene, as `build(knee)` gives it."""
+
+    @property
+    def scene(self) -> Scene:
+        """Its closed surfaces."""
+
+
+def scene_of(thing: Scene | HasScene) -> Scene:
+    """A scene, or that of what was built.
+
+    raises  InputError for anything else
+    """
+    scene = thing if isinstance(thing, Scene) else getattr(thing, "scene", None)
+    if not isinstance(scene, Scene):
+        raise InputError(f"scene = {reprlib.repr(thing)}; allowed: a Scene, or what build(knee) gives")
+    return scene
 
 
 def require_traceable(scene: Scene) -> None:
@@ -138,6 +176,16 @@ def require_traceable(scene: Scene) -> None:
     for fault in faults:
         if fault.outcome == "mended":
             warnings.warn(str(fault), MeshNotice, stacklevel=3)
+
+
+def _span_of(size_mm: tuple[float, float]) -> tuple[float, float]:
+    """A least and a greatest extent, mm, made sure of."""
+    if not isinstance(size_mm, tuple | list | np.ndarray) or len(size_mm) != 2:
+        raise InputError(f"scene: size_mm = {size_mm!r}; allowed: two numbers, least and greatest extent in mm")
+    low, high = size_mm
+    require("scene: size_mm[1]", high, 0, math.inf, "mm")
+    require("scene: size_mm[0]", low, 0, high, "mm")
+    return float(low), float(high)
 
 
 def _unit_hint(across_mm: float, low: float, high: float) -> str:

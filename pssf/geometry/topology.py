@@ -1,4 +1,4 @@
-"""Meshes as numbers: which edges balance, which corners are one, which faces hang together, what they enclose."""
+"""Meshes as numbers: which edges balance, which corners and faces are one, what hangs together, what it encloses."""
 
 import numpy as np
 from numba import njit
@@ -11,7 +11,12 @@ Faces = NDArray[np.int32]
 
 @njit(cache=True, nogil=True)
 def narrowed(faces: NDArray[np.integer], count: int, narrow: Faces) -> int:
-    """Copy faces into int32; returns how many vertices they name that are not there."""
+    """Copy faces into int32; returns how many vertices they name that are not there.
+
+    faces   (m, 3)  vertex numbers of any integer type
+    count   vertices that there are
+    narrow  (m, 3)  to be filled
+    """
     stray = 0
     for k in range(len(faces)):
         for corner in range(3):
@@ -34,7 +39,8 @@ def _mixed(key: np.uint64) -> np.uint64:
 def edge_sum(faces: Faces) -> np.uint64:
     """Hashes of the undirected edges, added when run upwards and taken away when run downwards.
 
-    0 if every directed edge stands as often as its reverse does, and by accident once in 1e19.
+    faces    (m, 3)  vertex numbers
+    returns  0 if every directed edge stands as often as its reverse does, and by accident once in 1e19
     """
     total = np.uint64(0)
     for k in range(len(faces)):
@@ -51,7 +57,11 @@ def edge_sum(faces: Faces) -> np.uint64:
 
 @njit(cache=True, nogil=True)
 def distinct(rows: Array) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """First place of each distinct row of (n, 3), in order, and for every row the number of its like."""
+    """Which rows are one, bit for bit: -0.0 is not 0.0, and NaN is NaN.
+
+    rows     (n, 3)
+    returns  (k,) where each distinct row stands first, in order; and (n,) for every row the number of its like
+    """
     size = 1
     while size < 2 * len(rows):
         size *= 2
@@ -62,7 +72,7 @@ def distinct(rows: Array) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     count = 0
     for k in range(len(rows)):
         slot = np.int64(_mixed(_mixed(_mixed(bits[k, 0]) + bits[k, 1]) + bits[k, 2]) & np.uint64(size - 1))
-        while table[slot] >= 0 and (rows[first[table[slot]]] != rows[k]).any():
+        while table[slot] >= 0 and (bits[first[table[slot]]] != bits[k]).any():
             slot = (slot + 1) & (size - 1)
         if table[slot] < 0:
             table[slot] = count
@@ -73,8 +83,57 @@ def distinct(rows: Array) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
 
 
 @njit(cache=True, nogil=True)
+def pointed(faces: Faces) -> NDArray[np.bool_]:
+    """(m,)  which faces (m, 3) name a vertex twice; with or without them, a mesh is as closed"""
+    twice = np.empty(len(faces), np.bool_)
+    for k in range(len(faces)):
+        a, b, c = faces[k]
+        twice[k] = a == b or b == c or c == a
+    return twice
+
+
+@njit(cache=True, nogil=True)
+def repeats(points: Array, faces: Faces) -> int:
+    """How many faces stand where one before them does, wound the same way, whatever the numbers of their corners.
+
+    points   (n, 3)  mm, without -0.0
+    faces    (m, 3)  vertex numbers; those that name a vertex twice are passed over
+    returns  their number, by hashes: one too many by accident once in 1e19 / m**2
+    """
+    bits, place = points.view(np.uint64), np.empty(len(points), np.uint64)
+    for k in range(len(points)):
+        place[k] = _mixed(_mixed(_mixed(bits[k, 0]) + bits[k, 1]) + bits[k, 2])
+    size = 1
+    while size < 2 * len(faces):
+        size *= 2
+    table = np.zeros(size, np.uint64)
+    count = 0
+    for k in range(len(faces)):
+        a, b, c = place[faces[k, 0]], place[faces[k, 1]], place[faces[k, 2]]
+        if a == b or b == c or c == a:
+            continue
+        # The same key whichever corner comes first, and another for the reverse.
+        if b < a and b < c:
+            a, b, c = b, c, a
+        elif c < a and c < b:
+            a, b, c = c, a, b
+        key = _mixed(_mixed(a + np.uint64(0x9E3779B97F4A7C15) * b) + c) | np.uint64(1)
+        slot = np.int64((key >> np.uint64(1)) & np.uint64(size - 1))
+        while table[slot] != 0 and table[slot] != key:
+            slot = (slot + 1) & (size - 1)
+        count += table[slot] == key
+        table[slot] = key
+    return count
+
+
+@njit(cache=True, nogil=True)
 def bodies(faces: Faces, count: int) -> tuple[NDArray[np.int32], int]:
-    """Number of the connected body of each vertex, and how many there are (union-find)."""
+    """Which vertices hang together by faces (union-find).
+
+    faces    (m, 3)  vertex numbers
+    count    vertices that there are
+    returns  (count,) number of the connected body of each vertex, and how many there are
+    """
     parent = np.arange(count).astype(np.int32)
     for k in range(len(faces)):
         for corner in range(1, 3):
@@ -103,7 +162,12 @@ def bodies(faces: Faces, count: int) -> tuple[NDArray[np.int32], int]:
 
 @njit(cache=True, nogil=True)
 def volumes_mm3(points: Array, faces: NDArray[np.int32], body: NDArray[np.int32], count: int) -> Array:
-    """(count,)  signed volume of each body, mm3"""
+    """(count,)  signed volume of each body, mm3
+
+    points  (n, 3)  mm
+    faces   (m, 3)  vertex numbers
+    body    (n,)    number of the body of each vertex, below `count`
+    """
     volumes = np.zeros(count)
     o = points[faces[0, 0]]
     for k in range(len(faces)):
@@ -117,23 +181,18 @@ def volumes_mm3(points: Array, faces: NDArray[np.int32], body: NDArray[np.int32]
 
 
 @njit(cache=True, nogil=True)
-def winding(points: Array, faces: Faces, at: Array) -> float:
-    """How often faces go around a point: their solid angle over 4 pi (Van Oosterom and Strackee 1983, eq. 8)."""
-    total = 0.0
+def named(faces: Faces, count: int) -> NDArray[np.bool_]:
+    """(count,)  which vertices a face (m, 3) has"""
+    marks = np.zeros(count, np.bool_)
     for k in range(len(faces)):
-        a, b, c = points[faces[k, 0]] - at, points[faces[k, 1]] - at, points[faces[k, 2]] - at
-        la, lb, lc = np.sqrt((a * a).sum()), np.sqrt((b * b).sum()), np.sqrt((c * c).sum())
-        triple = a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2])
-        triple += a[2] * (b[0] * c[1] - b[1] * c[0])
-        rest = la * lb * lc + (a * b).sum() * lc + (b * c).sum() * la + (c * a).sum() * lb
-        total += np.arctan2(triple, rest)
-    return total / (2 * np.pi)
+        for corner in range(3):
+            marks[faces[k, corner]] = True
+    return marks
 
 
 def used(points: Array, faces: Faces) -> tuple[Array, Faces]:
-    """Without the vertices that no face has."""
-    named = np.zeros(len(points), np.bool_)
-    named[faces.ravel()] = True
-    if named.all():
+    """Points (n, 3), mm, without those that no face (m, 3) has, and the faces by their new numbers."""
+    marks = named(faces, len(points))
+    if marks.all():
         return points, faces
-    return points[named], (np.cumsum(named) - 1).astype(np.int32)[faces]
+    return points[marks], (np.cumsum(marks) - 1).astype(np.int32)[faces]

@@ -1,8 +1,10 @@
 """raycast.trace    scene, protocol  -> path lengths per material, (rows, cols), and an audit of the rays
 raycast.shadow   mesh, protocol   -> where it is seen
-raycast.check    scene            -> what is wrong with its meshes
+raycast.check    scene            -> what is wrong with its meshes and what they say of each other
 
 paths      what comes back
+overlaps   where surfaces contradict each other or themselves
+negative   paths of less than nothing: why, and which are refused
 sheets     surfaces as a detector sees them
 clip       cut off in front of the source
 rays       their lengths, and where they meet a box
@@ -11,6 +13,7 @@ scanline   engine: triangles projected and accumulated in float64
 embree     engine: rays cast hit by hit, audited, repaired by scanline
 """
 
+import reprlib
 from collections.abc import Iterable
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -24,27 +27,28 @@ from numpy.typing import NDArray
 from ..core.checks import Array, InputError, require_choice, require_workers
 from ..geometry.density import Density
 from ..geometry.repair import require_sound
-from ..geometry.scene import Scene, Surface, require_traceable
+from ..geometry.scene import HasScene, Scene, Surface, require_traceable, scene_of
 from ..geometry.view import View, view_of
 from ..model.protocol import Protocol
 from . import scanline
 from .check import Report, check
 from .crossings import Crossings, chords, integrals, joined
+from .negative import require_paths
 from .paths import Audit, Paths, total
 from .rays import add_box, to_mm
 from .sheets import BAND_ROWS, Sheet, frame_of, sheet_of
 
-__all__ = ["Audit", "Paths", "Report", "check", "shadow", "trace"]
+__all__ = ["Audit", "Paths", "Report", "check", "require_paths", "shadow", "trace"]
 
 ENGINES = ("embree", "scanline")
 PRECISIONS = ("float32", "float64")
 Sums = dict[str, NDArray[Any]]
-# Material and identity of a density -> the density, and the crossings of the surfaces that bound it.
-_Varying = dict[tuple[str, int], tuple[Density, list[tuple[Crossings, int]]]]
+# Material and identity of a density -> the density, the crossings of the surfaces that bound it, and their names.
+_Varying = dict[tuple[str, int], tuple[Density, list[tuple[Crossings, int]], list[str]]]
 
 
 def trace(
-    scene: Scene,
+    scene: Scene | HasScene,
     protocol: Protocol | View,
     *,
     engine: str = "embree",
@@ -60,39 +64,52 @@ def trace(
     inside minus the sum over those with it outside, in float64. What is behind the source or the detector is not on the
     way. Where a mesh overlaps itself, path counts as often as the mesh goes around it.
 
+    scene      surfaces, or what carries them, as `build(knee)` gives it
     materials  those wanted; by default all but the ambient one, whose path is counted inside the box around the scene
     precision  of what comes back: "float32" (4e-6 mm in 100 mm) or "float64"
     texture    False takes every material at its own density, as a protocol without texture does
     workers    threads; they do not change the result
     returns    path_mm (rows, cols) per material, and the audit
-    raises     InputError for an unknown engine, material or precision, or a scene that has no right answer: see `check`
+    raises     InputError for an unknown engine, material or precision, a scene that has no right answer (see `check`),
+               a path of less than nothing, a density that does not give one finite number a segment
     warns      MeshNotice for a mesh that had to be mended
     """
+    scene, view = scene_of(scene), view_of(protocol)
     require_choice("engine", engine, ENGINES)
     require_choice("precision", precision, PRECISIONS)
+    require_choice("texture", texture, (True, False))
     require_workers(workers)
-    wanted = list(dict.fromkeys(scene.materials[1:] if materials is None else materials))
-    for material in wanted:
-        require_choice("material", material, scene.materials)
-    view = protocol if isinstance(protocol, View) else view_of(protocol)
-    path_mm: Sums = {material: np.zeros((view.rows, view.cols), precision) for material in wanted}
+    path_mm: Sums = {m: np.zeros((view.rows, view.cols), precision) for m in _wanted(scene, materials)}
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(lambda surface: surface.solid, scene.surfaces))
         require_traceable(scene)
         asked = [surface for surface in scene.surfaces if {surface.inside, surface.outside} & path_mm.keys()]
         smooth = not texture or (isinstance(protocol, Protocol) and protocol.texture == "none")
         layers = _layers(asked, view, engine, smooth, pool)
-        audits = pool.map(partial(_band, scene, view, layers, path_mm), range(0, view.rows, BAND_ROWS))
-        told = "none" if smooth else "trabecular"
-        return Paths(path_mm=path_mm, audit=total(audits), view=view, texture=told, scene=scene)
+        audit = total(pool.map(partial(_band, scene, view, layers, path_mm), range(0, view.rows, BAND_ROWS)))
+    paths = Paths(path_mm=path_mm, audit=audit, view=view, texture="none" if smooth else "trabecular", scene=scene)
+    require_paths(paths)
+    return paths
+
+
+def _wanted(scene: Scene, materials: Iterable[str] | None) -> list[str]:
+    """Materials asked for, each once and in order."""
+    if materials is None:
+        return list(scene.materials[1:])
+    if isinstance(materials, str) or not isinstance(materials, Iterable):
+        raise InputError(f"materials = {reprlib.repr(materials)}; allowed: a list of {', '.join(scene.materials)}")
+    listed = list(materials)
+    for material in listed:
+        require_choice("material", material, scene.materials)
+    return list(dict.fromkeys(listed))
 
 
 def shadow(mesh: trimesh.Trimesh, protocol: Protocol | View) -> NDArray[np.bool_]:
     """(rows, cols)  where a closed mesh is seen
 
-    raises  InputError for a mesh that bounds no solid
+    raises  InputError for a mesh that bounds no solid, or no protocol
     """
-    view = protocol if isinstance(protocol, View) else view_of(protocol)
+    view = view_of(protocol)
     solid = Surface(mesh, "solid", "air").solid
     require_sound(solid)
     sheet, seen = sheet_of(solid, view), np.zeros((view.rows, view.cols), np.bool_)
@@ -132,7 +149,7 @@ def _layers(surfaces: list[Surface], view: View, engine: str, smooth: bool, pool
         densities = (None, None) if smooth else (surface.inside_density, surface.outside_density)
         return _Layer(surface, densities, sheet, Caster(sheet, around)) if covers else None
 
-    return [found for found in pool.map(layer, surfaces) if found is not None]
+    return [seen for seen in pool.map(layer, surfaces) if seen is not None]
 
 
 def _around(sheet: Sheet, view: View, name: str) -> int:
@@ -143,12 +160,12 @@ def _around(sheet: Sheet, view: View, name: str) -> int:
         scanline.windings(sheet, max(first, sheet.rows[0]), min(first + BAND_ROWS, sheet.rows[1]))
         for first in range(sheet.rows[0] // BAND_ROWS * BAND_ROWS, sheet.rows[1], BAND_ROWS)
     ]
-    found = {float(edge(band)) for band in bands if band.size for edge in (np.min, np.max)}
+    sums = {float(edge(band)) for band in bands if band.size for edge in (np.min, np.max)}
     if (sheet.rows, sheet.cols) != ((0, view.rows), (0, view.cols)):
-        found.add(0.0)
-    if len(found) > 1:
+        sums.add(0.0)
+    if len(sums) > 1:
         raise InputError(f"{name}: the source lies on it, at {view.source_mm} mm; allowed: inside it or outside")
-    return int(found.pop())
+    return int(sums.pop())
 
 
 def _band(scene: Scene, view: View, layers: list[_Layer], path_mm: Sums, first: int) -> Audit:
@@ -169,13 +186,19 @@ def _band(scene: Scene, view: View, layers: list[_Layer], path_mm: Sums, first: 
                 continue
             touched.add(material)
             if density is not None and crossings is not None:
-                varying.setdefault((material, id(density)), (density, []))[1].append((crossings, sign))
+                _, parts, names = varying.setdefault((material, id(density)), (density, [], []))
+                parts.append((crossings, sign))
+                names.append(surface.name)
             else:
                 _add(sums[material], chord, top - first, sheet.cols[0], sign)
-    for (material, _), (density, parts) in varying.items():
+    for (material, _), (density, parts, names) in varying.items():
         # Surfaces that share a density are integrated over together, so that what lies between them is seen once.
         whole = joined(parts)
-        _add(sums[material], integrals(whole, frame, density), whole.window[0] - first, whole.window[1], +1)
+        try:
+            integral = integrals(whole, frame, density)
+        except InputError as error:
+            raise InputError(f"{', '.join(names)}: density of {material}: {error}") from None
+        _add(sums[material], integral, whole.window[0] - first, whole.window[1], +1)
     if scene.ambient in sums:
         add_box(frame, scene.bounds_mm, first, sums[scene.ambient])
     for material in touched & sums.keys():
@@ -183,9 +206,9 @@ def _band(scene: Scene, view: View, layers: list[_Layer], path_mm: Sums, first: 
     return total(audits)
 
 
-def _add(sums: Array, found: Array, row: int, col: int, sign: int) -> None:
-    part = sums[row : row + found.shape[0], col : col + found.shape[1]]
-    (np.add if sign > 0 else np.subtract)(part, found, out=part)
+def _add(sums: Array, lengths: Array, row: int, col: int, sign: int) -> None:
+    part = sums[row : row + lengths.shape[0], col : col + lengths.shape[1]]
+    (np.add if sign > 0 else np.subtract)(part, lengths, out=part)
 
 
 def _cast(layer: _Layer, top: int, bottom: int) -> tuple[Array, Crossings | None, Audit]:

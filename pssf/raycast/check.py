@@ -6,17 +6,19 @@ import numpy as np
 
 from ..core.checks import Array
 from ..geometry.repair import Fault
-from ..geometry.scene import Scene, Surface
+from ..geometry.scene import HasScene, Scene, Surface, scene_of
 from ..geometry.view import View, depth_of, view_of
 from ..model.protocol import Protocol
-from . import scanline
 from .clip import NEAREST
-from .crossings import chords
-from .sheets import BAND_ROWS, sheet_of
+from .negative import least_paths, why_negative
+from .overlaps import contradictions, folded
+from .paths import FOLD_MM
+from .sheets import sheet_of
 
 # Sample rays across the box of a scene, and how many times its size the source is away from it.
 _SIDE = 128
 _AWAY = 7.3
+_SHOWN = "sample rays that show it"
 
 
 @dataclass(frozen=True)
@@ -34,21 +36,27 @@ class Report:
         return "\n".join(f"{fault.outcome}: {fault}" for fault in self.faults) or "no faults"
 
 
-def check(scene: Scene, protocol: Protocol | View | None = None) -> Report:
+def check(scene: Scene | HasScene, protocol: Protocol | View | None = None) -> Report:
     """What is wrong with a scene, surface by surface.
 
     "refused" and "mended" are what `trace` refuses and mends. "noted" is traced as it is: edges of more than two faces,
-    a mesh that overlaps itself (there path counts as often as the mesh goes around), a material whose paths come out
-    negative because a surface says it is surrounded by what it is not; the last two are found on sample rays. With a
-    protocol also what is behind the source, behind the detector or outside of the field.
+    a mesh that overlaps itself (there path counts as often as the mesh goes around), a surface that says it is
+    surrounded by what rays do not find there, and over how many millimetres, paths of a little less than nothing.
+
+    scene     surfaces, or what carries them, as `build(knee)` gives it
+    protocol  with it, the paths of that very view are looked at, and also what is behind the source, behind the
+              detector or outside of the field; without it, paths along 128 x 128 rays across the scene
+    raises    InputError for what is no scene, protocol or view
     """
+    scene = scene_of(scene)
+    view = None if protocol is None else view_of(protocol)
     faults = list(scene.faults)
     if not any(fault.outcome == "refused" for fault in faults):
+        sample = _sample_view(scene.bounds_mm)
         for surface in scene.surfaces:
             faults += _crowded_edges(surface)
-        faults += _odd_paths(scene)
-        if protocol is not None:
-            view = protocol if isinstance(protocol, View) else view_of(protocol)
+        faults += [*_overlaps(scene, sample), *_negative_paths(scene, view or sample)]
+        if view is not None:
             faults += [fault for surface in scene.surfaces for fault in _places(surface, view)]
     return Report(tuple(faults))
 
@@ -65,37 +73,40 @@ def _crowded_edges(surface: Surface) -> list[Fault]:
     crowded = edges[degree > 2]
     if not len(crowded):
         return []
-    first = tuple(f"{edge >> 32}-{edge & 0xFFFFFFFF}" for edge in crowded[:3])
+    number = surface.solid.vertices
+    first = tuple(f"{number[edge >> 32]}-{number[edge & 0xFFFFFFFF]}" for edge in crowded[:3])
     return [_noted(surface.name, "edges of more than two faces", len(crowded), first, "signs add up all the same")]
 
 
-def _odd_paths(scene: Scene) -> list[Fault]:
-    """Faults that sample rays show."""
-    view, faults = _sample_view(scene.bounds_mm), []
-    paths = {material: np.zeros((_SIDE, _SIDE)) for material in scene.materials}
-    for surface in scene.surfaces:
-        sheet = sheet_of(surface.solid, view)
-        overlapping = 0
-        for first in range(0, _SIDE, BAND_ROWS):
-            top, bottom = max(first, sheet.rows[0]), min(first + BAND_ROWS, sheet.rows[1])
-            if top >= bottom:
-                continue
-            found = scanline.crossings(sheet, top, bottom)
-            of_ray = np.repeat(np.arange(len(found.starts) - 1), np.diff(found.starts))
-            # The signs of every ray add up to zero, so one sum serves all of them.
-            around = -np.cumsum(found.sign, dtype=np.int64)
-            overlapping += len(np.unique(of_ray[(around < 0) | (around > 1)]))
-            for material, sign in ((surface.inside, 1), (surface.outside, -1)):
-                paths[material][top:bottom, slice(*sheet.cols)] += sign * chords(found)
-        if overlapping:
-            what = "mesh overlaps itself or has a body inside out, sample rays that show it"
-            faults.append(_noted(surface.name, what, overlapping, (), "path counts as often as the mesh goes around"))
-    for material in scene.materials:
-        negative = int((paths[material] < -1e-9).sum())
-        if negative and material != scene.ambient:
-            what = "path length comes out negative, sample rays that show it"
-            hint = "a surface has it outside where it is not, or two surfaces overlap"
-            faults.append(_noted(material, what, negative, (), hint))
+def _overlaps(scene: Scene, sample: View) -> list[Fault]:
+    """Meshes that overlap themselves, and surfaces that contradict each other, on sample rays."""
+    faults = []
+    for name, (rays, most_mm) in folded(scene, sample).items():
+        what = f"mesh overlaps itself or has a body inside out, over up to {most_mm:.3g} mm of a ray; {_SHOWN}"
+        faults.append(_noted(name, what, rays, (), "path counts as often as the mesh goes around"))
+    contrary = contradictions(scene, sample)
+    pairs = {(one.surface, one.owner) for one in contrary}
+    for one in contrary:
+        mutual = (one.owner, one.surface) in pairs
+        hint = f"it and {one.owner} overlap" if mutual else f"its {one.side} is wrong, or it lies where it should not"
+        faults.append(_noted(one.surface, f"{one}; {_SHOWN}", one.rays, (), hint))
+    return faults
+
+
+def _negative_paths(scene: Scene, view: View) -> list[Fault]:
+    """Materials whose paths come out negative: what `trace` refuses, and what it does not."""
+    faults = []
+    for material, least in least_paths(scene, view).items():
+        if least.mm < -FOLD_MM:
+            what = f"path length comes out negative, down to {least.mm:.4g} mm; rays that show it"
+            hint = f"{why_negative(scene, view, material, least.row, least.col)}; allowed: {-FOLD_MM:g} mm or more"
+            refused = Fault(surface=material, what=what, count=least.negative, first=(), outcome="refused", hint=hint)
+            faults.append(refused)
+        elif least.negative:
+            what = f"path length comes out negative, but no further than {least.mm:.4g} mm; rays that show it"
+            faults.append(
+                _noted(material, what, least.negative, (), "as where a mesh is folded; it is traced as it is")
+            )
     return faults
 
 

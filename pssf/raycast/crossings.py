@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ..core.checks import Array
-from ..geometry.density import Density
+from ..geometry.density import Density, integrated
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,8 +73,8 @@ def integrals(crossings: Crossings, frame: Array, density: Density) -> Array:
     weights = np.empty(most)
     ways = (crossings.starts, crossings.depth, crossings.sign, frame, window)
     count = _segments(*ways, starts_mm, ends_mm, pixels, weights)
-    found = np.asarray(density.integrate(starts_mm[:count], ends_mm[:count]), dtype=np.float64)
-    total = np.bincount(pixels[:count], weights=weights[:count] * found, minlength=window[2] * window[3])
+    lengths = integrated(density, starts_mm[:count], ends_mm[:count])
+    total = np.bincount(pixels[:count], weights=weights[:count] * lengths, minlength=window[2] * window[3])
     return np.asarray(total, dtype=np.float64).reshape(crossings.window[2:])
 
 

@@ -16,10 +16,13 @@ So every crossing taken is a true one, no two are the same, and there are as man
 """
 
 import math
+import os
+from functools import cache
 from typing import Any
 
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore import EmbreeDevice
 from embreex.rtcore_scene import EmbreeScene
 from numba import njit
 from numpy.typing import NDArray
@@ -50,6 +53,8 @@ STRIDE = 4
 # A triangle found again and again, or a ray with more crossings than any mesh has, is given up and repaired.
 AGAIN_LIMIT = 8
 HIT_LIMIT = 20_000
+# For all surfaces: with one each, Embree crashes at a thousand of them. A forked process makes its own.
+_device = cache(lambda process: EmbreeDevice())
 
 
 class Caster:
@@ -72,7 +77,7 @@ class Caster:
         self.centre = (low + high) / 2
         self.geometry = (sheet.faces[kept], sheet.seen, sheet.planes[kept], sheet.frame, self.centre)
         # Not "robust", which takes a fifth more time: what Embree misses is noticed by the count, and repaired.
-        self.tree = EmbreeScene(robust=False)
+        self.tree = EmbreeScene(_device(os.getpid()), robust=False)
         TriangleMesh(self.tree, (points - self.centre).astype(np.float32), faces)
         # The first call builds the tree; it must not be two threads' first call.
         self.tree.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32), output=1)

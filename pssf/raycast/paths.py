@@ -9,6 +9,11 @@ from numpy.typing import NDArray
 from ..geometry.scene import Scene
 from ..geometry.view import View
 
+# As much less than nothing as a path may be, mm. A closed mesh with microscopic folds has some: a ray at its outline
+# that meets a fold alone goes through it backwards. Folds of scanned bones are 0.001 to 0.002 mm deep; a third of a
+# pixel is far more, and still changes what passes bone by 0.4 % at 50 keV.
+FOLD_MM = 0.05
+
 
 @dataclass(frozen=True, kw_only=True)
 class Audit:
@@ -32,13 +37,16 @@ class Audit:
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Paths:
     """Path lengths of every ray from the source to a pixel centre.
 
-    path_mm  material -> (rows, cols)  chord length inside the material
+    path_mm  material -> (rows, cols)  chord length inside the material, mm; not below -FOLD_MM
     view     that the rays were cast by
     texture  "none" where every material was taken at its own density, else "trabecular"
+    scene    that they are of
+
+    Two are equal if they are of one scene, as it is the same object, and alike in all else.
     """
 
     path_mm: dict[str, NDArray[np.floating]]
@@ -46,6 +54,19 @@ class Paths:
     view: View
     texture: str
     scene: Scene
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Paths):
+            return NotImplemented
+        facts = [(p.audit, p.view, p.texture, id(p.scene), list(p.path_mm)) for p in (self, other)]
+        return facts[0] == facts[1] and all(np.array_equal(self.path_mm[m], other.path_mm[m]) for m in self.path_mm)
+
+    def __hash__(self) -> int:
+        return hash((self.audit, self.view, self.texture, id(self.scene)))
+
+    def __repr__(self) -> str:
+        shape = f"({self.view.rows}, {self.view.cols})"
+        return f"Paths({', '.join(self.path_mm)}: {shape} mm, {self.audit}, {self.view}, texture={self.texture!r})"
 
 
 def total(audits: Iterable[Audit]) -> Audit:

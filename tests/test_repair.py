@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from pssf.core.checks import InputError
-from pssf.geometry.repair import mend, require_sound
+from pssf.geometry.repair import repair, require_sound
 from pssf.geometry.topology import edge_sum, volumes_mm3
 
 BOX = trimesh.creation.box(extents=(10, 20, 30))
@@ -17,7 +17,7 @@ def whole(points, faces):
 
 
 def mended(points, faces, *lines, volume_mm3=6000.0):
-    solid = mend(points, faces, "thing")
+    solid = repair(points, faces, "thing")
     assert [str(fault) for fault in solid.faults] == list(lines)
     assert edge_sum(solid.faces) == 0
     assert whole(solid.points, solid.faces) == pytest.approx(volume_mm3)
@@ -27,7 +27,7 @@ def mended(points, faces, *lines, volume_mm3=6000.0):
 
 def refused(points, faces, match):
     with pytest.raises(InputError, match=match):
-        require_sound(mend(np.asarray(points, float), np.asarray(faces), "thing"))
+        require_sound(repair(np.asarray(points, float), np.asarray(faces), "thing"))
 
 
 def test_a_closed_mesh_is_taken_as_it_is():
@@ -101,7 +101,7 @@ def test_a_fin_on_a_closed_mesh_is_refused():
 
 def test_edges_of_a_refused_soup_are_named_by_the_vertices_that_the_user_has():
     soup = POINTS[FACES[1:]].reshape(-1, 3)
-    solid = mend(soup, np.arange(33).reshape(-1, 3), "thing")
+    solid = repair(soup, np.arange(33).reshape(-1, 3), "thing")
     place = {tuple(p) for pair in solid.refused[0].first for p in soup[list(map(int, pair.split("-")))]}
     assert place <= {tuple(p) for p in POINTS[FACES[0]]}
 
