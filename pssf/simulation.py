@@ -106,11 +106,6 @@ def _check_paths(paths: Paths, scene: Scene, protocol: Protocol) -> None:
         raise InputError(f"paths of {paths.view}; allowed: of {view_of(protocol)}, as the protocol sees it")
     if paths.texture != protocol.texture:
         raise InputError(f"paths with texture = {paths.texture}; allowed: {protocol.texture}, as in the protocol")
-    for material, lengths in paths.path_mm.items():
-        least = float(lengths.min())
-        if least < -1e-3:
-            why = "a surface has it outside where it is not, or two surfaces overlap"
-            raise InputError(f"{material}: path length {least:.4g} mm ({why}); allowed: 0 mm or more")
 
 
 @cache
