@@ -1,6 +1,7 @@
 """The command line: pssf simulate | meshes | cohort | study | accuracy | quality | protocols."""
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -26,9 +27,7 @@ app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_
 Out = Annotated[Path, typer.Option("--out", help="Folder for what is made; made if need be.")]
 Seed = Annotated[int, typer.Option(help="Seed of all chance; the same seed gives the same bytes.")]
 Grade = Annotated[int, typer.Option(help="KL-like grade of the drawn knee: 0, 1 or 2.")]
-KneeFile = Annotated[
-    Path | None, typer.Option("--knee", help="TOML file with the parameters of a knee, instead of a draw.")
-]
+KneeFile = Annotated[Path | None, typer.Option("--knee", help="TOML file of a knee's parameters, instead of a draw.")]
 Workers = Annotated[int, typer.Option(help="Processes or threads; they do not change the result.")]
 Processes = Annotated[
     int,
@@ -48,6 +47,7 @@ Scheduler = Annotated[
     ),
 ]
 Engine = Annotated[str, typer.Option(help="Ray caster: embree or scanline; they agree, and scanline is faster.")]
+Readme = Annotated[Path | None, typer.Option(help="Source checkout whose READMEs get the tables of what is measured.")]
 Preset = Annotated[str, typer.Option(help="Cohort: quick (24 subjects) or paper (180 subjects).")]
 
 
@@ -86,9 +86,7 @@ def simulate(
     kinds: Annotated[
         str, typer.Option("--formats", help="Any of tif, png, json, dcm (two: linear, and for eyes), with commas.")
     ] = "tif,png,json",
-    border: Annotated[
-        str, typer.Option(help="none, or marked: collimator's edge and side marker in what is for eyes.")
-    ] = "none",
+    border: Annotated[str, typer.Option(help="none, or marked: collimator's edge and side, for eyes.")] = "none",
 ) -> None:
     """One radiograph: 16-bit TIFF, PNG for eyes, the parameters as JSON; DICOM if asked for."""
     from .io.images import BORDERS, KINDS, save_kinds
@@ -140,9 +138,7 @@ app.add_typer(cohort_app, name="cohort")
 def cohort(
     context: typer.Context,
     workers: Processes,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Folder for what is made; made if need be. Required.")
-    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for what is made; made if need be. Required.")] = None,
     preset: Preset = "quick",
     seed: Seed = 0,
     scheduler: Scheduler = None,
@@ -197,14 +193,17 @@ def study(
     selections: Annotated[str, typer.Option(help="Selections of features, with commas.")] = ",".join(SELECTIONS),
     models: Annotated[str, typer.Option(help="Models, with commas.")] = ",".join(MODELS),
     until: Annotated[str, typer.Option(help="report, or features: stop when they are measured.")] = "report",
+    readme: Readme = None,
 ) -> None:
     """The whole study: cohort, regions, features, models, report; goes on where an earlier run stopped.
 
     What is left out costs nothing: protocols, families of features, selections, models.
     """
-    from .experiment import make_experiment, measure_experiment, run_experiment
+    from .experiment import SHOWN, make_experiment, measure_experiment, run_experiment, shown_rows
+    from .io.readme import open_checkout
 
     require_choice("until", until, ("features", "report"))
+    checkout = open_checkout(readme, SHOWN, preset=preset)
     execution = Execution(workers=workers, bar=bar, scheduler=scheduler)
     wanted = {"families": families, "selections": selections, "models": models}
     settings = {name: tuple(listed.split(",")) for name, listed in wanted.items()}
@@ -214,6 +213,7 @@ def study(
         print(f"features  {measure_experiment(made, execution)}")
         return
     result = run_experiment(made, execution)
+    checkout.take(shown_rows(result) if readme else {}, result.pictures.values(), measured_with=result.report)
     print(f"results   of {result.origin}")
     print(f"report    {result.report}")
     for what, paths in (("picture", result.pictures), ("model", result.models)):
@@ -229,6 +229,7 @@ def accuracy(
     ] = "all",
     knees: Annotated[int, typer.Option(help="Random knees for the tables that draw some.")] = 30,
     workers: Workers = 2,
+    readme: Readme = None,
 ) -> None:
     """Error against run time on this machine, as tables (CSV) and a figure."""
     from .accuracy import TABLES, measure
@@ -236,9 +237,8 @@ def accuracy(
     require_whole("knees", knees, 1, 100_000, "")
     wanted = TABLES if tables == "all" else tuple(name.strip() for name in tables.split(","))
     with _waiting("measuring") as status:
-        paths = measure(
-            out, workers=workers, tables=wanted, knees=knees, progress=lambda what: status.update(f"measuring: {what}")
-        )
+        say = partial(_say, status)
+        paths = measure(out, workers=workers, tables=wanted, knees=knees, readme=readme, progress=say)
     for path in paths:
         print(path)
 
@@ -247,21 +247,26 @@ def accuracy(
 def quality(
     out: Out,
     protocol: Annotated[str, typer.Option(help="Protocol by name, or the path of a TOML file.")] = "reference",
+    readme: Readme = None,
 ) -> None:
     """A protocol measured beside references: beam, MTF, NPS, DQE, exposure; tables (CSV) and a figure."""
+    from .io.readme import open_checkout
     from .model.protocol import load_protocol
     from .quality import measure_quality, write_quality
 
     technique = load_protocol(protocol)
+    name = f"quality_{technique.name}"
+    checkout = open_checkout(readme, [name])
     folder(out)
     with _waiting("measuring") as status:
-        measured = measure_quality(technique, progress=lambda what: status.update(f"measuring: {what}"))
+        measured = measure_quality(technique, progress=partial(_say, status))
     table = Table("quantity", "value", "reference", "source")
     for row in measured.rows:
         known = f"{row['low']} to {row['high']}" if row["low"] != "" else str(row["reference"])
         table.add_row(row["quantity"], row["value"], known, row["source"])
     Console(width=None if sys.stdout.isatty() else 160).print(table)
-    for path in write_quality(measured, technique, out):
+    paths = write_quality(measured, technique, out)
+    for path in [*paths, *checkout.take({name: measured.rows}, paths)]:
         print(path)
 
 
@@ -288,6 +293,10 @@ def _knee_of(path: Path | None, grade: int, seed: int) -> tuple[Knee, str]:
     if path is not None:
         return knee_from(tables.read_toml(path), f"knee {path.name}"), path.stem
     return draw_knee(grade=grade, rng=np.random.default_rng(seed)), f"knee_grade{grade}"
+
+
+def _say(status: Status, what: str) -> None:
+    status.update(f"measuring: {what}")
 
 
 def _waiting(why: str) -> Status:

@@ -14,6 +14,7 @@ monte_carlo  the Monte Carlo of scatter beside an independent one
 scatter    the kernel of scatter beside the Monte Carlo (scatter_fit fits it once more)
 focal      blur of the focal spot against rays from points of it
 ablation   run time of the study against what is left out of it  (extra "study"; not among "all")
+gvxr       the ray caster beside gVirtualXray           (group "peers"; not among "all")
 figure     error against run time, drawn                      (extra "study")
 """
 
@@ -25,6 +26,7 @@ from pathlib import Path
 
 from ..core.checks import require_choice
 from ..io.atomic import folder, write_bytes
+from ..io.readme import open_checkout
 from ..io.records import write_csv, write_json
 from ..simulation import versions
 from .agreement import agreement_rows
@@ -32,6 +34,7 @@ from .builds import build_rows
 from .chain import chain_rows
 from .engines import Row, engine_rows, growth_rows, nested_rows
 from .focal import focal_rows
+from .gvxr import gvxr_rows
 from .monte_carlo import reference_rows
 from .morphometry import knee_rows
 from .physics import physics_rows
@@ -45,8 +48,8 @@ TABLES = (
     "engines", "growth", "nested", "stages", "chain", "agreement", "spectrum", "focal_spot", "physics",
     "monte_carlo", "scatter", "tessellation", "texture_steps", "texture", "builds", "knees",
 )  # fmt: skip
-# Only by name: minutes long, and about the study rather than about a radiograph.
-BY_NAME = ("ablation",)
+# Only by name: minutes long and about the study rather than about a radiograph; and one that needs another package.
+BY_NAME = ("ablation", "gvxr")
 
 
 def measure(
@@ -55,23 +58,46 @@ def measure(
     workers: int = 2,
     tables: Collection[str] = TABLES,
     knees: int = 30,
+    readme: Path | None = None,
     progress: Callable[[str], None] = lambda line: None,
 ) -> list[Path]:
     """Measure what is asked for and write it as CSV, with machine.json and a figure; returns their paths.
 
     tables    of TABLES or BY_NAME; "growth" is worked out from "engines"
     knees     how many are drawn for "agreement", "texture", "builds" and "knees"
+    readme    source checkout whose READMEs get the tables, too
     progress  told what is being measured
-    raises    InputError for an unknown table, or a disk that is full or cannot be written
+    raises    InputError for an unknown table, a folder that is no checkout, a disk that is full or cannot be written
     """
     for name in tables:
         require_choice("table", name, (*TABLES, *BY_NAME))
+    checkout = open_checkout(readme, tables, knees=knees)
     folder(out)
     engines: list[Row] = []
     if {"engines", "growth"} & set(tables):
         progress("ray casting")
         engines = engine_rows(workers)
-    jobs: dict[str, Callable[[], list[Row]]] = {
+    jobs, paths = _jobs(engines, knees, workers), []
+    for name in (name for name in (*TABLES, *BY_NAME) if name in tables):
+        progress(name)
+        rows = jobs[name]()
+        paths.append(out / f"{name}.csv")
+        write_csv(paths[-1], rows)
+        paths += checkout.take({name: rows})
+    paths.append(out / "machine.json")
+    write_json(paths[-1], _machine())
+    if engines and find_spec("matplotlib"):
+        from .figure import draw
+
+        paths.append(out / "engines.png")
+        write_bytes(paths[-1], draw(engines))
+        paths += checkout.take({}, paths[-1:])
+    return paths
+
+
+def _jobs(engines: list[Row], knees: int, workers: int) -> dict[str, Callable[[], list[Row]]]:
+    """Table -> what measures it."""
+    return {
         "engines": lambda: engines,
         "growth": lambda: growth_rows(engines),
         "nested": lambda: nested_rows(workers),
@@ -89,20 +115,8 @@ def measure(
         "builds": lambda: build_rows(knees, workers),
         "knees": lambda: knee_rows(knees, workers),
         "ablation": lambda: _ablation(workers),
+        "gvxr": lambda: gvxr_rows(workers),
     }
-    paths = []
-    for name in (name for name in (*TABLES, *BY_NAME) if name in tables):
-        progress(name)
-        paths.append(out / f"{name}.csv")
-        write_csv(paths[-1], jobs[name]())
-    paths.append(out / "machine.json")
-    write_json(paths[-1], _machine())
-    if engines and find_spec("matplotlib"):
-        from .figure import draw
-
-        paths.append(out / "engines.png")
-        write_bytes(paths[-1], draw(engines))
-    return paths
 
 
 def _machine() -> dict[str, str | int | None]:

@@ -15,7 +15,7 @@ from ..geometry.scene import Scene, Surface
 from ..geometry.view import View, view_of
 from ..model.protocol import load_protocol
 from ..raycast import ENGINES, PRECISIONS, Paths, trace
-from .solids import globe, polyhedron_chords, sphere_chords
+from .solids import globe, nested_spheroids, polyhedron_chords, sphere_chords
 
 Row = dict[str, Any]
 TRIANGLES = (1_000, 10_000, 100_000, 1_000_000, 3_000_000)
@@ -63,20 +63,15 @@ def nested_rows(workers: int, runs: int = 3) -> list[Row]:
 
 def _nested_row(engine: str, triangles: int, side: int, workers: int, runs: int) -> Row:
     view = view_of(dataclasses.replace(load_protocol("reference"), rows=side, cols=side, pixel_mm=307.2 / side))
-    meshes = []
-    for radius_mm in (75.0, 65.0, 50.0, 40.0, 30.0):
-        meshes.append(globe(triangles // 5, radius_mm).apply_scale([1.0, 0.9, 1.3]))
-    names = ("air", "muscle", "cortical_bone", "trabecular_bone", "marrow", "water")
+    surfaces = nested_spheroids(triangles)
 
     def job() -> Paths:
-        layers = zip(meshes, names[1:], names, strict=False)
-        scene = Scene([Surface(mesh, inside, outside, inside) for mesh, inside, outside in layers])
-        return trace(scene, view, engine=engine, workers=workers)
+        return trace(Scene([dataclasses.replace(one) for one in surfaces]), view, engine=engine, workers=workers)
 
     audit = job().audit
     peak, seconds = peak_mb(), least_seconds(job, runs)
     return {
-        "engine": engine, "triangles": sum(len(mesh.faces) for mesh in meshes), "pixels": side * side,
+        "engine": engine, "triangles": sum(len(one.mesh.faces) for one in surfaces), "pixels": side * side,
         "seconds": round(seconds, 4), "peak_mb": peak, "repaired": audit.repaired, "unrepaired": audit.unrepaired,
     }  # fmt: skip
 

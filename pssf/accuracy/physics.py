@@ -15,25 +15,39 @@ from ..xray.spectrum import beam_for, tube_spectrum
 from ..xray.technique import technique_of
 
 Row = dict[str, Any]
+# Groups of quantities, and where their references come from.
+_SPEKPY, _MONTE_CARLO = "SpekPy 2.5.4 at another setting of its grid", "an independent Monte Carlo, 2 %"
+_FLUENCE, _ENERGY = ("fluence of the tube", _SPEKPY), ("mean energy of the tube", _SPEKPY)
+_ATTENUATION = ("attenuation of tissues at 40 and 60 keV", "ICRU 46, xraylib")
+_PRIMARY = ("primary behind the middle of an elliptic limb", _MONTE_CARLO)
+_SCATTER = ("kernel scatter there, gaps of 60 to 140 mm", _MONTE_CARLO)
+_NEAR = ("kernel scatter there, a gap of 15 mm, nearer than it was fitted to", _MONTE_CARLO)
+_FITTED_GAP_MM = 20.0
 
 
 def physics_rows() -> list[Row]:
-    """One row a quantity: what the package gives, the reference, and the relative difference in percent."""
+    """One row a quantity: what the package gives, the reference, and the relative difference in percent.
+
+    group   of quantities that are told of together
+    source  of the reference
+    """
     known = references()
     rows = []
     for kv, (fluence, mean_kev) in known.spectrum.items():
         energies, photons = tube_spectrum(float(kv), 12.0, 3.0)
-        rows.append(_row(f"fluence at {kv} kV, photons/mm2/mAs at 1 m", photons.sum(), fluence))
-        rows.append(_row(f"mean energy at {kv} kV, keV", (energies * photons).sum() / photons.sum(), mean_kev))
+        rows.append(_row(f"fluence at {kv} kV, photons/mm2/mAs at 1 m", photons.sum(), fluence, *_FLUENCE))
+        mean = (energies * photons).sum() / photons.sum()
+        rows.append(_row(f"mean energy at {kv} kV, keV", mean, mean_kev, *_ENERGY))
     for tissue, values in known.attenuation.items():
         for kev, value in zip((40.0, 60.0), values, strict=True):
             mu = float(attenuation_per_mm(tissue, np.array([kev]))[0]) * 10
-            rows.append(_row(f"attenuation of {tissue} at {kev:g} keV, 1/cm", mu, value))
+            rows.append(_row(f"attenuation of {tissue} at {kev:g} keV, 1/cm", mu, value, *_ATTENUATION))
     for tube_kv, thick, gap, primary, scatter in known.scatter.limb:
         primary_here, scatter_here = limb_signals(tube_kv, thick, gap)
         where = f"behind bone, {tube_kv:g} kV, limb {thick:g} mm, gap {gap:g} mm, over open beam"
-        rows.append(_row(f"primary {where}", primary_here, primary))
-        rows.append(_row(f"scatter {where}", scatter_here, scatter))
+        rows.append(_row(f"primary {where}", primary_here, primary, *_PRIMARY))
+        where_fitted = _NEAR if gap < _FITTED_GAP_MM else _SCATTER
+        rows.append(_row(f"scatter {where}", scatter_here, scatter, *where_fitted))
     return rows
 
 
@@ -64,11 +78,13 @@ def _ellipse_chords(half_x_mm: float, half_y_mm: float, sod_mm: float) -> Array:
     return np.asarray(np.sqrt(np.maximum(b * b - 4 * a * c, 0)) / a * np.hypot(x, 1150.0))
 
 
-def _row(quantity: str, value: float, reference: float) -> Row:
+def _row(quantity: str, value: float, reference: float, group: str, source: str) -> Row:
     difference = round(100 * (float(value) / reference - 1), 2)
     return {
         "quantity": quantity,
         "value": f"{value:.5g}",
         "reference": f"{reference:.5g}",
         "difference_percent": difference,
+        "group": group,
+        "source": source,
     }

@@ -6,6 +6,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ..core.checks import Array
+from ..geometry.scene import Surface
 from ..geometry.view import View
 
 
@@ -30,6 +31,15 @@ def globe(triangles: int, radius_mm: float) -> trimesh.Trimesh:
     )
     faces = np.vstack([np.stack(part, axis=-1).reshape(-1, 3) for part in parts])
     return trimesh.Trimesh(points, faces, process=False)
+
+
+def nested_spheroids(triangles: int) -> list[Surface]:
+    """Five nested spheroids of 30 to 75 mm as polyhedra of so many triangles in all: leg, cortex, trabeculae, marrow,
+    water."""
+    names = ("air", "muscle", "cortical_bone", "trabecular_bone", "marrow", "water")
+    meshes = [globe(triangles // 5, radius).apply_scale([1.0, 0.9, 1.3]) for radius in (75.0, 65.0, 50.0, 40.0, 30.0)]
+    layers = zip(meshes, names[1:], names, strict=False)
+    return [Surface(mesh, inside, outside, inside) for mesh, inside, outside in layers]
 
 
 def polyhedron_chords(mesh: trimesh.Trimesh, pixels: NDArray[np.int64], view: View) -> Array:
