@@ -10,24 +10,30 @@ from pathlib import Path
 import numpy as np
 
 import pssf
-from pssf.io.pictures import side_by_side
+from pssf.io.pictures import panel, side_by_side
+
+SIDE = 320
 
 
 def run(out: Path, pixels: int = 2048) -> list[Path]:
     """Write the radiograph, both changed ones and the differences as one PNG; `pixels` is the side of the detector."""
     knee = pssf.Knee(texture_seed=4)
     beaks = tuple(pssf.Osteophyte(site=site, size_mm=2.5) for site in ("medial_femur", "medial_tibia"))
-    changed = [dataclasses.replace(knee, jsw_medial_mm=3.0), dataclasses.replace(knee, osteophytes=beaks)]
+    changed = {
+        "space 2 mm less": dataclasses.replace(knee, jsw_medial_mm=3.0),
+        "two osteophytes": dataclasses.replace(knee, osteophytes=beaks),
+    }
     reference = pssf.load_protocol("reference")
     protocol = dataclasses.replace(reference, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
-    before, *after = (pssf.simulate(each, protocol, seed=1).pixels for each in (knee, *changed))
-    shown = [pssf.present(before)]
-    for image in after:
-        change = np.log(image + 1.0) - np.log(before + 1.0)
-        shown += [pssf.present(image), np.clip(128 + 200 * change, 0, 255).astype(np.uint8)]
     joint = (slice(pixels * 5 // 16, pixels * 11 // 16), slice(pixels * 5 // 16, pixels * 11 // 16))
-    return [side_by_side([image[joint] for image in shown], out / "counterfactual.png")]
+    before = pssf.simulate(knee, protocol, seed=1).pixels
+    shown = [panel(pssf.present(before)[joint], SIDE, SIDE, "healthy")]
+    for what, other in changed.items():
+        after = pssf.simulate(other, protocol, seed=1).pixels
+        change = np.clip(128 + 200 * (np.log(after + 1.0) - np.log(before + 1.0)), 0, 255).astype(np.uint8)
+        shown += [panel(pssf.present(after)[joint], SIDE, SIDE, what), panel(change[joint], SIDE, SIDE, "what changed")]
+    return [side_by_side(shown, out / "counterfactual.png")]
 
 
 if __name__ == "__main__":
-    run(Path("runs/examples"))
+    run(Path(__file__).parent)

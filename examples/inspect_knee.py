@@ -14,9 +14,9 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
     knee = pssf.draw_knee(grade=2, rng=np.random.default_rng(7))
     reference = pssf.load_protocol("reference")
     protocol = dataclasses.replace(reference, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
-    scene = pssf.build(knee)
-    radiograph = pssf.simulate(knee, protocol, seed=7, scene=scene)
-    return [write_viewer(scene, radiograph, out / "inspect_knee.html", title="Knee 7, inspected")]
+    built = pssf.build(knee)
+    radiograph = pssf.simulate(built, protocol, seed=7)
+    return [write_viewer(built.scene, radiograph, out / "inspect_knee.html", title="Knee 7, inspected")]
 
 
 if __name__ == "__main__":

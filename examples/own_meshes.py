@@ -6,10 +6,11 @@ from pathlib import Path
 import trimesh
 
 import pssf
+from pssf.io.pictures import heat, panel, side_by_side
 
 
 def run(out: Path, pixels: int = 2048) -> list[Path]:
-    """Write the radiograph of a phantom as PNG; `pixels` is the side of the detector."""
+    """Write the radiograph of a phantom and the path through its bone as PNG; `pixels` is the side of the detector."""
     leg = trimesh.creation.cylinder(radius=50, height=240, sections=128)
     shaft = trimesh.creation.cylinder(radius=14, height=230, sections=96)
     canal = trimesh.creation.cylinder(radius=9, height=229, sections=96)
@@ -25,8 +26,16 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
     )
     reference = pssf.load_protocol("reference")
     protocol = dataclasses.replace(reference, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
-    return [pssf.save(pssf.simulate(scene, protocol, seed=1), out / "own_meshes.png")]
+    print(pssf.check(scene, protocol))
+    radiograph = pssf.simulate(scene, protocol, seed=1, keep=("path_mm",))
+    part = (slice(pixels * 3 // 8, pixels * 5 // 8), slice(pixels // 4, pixels * 3 // 4))
+    bone_mm = radiograph.kept["path_mm"]["cortical_bone"][part]
+    shown = [
+        panel(pssf.present(radiograph.pixels)[part], 320, 640, "radiograph"),
+        panel(heat(bone_mm, float(bone_mm.max())), 320, 640, "path through cortical bone"),
+    ]
+    return [side_by_side(shown, out / "own_meshes.png")]
 
 
 if __name__ == "__main__":
-    run(Path("runs/examples"))
+    run(Path(__file__).parent)

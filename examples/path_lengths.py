@@ -1,4 +1,4 @@
-"""What the rays see: path length in bone, in millimetres, and the audit of the rays."""
+"""What the rays see: path length in each tissue, in millimetres, and the audit of the rays."""
 
 import dataclasses
 from pathlib import Path
@@ -6,26 +6,28 @@ from pathlib import Path
 import numpy as np
 
 import pssf
-from pssf.io.pictures import side_by_side
+from pssf.io.pictures import heat, panel, side_by_side
+
+SHOWN = {"cortical_bone": 25.0, "trabecular_bone": 70.0, "marrow": 25.0, "muscle": 130.0, "adipose": 60.0}
 
 
 def run(out: Path, pixels: int = 2048) -> list[Path]:
-    """Write the path lengths in cortical and in trabecular bone as one PNG; `pixels` is the side of the detector."""
+    """Write the path lengths in five tissues as one PNG; `pixels` is the side of the detector."""
     reference = pssf.load_protocol("reference")
     protocol = dataclasses.replace(reference, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
-    scene = pssf.build(pssf.Knee())
+    scene = pssf.build(pssf.Knee()).scene
     maps = {engine: pssf.trace(scene, protocol, engine=engine) for engine in ("embree", "scanline")}
     for engine, paths in maps.items():
         print(engine, paths.audit)
-    shown = []
-    for material, most_mm in (("cortical_bone", 25.0), ("trabecular_bone", 60.0)):
+    shown, part = [], np.s_[pixels // 8 : pixels * 7 // 8, pixels // 5 : pixels * 4 // 5]
+    for material, most_mm in SHOWN.items():
         one, two = (paths.path_mm[material] for paths in maps.values())
-        print(
-            f"{material}: longest path {one.max():.1f} mm, engines differ by {np.abs(one - two).max():.1g} mm at most"
-        )
-        shown.append(np.clip(255 * one / most_mm, 0, 255).astype(np.uint8))
+        apart_mm = np.abs(one - two).max()
+        print(f"{material}: longest path {one.max():.1f} mm, engines differ by {apart_mm:.1g} mm at most")
+        name = material.replace("_", " ")
+        shown.append(panel(heat(one[part], most_mm), 400, 320, f"{name}, 0 to {most_mm:g} mm"))
     return [side_by_side(shown, out / "path_lengths.png")]
 
 
 if __name__ == "__main__":
-    run(Path("runs/examples"))
+    run(Path(__file__).parent)

@@ -1,4 +1,4 @@
-"""The picture at the top of the README: a knee of each grade, and path lengths in its bones."""
+"""The picture at the top of the README: one woman's knee as grade 0, 1 and 2, and the path through cortical bone."""
 
 import dataclasses
 from pathlib import Path
@@ -6,23 +6,36 @@ from pathlib import Path
 import numpy as np
 
 import pssf
-from pssf.io.pictures import side_by_side
+from pssf.io.pictures import heat, panel, side_by_side
+
+COLS, MOST_MM = 400, 20.0
 
 
 def run(out: Path, pixels: int = 2048) -> list[Path]:
-    """Write the picture; `pixels` is the side of the detector."""
+    """Write the picture: whole knees, below them the medial joint; `pixels` is the side of the detector."""
     reference = pssf.load_protocol("reference")
     protocol = dataclasses.replace(reference, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
-    images = []
+    columns = []
     for grade in (0, 1, 2):
-        knee = pssf.draw_knee(grade=grade, rng=np.random.default_rng(11), side="right", sex="female")
+        knee = pssf.draw_knee(grade=grade, rng=np.random.default_rng(3), side="right", sex="female")
         radiograph = pssf.simulate(knee, protocol, seed=grade, keep=("path_mm",))
-        images.append(pssf.present(radiograph.pixels))
-    bone = radiograph.kept["path_mm"]["cortical_bone"] + 0.4 * radiograph.kept["path_mm"]["trabecular_bone"]
-    images.append(np.clip(255 * (bone / 45.0) ** 0.7, 0, 255).astype(np.uint8))
-    rows, cols = slice(pixels // 8, pixels - pixels // 8), slice(pixels // 5, pixels - pixels // 5)
-    step = max(1, pixels // 1024)
-    return [side_by_side([image[rows, cols][::step, ::step] for image in images], out / "knees.png")]
+        joint = radiograph.truth.medial_joint_line_px
+        told = f"medial joint space {knee.jsw_medial_mm:.1f} mm"
+        columns.append(column(pssf.present(radiograph.pixels), joint, protocol.pixel_mm, f"grade {grade}", told))
+    # Drawn with a power below 1, so that the thin cortex at the joint is seen beside the shaft's.
+    shown = heat((radiograph.kept["path_mm"]["cortical_bone"] / MOST_MM) ** 0.6, 1.0)
+    columns.append(column(shown, joint, protocol.pixel_mm, "path through cortical bone", f"0 to {MOST_MM:g} mm"))
+    return [side_by_side(columns, out / "knees.png")]
+
+
+def column(image: np.ndarray, joint: tuple[float, float], pixel_mm: float, above: str, below: str) -> np.ndarray:
+    """An image (rows, cols[, 3]): the middle of it, and the medial compartment about its joint line (row, col)."""
+    rows, cols = image.shape[:2]
+    whole = image[rows * 12 // 100 : rows * 86 // 100, cols * 20 // 100 : cols * 80 // 100]
+    row, col, half = round(joint[0]), round(joint[1] + 6.0 / pixel_mm), round(31.0 / pixel_mm)
+    near = image[row - half * 7 // 10 : row + half * 7 // 10, col - half : col + half]
+    gap = np.full((8, COLS, 3), 255, np.uint8)
+    return np.vstack([panel(whole, COLS * 37 // 30, COLS, above), gap, panel(near, COLS * 7 // 10, COLS, below)])
 
 
 if __name__ == "__main__":

@@ -1,0 +1,41 @@
+"""What is known of every radiograph: outlines of bones and osteophytes, landmarks, and the joint spaces."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw
+from scipy import ndimage
+
+import pssf
+from pssf.io.pictures import panel, side_by_side
+
+COLOURS = {"femur": (90, 200, 250), "tibia": (255, 200, 60), "fibula": (150, 220, 120), "patella": (230, 140, 255)}
+OSTEOPHYTE = (255, 70, 70)
+ROWS, COLS = 720, 600
+
+
+def run(out: Path, pixels: int = 2048) -> list[Path]:
+    """Write a radiograph and its labels side by side as one PNG; `pixels` is the side of the detector."""
+    knee = pssf.draw_knee(grade=2, rng=np.random.default_rng(3), side="right", sex="female")
+    reference = pssf.load_protocol("reference")
+    protocol = dataclasses.replace(reference, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
+    radiograph = pssf.simulate(knee, protocol, seed=2, keep=("masks",))
+    truth = radiograph.truth
+    plain = pssf.present(radiograph.pixels)
+    drawn = np.repeat(plain[..., None], 3, axis=2)
+    for name, mask in truth.masks.items():
+        rim = ndimage.binary_dilation(mask, iterations=max(1, pixels // 512)) & ~mask
+        drawn[rim] = COLOURS.get(name, OSTEOPHYTE)
+    sheet, size = Image.fromarray(drawn), pixels / 200
+    for row, col in truth.landmarks_px.values():
+        place = (col - size, row - size, col + size, row + size)
+        ImageDraw.Draw(sheet).ellipse(place, fill="white", outline="black")
+    part = np.s_[pixels * 2 // 10 : pixels * 8 // 10, pixels // 4 : pixels * 3 // 4]
+    told = f"medial space {truth.jsw_medial_mm:.1f}, lateral {truth.jsw_lateral_mm:.1f} mm"
+    shown = [panel(plain[part], ROWS, COLS, "grade 2"), panel(np.asarray(sheet)[part], ROWS, COLS, told)]
+    return [side_by_side(shown, out / "labels.png")]
+
+
+if __name__ == "__main__":
+    run(Path(__file__).parent)

@@ -1,0 +1,33 @@
+"""The stages of one exposure: primary, scatter, what the detector would read without noise, and what it reads."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+import pssf
+from pssf.io.pictures import heat, panel, side_by_side
+
+
+def run(out: Path, pixels: int = 2048) -> list[Path]:
+    """Write the stages of a knee at a low dose as one PNG; `pixels` is the side of the detector."""
+    low = pssf.load_protocol("low_dose")
+    protocol = dataclasses.replace(low, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
+    radiograph = pssf.simulate(pssf.Knee(), protocol, seed=1, keep=("primary", "scatter", "noise_free"))
+    primary, scatter = radiograph.kept["primary"], radiograph.kept["scatter"]
+    joint = np.s_[pixels * 5 // 16 : pixels * 11 // 16, pixels * 5 // 16 : pixels * 11 // 16]
+    ratio = scatter[joint] / primary[joint]
+    print(f"scatter over primary about the joint: {ratio.min():.2f} to {ratio.max():.2f}")
+    noise = radiograph.pixels.astype(np.float64) - radiograph.kept["noise_free"]
+    shown = {
+        "primary": heat(np.log(primary[joint] / primary[joint].min()), 3.0),
+        "scatter / primary, 0 to 4": heat(ratio, 4.0),
+        "without noise": pssf.present(radiograph.kept["noise_free"])[joint],
+        "as read": pssf.present(radiograph.pixels)[joint],
+        "noise": np.clip(128 + noise[joint] / 2, 0, 255).astype(np.uint8),
+    }
+    return [side_by_side([panel(image, 320, 320, name) for name, image in shown.items()], out / "stages.png")]
+
+
+if __name__ == "__main__":
+    run(Path(__file__).parent)
