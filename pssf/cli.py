@@ -1,7 +1,6 @@
 """The command line: pssf simulate | meshes | cohort | study | accuracy | quality | protocols."""
 
 import sys
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -237,8 +236,7 @@ def accuracy(
     require_whole("knees", knees, 1, 100_000, "")
     wanted = TABLES if tables == "all" else tuple(name.strip() for name in tables.split(","))
     with _waiting("measuring") as status:
-        say = partial(_say, status)
-        paths = measure(out, workers=workers, tables=wanted, knees=knees, readme=readme, progress=say)
+        paths = measure(out, workers=workers, tables=wanted, knees=knees, readme=readme, progress=status.update)
     for path in paths:
         print(path)
 
@@ -259,7 +257,7 @@ def quality(
     checkout = open_checkout(readme, [name])
     folder(out)
     with _waiting("measuring") as status:
-        measured = measure_quality(technique, progress=partial(_say, status))
+        measured = measure_quality(technique, progress=status.update)
     table = Table("quantity", "value", "reference", "source")
     for row in measured.rows:
         known = f"{row['low']} to {row['high']}" if row["low"] != "" else str(row["reference"])
@@ -293,10 +291,6 @@ def _knee_of(path: Path | None, grade: int, seed: int) -> tuple[Knee, str]:
     if path is not None:
         return knee_from(tables.read_toml(path), f"knee {path.name}"), path.stem
     return draw_knee(grade=grade, rng=np.random.default_rng(seed)), f"knee_grade{grade}"
-
-
-def _say(status: Status, what: str) -> None:
-    status.update(f"measuring: {what}")
 
 
 def _waiting(why: str) -> Status:
