@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
     from .radiomics.region import Template
 
+# What the READMEs show of a study.
+SHOWN = ("scores", "reliability", "claims", "cost")
 _TEMPLATES_JSW_MM = (5.0, 3.5, 2.0)  # from a healthy joint to one narrower than any of the grades'
 
 
@@ -92,6 +94,19 @@ def run_experiment(experiment: Experiment, execution: Execution) -> StudyResult:
         result = run(*_given(experiment, execution), retest=experiment.retest, execution=execution)
         finished.mark(result, experiment.out, key)
     return result
+
+
+def shown_rows(result: StudyResult) -> dict[str, list[dict[str, Any]]]:
+    """Rows of each of SHOWN."""
+    from .io import results
+    from .study.statistics.reliability import count_stable
+
+    return {
+        "scores": result.scores.to_dict("records"),
+        "reliability": count_stable(result.reliability).to_dict("records"),
+        "claims": results.load_typed_table(result.tables["claims"]).to_dict("records"),
+        "cost": results.load_json(result.report.parent / "study.json")["cost"],
+    }
 
 
 def measure_experiment(experiment: Experiment, execution: Execution) -> Path:

@@ -75,14 +75,38 @@ def test_rows_alike_are_shown_as_one_with_their_extremes_and_sums(tmp_path):
 
 
 @pytest.mark.parametrize(("load", "note"), [(0.2, ""), (7.0, "beside other work")])
-def test_what_else_the_machine_does_is_noted(load, note, monkeypatch):
+def test_what_else_the_machine_does_is_noted(load, note, tmp_path, monkeypatch):
     monkeypatch.setattr(os, "getloadavg", lambda: (load, 0.0, 0.0), raising=False)
     monkeypatch.setattr(readme, "cores", lambda: 2)
-    origin = readme.origin_now(knees=7)
-    assert origin.note == note
-    caption = readme.table_text("label_errors", ROWS, origin).splitlines()[0]
+    open_one = readme.open_checkout(checkout(tmp_path, "label_errors", "sizes"), ["knees"], knees=7)
+    assert open_one.origin.note == note
+    text = open_one.take({"knees": ROWS})[0].read_text()
+    caption = text.splitlines()[2]
     assert re.fullmatch(CAPTION, caption)
     assert caption.endswith(f"{note}*")
+
+
+def test_rows_of_an_earlier_run_have_its_day(tmp_path):
+    report = tmp_path / "report.html"
+    report.write_text("")
+    os.utime(report, (1_700_000_000, 1_700_000_000))
+    open_one = readme.open_checkout(checkout(tmp_path, "label_errors", "sizes"), ["knees"], knees=7)
+    written = open_one.take({"knees": ROWS}, measured_with=report)
+    assert "\n*2023-11-1" in written[0].read_text()
+
+
+def test_pictures_that_a_readme_shows_are_copied_and_others_are_not(tmp_path):
+    pictures = [tmp_path / "out" / name for name in ("engines.png", "engines.csv", "other.png")]
+    pictures[0].parent.mkdir()
+    for path in pictures:
+        path.write_bytes(path.name.encode())
+    open_one = readme.open_checkout(checkout(tmp_path), [])
+    assert open_one.take({}, pictures) == [tmp_path / "examples" / "engines.png"]
+    assert (tmp_path / "examples" / "engines.png").read_bytes() == b"engines.png"
+
+
+def test_without_a_checkout_nothing_is_written(tmp_path):
+    assert readme.open_checkout(None, ["no such table"]).take({"no such table": []}, [tmp_path / "engines.png"]) == []
 
 
 @pytest.mark.parametrize(
@@ -90,7 +114,11 @@ def test_what_else_the_machine_does_is_noted(load, note, monkeypatch):
     [
         (lambda folder: checkout(folder, "sizes"), "knees", "have no table 'label_errors'; allowed: one between the "),
         (lambda folder: folder, "knees", "has no README; allowed: a source checkout, with README.md"),
-        (lambda folder: checkout(folder, "sizes"), "kneez", "table of the READMEs = 'kneez'; allowed: agreement, "),
+        (
+            lambda folder: checkout(folder, "sizes"),
+            "kneez",
+            "table of the READMEs = 'kneez'; allowed: ablation, agreement, ",
+        ),
     ],
 )
 def test_a_checkout_that_cannot_take_a_table_is_refused_by_name(prepare, measured, says, tmp_path):

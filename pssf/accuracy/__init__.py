@@ -26,7 +26,7 @@ from pathlib import Path
 
 from ..core.checks import require_choice
 from ..io.atomic import folder, write_bytes
-from ..io.readme import copy_picture, origin_now, require_checkout, write_tables
+from ..io.readme import open_checkout
 from ..io.records import write_csv, write_json
 from ..simulation import versions
 from .agreement import agreement_rows
@@ -65,28 +65,25 @@ def measure(
 
     tables    of TABLES or BY_NAME; "growth" is worked out from "engines"
     knees     how many are drawn for "agreement", "texture", "builds" and "knees"
-    readme    source checkout whose READMEs get what was measured, too
+    readme    source checkout whose READMEs get the tables, too
     progress  told what is being measured
-    raises    InputError for an unknown table, a checkout without its markers, a disk that is full or read-only
+    raises    InputError for an unknown table, a folder that is no checkout, a disk that is full or cannot be written
     """
     for name in tables:
         require_choice("table", name, (*TABLES, *BY_NAME))
-    if readme is not None:
-        require_checkout(readme, tables)
+    checkout = open_checkout(readme, tables, knees=knees)
     folder(out)
-    origin = origin_now(knees=knees)
     engines: list[Row] = []
     if {"engines", "growth"} & set(tables):
         progress("ray casting")
         engines = engine_rows(workers)
-    jobs, paths = _jobs(engines, workers, knees), list[Path]()
+    jobs, paths = _jobs(engines, knees, workers), []
     for name in (name for name in (*TABLES, *BY_NAME) if name in tables):
         progress(name)
-        paths.append(out / f"{name}.csv")
         rows = jobs[name]()
+        paths.append(out / f"{name}.csv")
         write_csv(paths[-1], rows)
-        if readme is not None:
-            paths += write_tables(readme, {name: rows}, origin)
+        paths += checkout.take({name: rows})
     paths.append(out / "machine.json")
     write_json(paths[-1], _machine())
     if engines and find_spec("matplotlib"):
@@ -94,12 +91,11 @@ def measure(
 
         paths.append(out / "engines.png")
         write_bytes(paths[-1], draw(engines))
-        if readme is not None:
-            paths += copy_picture(readme, "engines", paths[-1])
+        paths += checkout.take({}, paths[-1:])
     return paths
 
 
-def _jobs(engines: list[Row], workers: int, knees: int) -> dict[str, Callable[[], list[Row]]]:
+def _jobs(engines: list[Row], knees: int, workers: int) -> dict[str, Callable[[], list[Row]]]:
     """Table -> what measures it."""
     return {
         "engines": lambda: engines,

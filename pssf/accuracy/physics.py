@@ -46,8 +46,8 @@ def physics_rows() -> list[Row]:
         primary_here, scatter_here = limb_signals(tube_kv, thick, gap)
         where = f"behind bone, {tube_kv:g} kV, limb {thick:g} mm, gap {gap:g} mm, over open beam"
         rows.append(_row(f"primary {where}", primary_here, primary, *_PRIMARY))
-        near = _NEAR if gap < _FITTED_GAP_MM else _SCATTER
-        rows.append(_row(f"scatter {where}", scatter_here, scatter, *near))
+        where_fitted = _NEAR if gap < _FITTED_GAP_MM else _SCATTER
+        rows.append(_row(f"scatter {where}", scatter_here, scatter, *where_fitted))
     return rows
 
 

@@ -159,13 +159,11 @@ def study(
     from ..core.checks import require_choice
     from ..core.execution import Execution
     from ..core.progress import bar
-    from ..experiment import make_experiment, measure_experiment, run_experiment
+    from ..experiment import SHOWN, make_experiment, measure_experiment, run_experiment, shown_rows
+    from ..io.readme import open_checkout
 
     require_choice("until", until, ("features", "report"))
-    if readme is not None:
-        from ..study.report.readme import require_readme
-
-        require_readme(readme)
+    checkout = open_checkout(readme, SHOWN, preset=preset)
     execution = Execution(workers=workers, bar=bar, scheduler=scheduler)
     wanted = {"families": families, "selections": selections, "models": models}
     settings = {name: tuple(listed.split(",")) for name, listed in wanted.items() if listed}
@@ -175,10 +173,7 @@ def study(
         print(f"features  {measure_experiment(made, execution)}")
         return
     result = run_experiment(made, execution)
-    if readme is not None:
-        from ..study.report.readme import write_readme
-
-        write_readme(readme, result, preset)
+    checkout.take(shown_rows(result) if readme else {}, result.pictures.values(), measured_with=result.report)
     print(f"results   of {result.origin}")
     print(f"report    {result.report}")
     for what, paths in (("picture", result.pictures), ("model", result.models)):

@@ -25,14 +25,7 @@ def accuracy(
     require_whole("knees", knees, 1, 100_000, "")
     wanted = TABLES if tables == "all" else tuple(name.strip() for name in tables.split(","))
     with waiting("measuring") as status:
-        paths = measure(
-            out,
-            workers=workers,
-            tables=wanted,
-            knees=knees,
-            readme=readme,
-            progress=lambda what: status.update(f"measuring: {what}"),
-        )
+        paths = measure(out, workers=workers, tables=wanted, knees=knees, readme=readme, progress=status.update)
     for path in paths:
         print(path)
 
@@ -43,29 +36,23 @@ def quality(*, out: Out, protocol: ProtocolName = "reference", readme: Readme = 
     from rich.table import Table
 
     from ..io.atomic import folder
-    from ..io.readme import copy_picture, origin_now, require_checkout, write_tables
+    from ..io.readme import open_checkout
     from ..model.protocol import load_protocol
     from ..quality import measure_quality, write_quality
 
     technique = load_protocol(protocol)
     name = f"quality_{technique.name}"
-    if readme is not None:
-        require_checkout(readme, [name])
+    checkout = open_checkout(readme, [name])
     folder(out)
-    origin = origin_now()
     with waiting("measuring") as status:
-        measured = measure_quality(technique, progress=lambda what: status.update(f"measuring: {what}"))
+        measured = measure_quality(technique, progress=status.update)
     table = Table("quantity", "value", "reference", "source")
     for row in measured.rows:
         known = f"{row['low']} to {row['high']}" if row["low"] != "" else str(row["reference"])
         table.add_row(row["quantity"], row["value"], known, row["source"])
     Console(width=None if sys.stdout.isatty() else 160).print(table)
     paths = write_quality(measured, technique, out)
-    if readme is not None:
-        paths += write_tables(readme, {name: measured.rows}, origin)
-        for picture in [path for path in paths if path.suffix == ".png"]:
-            paths += copy_picture(readme, name, picture)
-    for path in paths:
+    for path in [*paths, *checkout.take({name: measured.rows}, paths)]:
         print(path)
 
 

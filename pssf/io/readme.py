@@ -11,8 +11,8 @@ import os
 import platform
 import re
 import string
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -49,18 +49,55 @@ def machine_class() -> str:
     return f"{cores()} cores, {processor}, {platform.system()}, Python {release}"
 
 
-def origin_now(**options: Any) -> Origin:
-    """The origin of rows that are to be measured here and today; asked for before, it notes what else the cores do."""
+@dataclass(frozen=True, kw_only=True)
+class Checkout:
+    """The READMEs of a source checkout, which take tables; none where `folder` is None.
+
+    origin  of what they take
+    """
+
+    folder: Path | None
+    origin: Origin
+
+    def take(
+        self, measured: Mapping[str, Sequence[Row]], pictures: Iterable[Path] = (), measured_with: Path | None = None
+    ) -> list[Path]:
+        """Put in what was measured; returns the paths of what was written.
+
+        measured       name -> rows
+        pictures       of them, those that the READMEs show are copied
+        measured_with  file that was written when the rows were measured, if that was by an earlier run
+        raises         InputError as `write_tables`
+        """
+        if self.folder is None:
+            return []
+        origin = self.origin
+        if measured_with is not None:
+            origin = replace(origin, day=date.fromtimestamp(measured_with.stat().st_mtime).isoformat())
+        written = write_tables(self.folder, measured, origin)
+        for picture in pictures:
+            place = readmes().picture.get(picture.stem) if picture.suffix == ".png" else None
+            if place is not None:
+                written.append(self.folder / place)
+                write_bytes(written[-1], picture.read_bytes())
+        return written
+
+
+def open_checkout(folder: Path | None, measured: Collection[str], **options: Any) -> Checkout:
+    """A source checkout that can take what is to be measured here and now; to be opened before, for it notes what else
+    the machine does.
+
+    measured  names of what is to be measured
+    options   of the run, for the captions
+    raises    InputError as `require_checkout`
+    """
+    if folder is not None:
+        require_checkout(folder, measured)
     # Windows does not tell its load.
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
     note = "beside other work" if load > cores() / 2 else ""
-    return Origin(day=date.today().isoformat(), machine=machine_class(), options=options, note=note)
-
-
-def origin_of(path: Path, **options: Any) -> Origin:
-    """The origin of rows that were measured here when a file was written."""
-    day = date.fromtimestamp(path.stat().st_mtime).isoformat()
-    return Origin(day=day, machine=machine_class(), options=options)
+    day = date.today().isoformat()
+    return Checkout(folder=folder, origin=Origin(day=day, machine=machine_class(), options=options, note=note))
 
 
 def require_checkout(checkout: Path, measured: Collection[str]) -> None:
@@ -102,14 +139,6 @@ def write_tables(checkout: Path, measured: Mapping[str, Sequence[Row]], origin: 
         if after != before:
             write_bytes(path, after.encode())
     return written
-
-
-def copy_picture(checkout: Path, name: str, source: Path) -> list[Path]:
-    """Put a picture of measured values where the READMEs show it; returns its path, or nothing if none shows it."""
-    places = [checkout / place for known, place in readmes().picture.items() if known == name]
-    for path in places:
-        write_bytes(path, source.read_bytes())
-    return places
 
 
 def table_text(name: str, rows: Sequence[Row], origin: Origin) -> str:
