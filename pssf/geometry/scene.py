@@ -101,7 +101,7 @@ class Scene:
         object.__setattr__(self, "ambient", ambient)
         object.__setattr__(self, "size_mm", _span_of(size_mm))
         if not self.surfaces:
-            raise InputError("scene: 0 surfaces; allowed: 1 or more")
+            raise InputError("scene: surfaces = () has 0 surfaces; allowed: 1 or more")
         for surface in self.surfaces:
             if not isinstance(surface, Surface):
                 raise InputError(f"scene: {reprlib.repr(surface)} among the surfaces; allowed: Surface")
