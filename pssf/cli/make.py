@@ -39,21 +39,22 @@ def simulate(
     ] = "none",
 ) -> None:
     """One radiograph: 16-bit TIFF, PNG for eyes, the parameters as JSON; DICOM if asked for."""
+    from ..core.checks import require_choice, require_workers
+    from ..model.protocol import load_protocol
+
+    technique, wanted = load_protocol(protocol), kinds.split(",")
+    subject, name = knee_of(knee, grade, seed)
+    require_workers(workers)
     with waiting("simulating; the first run after an installation compiles for some seconds more"):
-        from ..core.checks import require_choice, require_workers
         from ..io.atomic import folder
         from ..io.images import BORDERS, KINDS, save_kinds
-        from ..model.protocol import load_protocol
         from ..raycast import ENGINES
         from ..simulation import simulate as run
 
-        technique, wanted = load_protocol(protocol), kinds.split(",")
         require_choice("engine", engine, ENGINES)
-        require_workers(workers)
         for kind in wanted:
             require_choice("formats", kind, KINDS)
         require_choice("border", border, BORDERS)
-        subject, name = knee_of(knee, grade, seed)
         folder(out)
         radiograph = run(subject, technique, seed=seed, engine=engine, workers=workers)
     stem = out / f"{name}_{technique.name}_seed{seed}"

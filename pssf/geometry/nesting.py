@@ -46,6 +46,19 @@ class _Lines(NamedTuple):
     weight: NDArray[np.int64]
 
 
+class _Hits(NamedTuple):
+    """Faces that lines meet, line by line.
+
+    at    (n,)  t
+    face  (n,)  its number
+    sign  (n,)  +1 where the line leaves by it, -1 where it enters
+    """
+
+    at: Array
+    face: NDArray[np.int32]
+    sign: NDArray[np.int8]
+
+
 def inside_out(points: Array, faces: Faces, body: NDArray[np.int32], volumes: Array) -> NDArray[np.int64]:
     """Bodies that are inside out: of those wound inwards, the ones that no other surrounds; with their cavities.
 
@@ -77,7 +90,12 @@ def inside_out(points: Array, faces: Faces, body: NDArray[np.int32], volumes: Ar
 
 
 def flipped(faces: Faces, body: NDArray[np.int32], chosen: NDArray[np.int64]) -> Faces:
-    """Faces (m, 3), those of the chosen bodies (k,) wound the other way; body (n,) is the body of each vertex."""
+    """(m, 3)  faces, those of chosen bodies wound the other way
+
+    faces   (m, 3)  vertex numbers
+    body    (n,)    number of the body of each vertex
+    chosen  (k,)    bodies
+    """
     marks = np.zeros(body.max() + 1, np.bool_)
     marks[chosen] = True
     return np.where(marks[body[faces[:, 0]]][:, None], faces[:, ::-1], faces)
@@ -90,22 +108,23 @@ def _shares(
     if not len(chosen):
         return np.empty(0), np.empty(0)
     lines = _lines_of(seen, faces, body, side, chosen)
-    counts = np.zeros(len(lines.body), np.int64)
-    nothing: tuple[Array, NDArray[np.int32], NDArray[np.int8]]
-    nothing = (np.empty(0), np.empty(0, np.int32), np.empty(0, np.int8))
-    _stab(lines.places, lines.slabs, seen, faces, counts, *nothing)
-    ends = np.cumsum(counts)
-    at, face, sign = np.empty(ends[-1]), np.empty(ends[-1], np.int32), np.empty(ends[-1], np.int8)
-    _stab(lines.places, lines.slabs, seen, faces, ends - counts, at, face, sign)
-    starts = np.concatenate(([0], ends))
-    around = _around(starts, at, sign, body[faces[face, 0]], lines.body, lines.at, lines.way)
-    told = np.isfinite(around)
-    weight, slot = lines.weight[told], np.searchsorted(chosen, lines.body[told])
+    free = np.zeros(len(lines.body), np.int64)
+    _stab(lines, seen, faces, free, _no_hits(0))
+    starts = np.concatenate(([0], np.cumsum(free)))
+    hits = _no_hits(starts[-1])
+    _stab(lines, seen, faces, starts[:-1].copy(), hits)
+    around = _around(lines, starts, hits, body[faces[hits.face, 0]])
+    inner = np.isfinite(around)
+    weight, slot = lines.weight[inner], np.searchsorted(chosen, lines.body[inner])
     # A body too thin to have an inside counts as surrounded: it is left as it is.
     whole = np.bincount(slot, weight, len(chosen))
-    within = np.bincount(slot, weight * (around[told] >= 1), len(chosen)) + (whole == 0)
-    below = np.bincount(slot, weight * (around[told] < 0), len(chosen))
+    within = np.bincount(slot, weight * (around[inner] >= 1), len(chosen)) + (whole == 0)
+    below = np.bincount(slot, weight * (around[inner] < 0), len(chosen))
     return within / np.maximum(whole, 1), below / np.maximum(whole, 1)
+
+
+def _no_hits(count: int) -> _Hits:
+    return _Hits(np.empty(count), np.empty(count, np.int32), np.empty(count, np.int8))
 
 
 def _lines_of(seen: Array, faces: Faces, body: NDArray[np.int32], side: Array, chosen: NDArray[np.int64]) -> _Lines:
@@ -165,17 +184,9 @@ def _depth(seen: Array, face: NDArray[np.int32], u: float, v: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _stab(
-    places: Array,
-    slabs: NDArray[np.int64],
-    seen: Array,
-    faces: Faces,
-    free: NDArray[np.int64],
-    at: Array,
-    hit: NDArray[np.int32],
-    sign: NDArray[np.int8],
-) -> None:
-    """Write the faces that each line meets to where `free` says, and move it on; into empty arrays, only count."""
+def _stab(lines: _Lines, seen: Array, faces: Faces, free: NDArray[np.int64], hits: _Hits) -> None:
+    """Write the faces that each line meets to where `free` says, and move it on; with no room for hits, only count."""
+    places, slabs = lines.places, lines.slabs
     low, high = np.empty(len(slabs) - 1), np.empty(len(slabs) - 1)
     for slab in range(len(low)):
         low[slab] = places[slabs[slab] : slabs[slab + 1], 0].min()
@@ -186,45 +197,37 @@ def _stab(
         bottom, top = min(a[1], b[1], c[1]), max(a[1], b[1], c[1])
         slab = np.searchsorted(high, left)
         while slab < len(low) and low[slab] <= right:
-            inner = places[slabs[slab] : slabs[slab + 1], 1]
-            line = slabs[slab] + np.searchsorted(inner, bottom)
+            line = slabs[slab] + np.searchsorted(places[slabs[slab] : slabs[slab + 1], 1], bottom)
             while line < slabs[slab + 1] and places[line, 1] <= top:
                 u, v = places[line]
                 met = _met(seen, faces[k], u, v)
                 if met != 0:
-                    if len(at):
-                        at[free[line]], hit[free[line]], sign[free[line]] = _depth(seen, faces[k], u, v), k, met
+                    if len(hits.at):
+                        place = free[line]
+                        hits.at[place], hits.face[place], hits.sign[place] = _depth(seen, faces[k], u, v), k, met
                     free[line] += 1
                 line += 1
             slab += 1
 
 
 @njit(cache=True, nogil=True)
-def _around(
-    starts: NDArray[np.int64],
-    at: Array,
-    sign: NDArray[np.int8],
-    owner: NDArray[np.int32],
-    body: NDArray[np.int64],
-    face_at: Array,
-    way: Array,
-) -> Array:
+def _around(lines: _Lines, starts: NDArray[np.int64], hits: _Hits, owner: NDArray[np.int32]) -> Array:
     """How often the other bodies go around the place just under each line's face; NaN where there is no inside."""
-    around = np.full(len(body), np.nan)
-    for line in range(len(body)):
-        hits = range(starts[line], starts[line + 1])
-        reach, chord = abs(face_at[line]), np.inf
-        for k in hits:
-            reach = max(reach, abs(at[k]))
-        for k in hits:
-            ahead = (at[k] - face_at[line]) * way[line]
+    around = np.full(len(lines.body), np.nan)
+    for line in range(len(lines.body)):
+        met, own, at, way = range(starts[line], starts[line + 1]), lines.body[line], lines.at[line], lines.way[line]
+        reach, chord = abs(at), np.inf
+        for k in met:
+            reach = max(reach, abs(hits.at[k]))
+        for k in met:
+            ahead = (hits.at[k] - at) * way
             # The face itself is met too, within its rounding.
-            if owner[k] == body[line] and 1e-12 * reach < ahead < chord:
+            if owner[k] == own and 1e-12 * reach < ahead < chord:
                 chord = ahead
         if chord < np.inf:
-            place, total = face_at[line] + way[line] * _UNDER * chord, 0
-            for k in hits:
-                if owner[k] != body[line] and at[k] > place:
-                    total += sign[k]
+            place, total = at + way * _UNDER * chord, 0
+            for k in met:
+                if owner[k] != own and hits.at[k] > place:
+                    total += hits.sign[k]
             around[line] = total
     return around

@@ -84,7 +84,10 @@ def distinct(rows: Array) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
 
 @njit(cache=True, nogil=True)
 def pointed(faces: Faces) -> NDArray[np.bool_]:
-    """(m,)  which faces (m, 3) name a vertex twice; with or without them, a mesh is as closed"""
+    """(m,)  which faces name a vertex twice; with or without them, a mesh is as closed
+
+    faces  (m, 3)  vertex numbers
+    """
     twice = np.empty(len(faces), np.bool_)
     for k in range(len(faces)):
         a, b, c = faces[k]
@@ -182,7 +185,10 @@ def volumes_mm3(points: Array, faces: NDArray[np.int32], body: NDArray[np.int32]
 
 @njit(cache=True, nogil=True)
 def named(faces: Faces, count: int) -> NDArray[np.bool_]:
-    """(count,)  which vertices a face (m, 3) has"""
+    """(count,)  which vertices some face has
+
+    faces  (m, 3)  vertex numbers
+    """
     marks = np.zeros(count, np.bool_)
     for k in range(len(faces)):
         for corner in range(3):
@@ -191,7 +197,12 @@ def named(faces: Faces, count: int) -> NDArray[np.bool_]:
 
 
 def used(points: Array, faces: Faces) -> tuple[Array, Faces]:
-    """Points (n, 3), mm, without those that no face (m, 3) has, and the faces by their new numbers."""
+    """A mesh without the vertices that no face has.
+
+    points   (n, 3)  mm
+    faces    (m, 3)  vertex numbers
+    returns  (k, 3) points and (m, 3) faces by their new numbers
+    """
     marks = named(faces, len(points))
     if marks.all():
         return points, faces
