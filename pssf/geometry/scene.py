@@ -101,11 +101,7 @@ class Scene:
         object.__setattr__(self, "ambient", ambient)
         object.__setattr__(self, "size_mm", _span_of(size_mm))
         if not self.surfaces:
-<<<<<<< HEAD
-            raise InputError("surfaces = 0 of a scene; allowed: 1 or more")
-=======
             raise InputError("scene: surfaces = () has 0 surfaces; allowed: 1 or more")
->>>>>>> rays
         for surface in self.surfaces:
             if not isinstance(surface, Surface):
                 raise InputError(f"scene: {reprlib.repr(surface)} among the surfaces; allowed: Surface")
