@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -16,6 +17,14 @@ from ..raycast.sheets import BAND_ROWS, sheet_of
 # So far away that columns of voxels are parallel to 1e-5 of a voxel.
 _FAR_MM = 1e7
 _MOST_VOXELS = 30_000_000
+
+
+class _Crossed(NamedTuple):
+    """Crossings of columns of voxels with a surface: where each column's start, depth and sign, as in `Crossings`."""
+
+    starts: NDArray[np.int64]
+    depth: Array
+    sign: NDArray[np.int8]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,19 +100,17 @@ def _filled(scene: Scene, origin: Array, size: Array, number: NDArray[np.int64])
         for sheet, surface in zip(sheets, scene.surfaces, strict=True):
             top, bottom = max(first, sheet.rows[0]), min(stop, sheet.rows[1])
             if top < bottom and surface.inside != surface.outside:
-                found = crossings(sheet, top, bottom)
-                window = np.array([top - first, *found.window[1:]])
+                crossed = crossings(sheet, top, bottom)
+                window = np.array([top - first, *crossed.window[1:]])
                 inside, outside = (counts[names.index(name)] for name in (surface.inside, surface.outside))
-                _count(found.starts, found.depth, found.sign, window, scale, number[1], inside, outside)
+                _count(_Crossed(crossed.starts, crossed.depth, crossed.sign), window, scale, number[1], inside, outside)
         index[first:stop] = counts.argmax(axis=0)
     return index
 
 
 @njit(cache=True, nogil=True)
 def _count(
-    starts: NDArray[np.int64],
-    depth: Array,
-    sign: NDArray[np.int8],
+    crossed: _Crossed,
     window: NDArray[np.int64],
     scale: float,
     voxels: int,
@@ -111,6 +118,7 @@ def _count(
     outside: NDArray[np.int8],
 ) -> None:
     """Add one to `inside` (rows, x, y) and take one from `outside` where a voxel's centre is within a surface."""
+    starts, depth, sign = crossed
     for pixel in range(len(starts) - 1):
         row, col = window[0] + pixel // window[3], window[1] + pixel % window[3]
         for k in range(starts[pixel], starts[pixel + 1]):
