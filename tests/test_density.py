@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from pssf import InputError, PlaneWaves
-from pssf.geometry.density import Density
+from pssf.geometry.density import Density, integrated
 
 part = st.floats(-3, 3)
 
@@ -42,5 +42,43 @@ def test_integrals_of_two_parts_add_up_to_that_of_the_whole():
 def test_waves_that_do_not_match_or_are_not_finite_are_refused():
     with pytest.raises(InputError, match=r"plane waves: \(2, 1, 1\) amplitudes"):
         PlaneWaves(amplitudes=(1.0, 2.0), waves_per_mm=((1.0, 0.0, 0.0),), phases=(0.0,))
-    with pytest.raises(InputError, match="not finite"):
+    with pytest.raises(InputError, match="plane waves: nan is not finite"):
         PlaneWaves(mean=float("nan"))
+    with pytest.raises(InputError, match=r"plane waves: a wave of 2 parts, \(1.0, 0.0\); allowed: three"):
+        PlaneWaves(amplitudes=(1.0,), waves_per_mm=((1.0, 0.0),), phases=(0.0,))
+
+
+class Any:
+    """Gives whatever it was made with."""
+
+    def __init__(self, given):
+        self.integrate = lambda starts_mm, ends_mm: given
+
+
+STARTS, ENDS = np.zeros((3, 3)), np.full((3, 3), 2.0)
+
+
+@pytest.mark.parametrize(
+    ("given", "why"),
+    [
+        (3.0, "gave 3.0; allowed"),
+        (None, "gave None; allowed"),
+        ("much", "gave 'much'; allowed"),
+        (np.ones((3, 1)), r"gave float64 of shape \(3, 1\)"),
+        (np.ones(4), r"gave float64 of shape \(4,\)"),
+        (np.ones(3, complex), r"gave complex128 of shape \(3,\)"),
+        (["1", "2", "3"], r"gave <U1 of shape \(3,\)"),
+        ([[1.0], [1.0, 2.0], []], r"gave object of shape"),
+        ([1.0, np.nan, np.nan], r"gave nan for 2 segments, first from \(0, 0, 0\) to \(2, 2, 2\) mm"),
+        ([1.0, 2.0, -np.inf], "gave -inf for 1 segments"),
+    ],
+)
+def test_a_density_that_does_not_give_one_finite_number_a_segment_is_refused(given, why):
+    with pytest.raises(InputError, match=rf"^Any.integrate {why}") as error:
+        integrated(Any(given), STARTS, ENDS)
+    assert str(error.value).endswith("; allowed: (3,) finite numbers, mm, one a segment")
+
+
+@pytest.mark.parametrize("given", [[1, 2, 3], (1.0, 2.0, 3.0), np.array([1, 2, 3], np.float32)])
+def test_any_three_numbers_serve_for_three_segments(given):
+    assert_allclose(integrated(Any(given), STARTS, ENDS), [1, 2, 3])

@@ -307,6 +307,27 @@ def test_a_cavity_is_empty_and_several_bodies_add_up(engine):
     assert_allclose(path(mesh, towards(), engine), expected, rtol=0, atol=3 * BOUND_MM[engine])
 
 
+@pytest.mark.parametrize("first", [0, 9, 11])
+def test_a_hole_flush_with_a_wall_is_empty_whichever_of_its_faces_comes_first(engine, first):
+    outer, hole = box(40, 40, 40), box(10, 10, 10, at=(15.0, 0.0, 0.0))
+    faces = np.vstack((outer.faces, np.roll(hole.faces[:, ::-1], -first, axis=0) + 8))
+    mesh = trimesh.Trimesh(np.vstack((outer.vertices, hole.vertices)), faces, process=False)
+    expected = convex_chord(outer, towards()) - convex_chord(hole, towards())
+    assert_allclose(path(mesh, towards(), engine), expected, rtol=0, atol=2 * BOUND_MM[engine])
+
+
+@pytest.mark.parametrize("way", ["indexed", "side by side"])
+def test_a_mesh_given_twice_is_met_once_with_a_notice(engine, way):
+    mesh = ball(30.0)
+    if way == "indexed":
+        twice = trimesh.Trimesh(mesh.vertices, np.vstack((mesh.faces, mesh.faces)), process=False)
+    else:
+        twice = trimesh.util.concatenate([mesh, mesh])
+    with pytest.warns(UserWarning, match="thing: faces that stand twice: 1280, first 1280, 1281, 1282, ...; left out"):
+        chord = path(twice, towards(), engine)
+    assert_allclose(chord, convex_chord(mesh, towards()), rtol=0, atol=BOUND_MM[engine])
+
+
 def test_triangle_soup_as_stl_gives_it_is_welded(engine):
     mesh = ball(30.0)
     soup = trimesh.Trimesh(mesh.triangles.reshape(-1, 3), np.arange(3 * 1280).reshape(-1, 3), process=False)

@@ -372,8 +372,57 @@ def test_signs_add_up_to_zero_on_every_row_of_a_scanned_surface():
         assert not scanline.windings(sheet, row, row + 1).any()
 
 
+class Broken:
+    """A density that gives no number."""
+
+    def integrate(self, starts_mm, ends_mm):
+        return np.full(len(starts_mm), np.nan)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_density_that_gives_no_number_is_refused_with_its_surfaces(engine):
+    broken = Broken()
+    shell = Surface(ball(30.0), "water", "air", "shell", inside_density=broken)
+    core = Surface(ball(20.0), "muscle", "water", "core", outside_density=broken)
+    with pytest.raises(InputError, match=r"^shell(, core)?: density of water: Broken.integrate gave nan for \d+ segments"):
+        trace(Scene([shell, core]), detector(), engine=engine)
+    assert trace(Scene([shell, core]), detector(), engine=engine, texture=False).path_mm["water"].max() > 10
+
+
+def test_paths_know_their_scene_and_are_compared_and_printed_without_their_arrays():
+    scene = alone(ball(30.0))
+    paths, again = (trace(scene, detector()) for _ in range(2))
+    assert paths.scene is scene
+    assert paths == again
+    assert hash(paths) == hash(again)
+    assert paths != trace(alone(ball(30.0)), detector())
+    assert paths != trace(scene, detector(rows=95))
+    assert paths != trace(scene, detector(), materials=["air", "water"])
+    other = replace(paths, path_mm={"water": paths.path_mm["water"] + 1})
+    assert paths != other
+    assert paths != "paths"
+    assert repr(paths).startswith("Paths(water: (96, 80) mm, Audit(rays=")
+    assert "array" not in repr(paths)
+
+
+def test_a_scene_of_a_thousand_surfaces_and_more_is_cast_by_embree():
+    mesh = trimesh.creation.icosahedron()
+    mesh.apply_scale(30.0)
+    surfaces = [Surface(mesh, "water", "water", f"number {k}") for k in range(1500)]
+    scene = Scene([Surface(mesh, "water", "air"), *surfaces])
+    paths = trace(scene, detector(rows=2, cols=2, pixel_mm=3.0))
+    assert_allclose(paths.path_mm["water"], convex_chord(mesh, view_of(detector(2, 2, 3.0))), rtol=0, atol=1e-5)
+
+
 def test_unknown_engines_materials_and_workers_are_refused():
     scene = alone(ball(10.0))
+    for materials, why in (("water", "'water'; allowed: a list of air, water"), (3, "3; allowed: a list of")):
+        with pytest.raises(InputError, match=f"materials = {why}"):
+            trace(scene, detector(), materials=materials)
+    with pytest.raises(InputError, match=r"material = \['water'\]; allowed: air, water"):
+        trace(scene, detector(), materials=[["water"]])
+    with pytest.raises(InputError, match="texture = 'none'; allowed: True, False"):
+        trace(scene, detector(), texture="none")
     with pytest.raises(InputError, match=r"engine = 'embre'; allowed: .* \(did you mean 'embree'\?\)"):
         trace(scene, detector(), engine="embre")
     with pytest.raises(InputError, match="material = 'watre'; allowed: air, water"):

@@ -1,12 +1,16 @@
 """Meshes as people have them: what is mended, and what is refused by name, count and place."""
 
+import warnings
+
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
 
 from pssf.core.checks import InputError
 from pssf.geometry.repair import repair, require_sound
-from pssf.geometry.topology import edge_sum, volumes_mm3
+from pssf.geometry.topology import distinct, edge_sum, volumes_mm3
 
 BOX = trimesh.creation.box(extents=(10, 20, 30))
 POINTS, FACES = np.array(BOX.vertices), np.array(BOX.faces)
@@ -75,6 +79,99 @@ def test_one_body_of_several_that_is_inside_out_is_turned():
 def test_two_boxes_that_share_a_face_within_one_mesh_are_closed():
     twice = np.vstack((POINTS, POINTS + np.array((10, 0, 0))))
     mended(twice, np.vstack((FACES, FACES + 8)), volume_mm3=12000)
+
+
+def soup(points, faces):
+    """The same triangles, each with corners of its own."""
+    return np.asarray(points)[faces].reshape(-1, 3), np.arange(3 * len(faces)).reshape(-1, 3)
+
+
+def side_by_side(*meshes):
+    """Meshes as one, their vertices one after the other."""
+    return _one([(np.array(mesh.vertices), np.array(mesh.faces)) for mesh in meshes])
+
+
+def _one(parts):
+    before = np.cumsum([0] + [len(points) for points, _ in parts])
+    faces = [faces + first for (_, faces), first in zip(parts, before[:-1], strict=True)]
+    return np.vstack([points for points, _ in parts]), np.vstack(faces)
+
+
+WAYS = {
+    "indexed": lambda points, faces, times: (points, np.vstack(times * [faces])),
+    "side by side": lambda points, faces, times: _one(times * [(points, faces)]),
+    "as soup": lambda points, faces, times: soup(points, np.vstack(times * [faces])),
+}
+BODIES = {
+    "a ball": trimesh.creation.icosphere(2, 15.0),
+    "a ring": trimesh.creation.annulus(10, 20, 8, sections=24),
+    "two boxes apart": trimesh.util.concatenate([BOX, trimesh.creation.box(bounds=[[20, 0, 0], [30, 9, 7]])]),
+}
+
+
+@given(
+    body=st.sampled_from(sorted(BODIES)),
+    way=st.sampled_from(sorted(WAYS)),
+    times=st.integers(2, 4),
+    more=st.integers(0, 10),
+    seed=st.integers(0, 9),
+)
+def test_a_mesh_that_is_given_more_than_once_counts_once_however_it_is_given(body, way, times, more, seed):
+    points, faces = np.array(BODIES[body].vertices), np.array(BODIES[body].faces)
+    again, repeated = WAYS[way](points, faces, times)
+    repeated = np.vstack((repeated, repeated[:more]))
+    solid = repair(again, np.random.default_rng(seed).permutation(repeated), "thing")
+    assert len(solid.faces) == len(faces)
+    assert whole(solid.points, solid.faces) == pytest.approx(whole(points, faces))
+    twice = [fault for fault in solid.faults if fault.what == "faces that stand twice"]
+    assert [fault.count for fault in twice] == [(times - 1) * len(faces) + more]
+    require_sound(solid)
+
+
+def test_two_bodies_that_share_a_wall_wound_alike_keep_it_both():
+    # One within the other, and flush with it: the two faces of that wall are the same, and each body needs its own.
+    outer, inner = (trimesh.creation.box(bounds=[[0, 0, 0], [9, 9, depth]]) for depth in (9, 4))
+    mended(*side_by_side(outer, inner), volume_mm3=9 * 9 * 13)
+
+
+@given(body=st.sampled_from(sorted(BODIES)), seed=st.integers(0, 10**6))
+def test_triangle_soup_bounds_what_the_indexed_mesh_bounds(body, seed):
+    points, faces = np.array(BODIES[body].vertices), np.array(BODIES[body].faces)
+    faces = np.random.default_rng(seed).permutation(faces)
+    indexed, welded = repair(points, faces, "thing"), repair(*soup(points, faces), "thing")
+    assert (indexed.points[indexed.faces] == welded.points[welded.faces]).all()
+
+
+def test_faces_with_two_equal_corners_are_left_out_of_a_closed_mesh_too_and_nothing_is_welded():
+    twice = np.vstack((POINTS, POINTS + np.array((10, 0, 0))))
+    faces = np.vstack((FACES, FACES + 8, [[3, 3, 3], [1, 1, 2]]))
+    line = "thing: faces with two equal corners: 2, first 24, 25; left out"
+    assert len(mended(twice, faces, line, volume_mm3=12000).points) == 16
+
+
+def test_unused_vertices_of_a_soup_are_dropped_before_equal_corners_are_sought():
+    points, faces = soup(POINTS, FACES)
+    points = np.vstack((np.full((50_000, 3), np.nan), points))
+    solid = mended(
+        points, faces + 50_000, "thing: corners equal to another: 28, first 50004, 50005, 50006, ...; welded"
+    )
+    assert set(solid.vertices) <= set(range(50_000, 50_036))
+
+
+def test_rows_that_are_no_numbers_are_one_row():
+    first, number = distinct(np.full((20_000, 3), np.nan))
+    assert (len(first), number.max()) == (1, 0)
+
+
+@pytest.mark.parametrize("size_mm", [1e-150, 1e60, 1e110, 1e200, 8e307])
+def test_no_size_is_too_large_or_too_small_to_be_read(size_mm):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert not repair(POINTS / 15 * size_mm, FACES, "thing").faults
+
+
+def test_a_mesh_that_takes_away_as_much_as_it_bounds_has_no_volume():
+    refused(*side_by_side(BOX, trimesh.Trimesh(POINTS, FACES[:, ::-1], process=False)), "mesh has no volume")
 
 
 def test_an_empty_mesh_is_refused():

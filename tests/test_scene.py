@@ -1,9 +1,12 @@
+import warnings
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import trimesh
 
-from pssf import InputError, MeshNotice, Scene, Surface, trace
-from pssf.geometry.scene import require_traceable
+from pssf import InputError, MeshNotice, PlaneWaves, Scene, Surface, check, trace
+from pssf.geometry.scene import require_traceable, scene_of
 from pssf.geometry.view import View
 
 VIEW = View(source_mm=(0.0, -900.0, 0.0), centre_mm=(0.0, 200.0, 0.0), rows=8, cols=8, pixel_mm=8.0)
@@ -50,6 +53,56 @@ def test_a_scene_of_a_size_that_is_likely_in_another_unit_is_refused_with_a_hint
 def test_a_size_that_is_allowed_explicitly_is_traced(across_mm):
     scene = alone(trimesh.creation.box(extents=3 * [across_mm]), size_mm=(0.0, np.inf))
     assert trace(scene, VIEW, precision="float64").audit.unrepaired == 0
+
+
+@pytest.mark.parametrize("across_mm", [1e60, 1e110, 1e200, 1e308])
+@pytest.mark.parametrize("size_mm", [(5.0, 3000.0), (0.0, np.inf)])
+def test_however_large_a_scene_is_its_size_is_refused_and_nothing_overflows(across_mm, size_mm):
+    box = trimesh.creation.box()
+    scene = alone(trimesh.Trimesh(box.vertices * across_mm, box.faces, process=False), size_mm=size_mm)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        (line,) = str(check(scene)).splitlines()
+    assert line.startswith(f"refused: scene: scene is {across_mm:.4g} mm across; allowed: ")
+    with pytest.raises(InputError, match="mm across"):
+        trace(scene, VIEW)
+
+
+@pytest.mark.parametrize("size_mm", [5.0, None, (5.0,), (5.0, 1.0), (-1.0, 5.0), (0.0, np.nan), ("5", "9"), "59"])
+def test_a_span_of_sizes_is_two_numbers(size_mm):
+    with pytest.raises(InputError, match=r"scene: size_mm.* = .*; allowed: "):
+        alone(trimesh.creation.box(), size_mm=size_mm)
+
+
+@pytest.mark.parametrize("surfaces", [None, 3, trimesh.creation.box(), [trimesh.creation.box()], "box"])
+def test_a_scene_is_made_of_surfaces(surfaces):
+    with pytest.raises(InputError, match=r"scene: .*; allowed: "):
+        Scene(surfaces)
+
+
+def test_a_scene_is_taken_as_it_is_or_from_what_carries_it_and_nothing_else_is_one():
+    scene = alone(trimesh.creation.box(extents=3 * [10]))
+    assert scene_of(scene) is scene_of(SimpleNamespace(scene=scene)) is scene
+    paths = trace(SimpleNamespace(scene=scene), VIEW)
+    assert paths.scene is scene
+    for thing in (None, "knee", [scene], scene.surfaces[0], SimpleNamespace(scene=3), trimesh.creation.box()):
+        with pytest.raises(InputError, match=r"^scene = .*; allowed: a Scene, or what build") as error:
+            trace(thing, VIEW)
+        assert "\n" not in str(error.value)
+        with pytest.raises(InputError, match=r"^scene = "):
+            check(thing)
+
+
+def test_neither_scene_nor_surface_prints_or_compares_what_it_is_made_of():
+    waves = PlaneWaves(amplitudes=(0.1,) * 500, waves_per_mm=((1.0, 2.0, 3.0),) * 500, phases=(0.0,) * 500)
+    box = trimesh.creation.box(extents=3 * [10])
+    surface = Surface(box, "water", "air", "thing", inside_density=waves)
+    text = "Surface('thing', inside='water', outside='air', 12 faces, inside_density=PlaneWaves)"
+    assert repr(surface) == text
+    assert repr(Scene([surface])) == f"Scene(surfaces=({text},), ambient='air', size_mm=(5.0, 3000.0))"
+    assert surface == surface
+    assert surface != Surface(box, "water", "air", "thing", inside_density=waves)
+    assert Scene([surface]) != Scene([surface])
 
 
 def test_a_mesh_that_was_mended_is_told_of():

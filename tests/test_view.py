@@ -2,12 +2,13 @@ import dataclasses
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from pssf import load_protocol
-from pssf.geometry.view import magnification, project, view_of
+from pssf import InputError, Scene, Surface, check, load_protocol, trace
+from pssf.geometry.view import View, magnification, project, view_of
 
 
 @given(angle=st.floats(-20, 20), sod=st.floats(900, 1000), gap=st.floats(10, 200))
@@ -34,3 +35,51 @@ def test_rows_run_distally_and_columns_towards_plus_x():
 
 def test_reference_magnifies_the_joint_plane_by_sdd_over_sod():
     assert magnification(view_of(load_protocol("reference"))) == pytest.approx(1150 / 950)
+
+
+GOOD = {"source_mm": (0.0, -900.0, 0.0), "centre_mm": (0.0, 200.0, 0.0), "rows": 9, "cols": 9, "pixel_mm": 9.0}
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "why"),
+    [
+        ("centre_mm", (0.0, -900.0, 0.0), "y of centre_mm less y of source_mm = 0.0 mm; allowed: 0.001 to"),
+        ("centre_mm", (0.0, -1000.0, 0.0), "y of centre_mm less y of source_mm = -100.0 mm"),
+        ("source_mm", (float("nan"), -900.0, 0.0), "x of source_mm = nan mm"),
+        ("source_mm", (0.0, -np.inf, 0.0), "y of source_mm = -inf mm"),
+        ("source_mm", (0.0, 0.0, 1e200), "z of source_mm = 1e"),
+        ("source_mm", (0.0, -900.0), r"source_mm = \(0.0, -900.0\); allowed: three numbers, mm"),
+        ("source_mm", None, "source_mm = None"),
+        ("source_mm", ("0", "1", "2"), "x of source_mm = '0'"),
+        ("centre_mm", "far", "centre_mm = 'far'"),
+        ("rows", 0, "rows = 0 pixels; allowed: whole numbers from 1"),
+        ("rows", 2.5, "rows = 2.5"),
+        ("cols", -3, "cols = -3"),
+        ("cols", True, "cols = True"),
+        ("pixel_mm", 0.0, "pixel_mm = 0.0 mm"),
+        ("pixel_mm", -1.0, "pixel_mm = -1.0"),
+        ("pixel_mm", float("nan"), "pixel_mm = nan"),
+        ("pixel_mm", None, "pixel_mm = None"),
+    ],
+)
+def test_a_view_that_is_none_is_refused(field, value, why):
+    with pytest.raises(InputError, match=f"^view: {why}"):
+        View(**{**GOOD, field: value})
+
+
+def test_a_view_takes_places_as_lists_and_arrays_and_keeps_them_as_numbers():
+    lists = View(**{**GOOD, "source_mm": [0, -900, 0], "centre_mm": np.array([0.0, 200.0, 0.0])})
+    assert lists == View(**GOOD)
+    assert hash(lists) == hash(View(**GOOD))
+    assert {type(part) for part in (*lists.source_mm, *lists.centre_mm)} == {float}
+
+
+def test_a_protocol_has_a_view_a_view_is_its_own_and_nothing_else_has_one():
+    assert view_of(View(**GOOD)) == View(**GOOD)
+    scene = Scene([Surface(trimesh.creation.box(extents=3 * [10]), "water", "air")])
+    for thing in ("reference", None, {"sdd_mm": 1150}, scene):
+        for see in (view_of, lambda what: trace(scene, what)):
+            with pytest.raises(InputError, match=r"^protocol = .*; allowed: a Protocol, as load_protocol gives it"):
+                see(thing)
+    with pytest.raises(InputError, match=r"^protocol = 'reference'"):
+        check(scene, "reference")

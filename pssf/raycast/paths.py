@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 from ..geometry.scene import Scene
 from ..geometry.view import View
 
-# As much less than nothing as a path may be, mm. A closed mesh with microscopic folds has some: a ray at its outline
-# that meets a fold alone goes through it backwards. Folds of scanned bones are 0.001 to 0.002 mm deep; a third of a
-# pixel is far more, and still changes what passes bone by 0.4 % at 50 keV.
+# As much less than nothing as a path may be, mm. A closed mesh with microscopic folds has such paths: a ray at its
+# outline that meets a fold alone goes through it backwards. Of 154 closed meshes of bones and menisci made from scans
+# (Clouthier 2019, Lenhart 2015) one has folds, 0.0008 mm deep, and rays aimed along one of them came to -0.034 mm.
+# A third of a pixel is more than that, and changes what passes bone by 0.4 % at 50 keV. Meshes that differ by less, as
+# where tissues share a wall, do not contradict each other either.
 FOLD_MM = 0.05
 
 

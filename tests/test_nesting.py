@@ -1,0 +1,99 @@
+"""Cavities and bodies that are inside out, told apart whatever the order of the faces."""
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pssf.geometry.repair import repair
+from pssf.geometry.topology import volumes_mm3
+
+ONE = "thing: a body that is no cavity is inside out; faces: 12; turned outward"
+
+
+def box(side_mm, *at_mm):
+    mesh = trimesh.creation.box(3 * [side_mm])
+    mesh.apply_translation(at_mm or (0, 0, 0))
+    return mesh
+
+
+def inverted(*meshes):
+    mesh = trimesh.util.concatenate(meshes)
+    mesh.invert()
+    return mesh
+
+
+# Bodies of one mesh -> its volume, and what is said of it.
+SCENES = {
+    "a hole flush with a side": ([box(40), inverted(box(10, 15, 0, 0))], 63000, []),
+    "a hole flush with a corner": ([box(40), inverted(box(10, 15, 15, 15))], 63000, []),
+    "a hole that sticks out by half": ([box(40), inverted(box(10, 20, 0, 0))], 63000, []),
+    "a box beside it, inside out": ([box(40), inverted(box(10, 25, 0, 0))], 65000, [ONE]),
+    "a box that is hardly within it, inside out": ([box(40), inverted(box(10, 24, 0, 0))], 65000, [ONE]),
+    "a hole and an island in it": ([box(40), inverted(box(30)), box(10)], 38000, []),
+    "a hole and an island in it, inside out": ([box(40), inverted(box(30)), inverted(box(10))], 38000, [ONE]),
+    "a hollow box apart, its outside inside out": (
+        [box(40), inverted(box(10, 90, 0, 0)), inverted(box(5, 90, 0, 0))], 64875, [ONE]
+    ),
+    "a hollow box apart, wholly inside out": (
+        [box(40), inverted(box(10, 90, 0, 0), inverted(box(5, 90, 0, 0)))],
+        64875,
+        ["thing: 2 bodies that are no cavities are inside out; faces: 24; turned outward"],
+    ),
+    "as large a box beside it, inside out": ([box(40), inverted(box(40, 50, 0, 0))], 128000, [ONE]),
+    "all of it inside out": (
+        [inverted(box(40)), box(10)], 63000, ["thing: mesh is inside out; faces: 24; turned outward"]
+    ),
+    "a hole thinner than any rounding shows": (
+        [box(40), inverted(trimesh.creation.box(bounds=[[-20, -5, -5], [-20 + 1e-6, 5, 5]]))], 64000 - 1e-4, []
+    ),
+}  # fmt: skip
+
+
+@given(
+    scene=st.sampled_from(sorted(SCENES)),
+    seed=st.integers(0, 10**6),
+    turn=st.floats(-180, 180),
+    scale=st.sampled_from([1e-9, 1.0, 1e6]),
+    away_mm=st.sampled_from([0.0, 1e3]),
+)
+def test_what_is_a_cavity_hangs_on_no_order_of_faces_or_vertices_and_on_no_place(scene, seed, turn, scale, away_mm):
+    meshes, volume_mm3, lines = SCENES[scene]
+    mesh, rng = trimesh.util.concatenate(meshes), np.random.default_rng(seed)
+    mesh.apply_transform(trimesh.transformations.rotation_matrix(np.deg2rad(turn), [1, 2, 3]))
+    order = rng.permutation(len(mesh.vertices))
+    faces = rng.permutation(np.argsort(order)[np.array(mesh.faces)])
+    solid = repair((np.array(mesh.vertices)[order] + away_mm) * scale, np.roll(faces, rng.integers(3), axis=1), "thing")
+    assert [str(fault) for fault in solid.faults] == lines
+    assert volume(solid) / scale**3 == pytest.approx(volume_mm3, rel=1e-9)
+
+
+def volume(solid):
+    return float(volumes_mm3(solid.points, solid.faces, np.zeros(len(solid.points), np.int32), 1)[0])
+
+
+OCTAHEDRON = trimesh.convex.convex_hull(0.3 * np.vstack((np.eye(3), -np.eye(3))))
+
+
+def porous(number, at_mm):
+    """A block of 64 mm, and octahedra wound inwards on a grid of 60 mm around a place."""
+    side = int(np.ceil(number ** (1 / 3)))
+    grid = (np.stack(np.unravel_index(np.arange(number), 3 * [side]), 1) - (side - 1) / 2) * (60 / side) + at_mm
+    block = trimesh.creation.box(3 * [64])
+    points = (grid[:, None] + OCTAHEDRON.vertices).reshape(-1, 3)
+    faces = (OCTAHEDRON.faces[:, ::-1] + 6 * np.arange(number)[:, None, None]).reshape(-1, 3)
+    return np.vstack((block.vertices, points)), np.vstack((block.faces, faces + 8))
+
+
+def test_thousands_of_cavities_stay_cavities():
+    solid = repair(*porous(8000, (0, 0, 0)), "thing")
+    assert not solid.faults
+    assert volume(solid) == pytest.approx(64**3 - 8000 * OCTAHEDRON.volume)
+
+
+def test_thousands_of_bodies_inside_out_are_turned_with_one_notice():
+    solid = repair(*porous(8000, (100, 0, 0)), "thing")
+    line = "thing: 8000 bodies that are no cavities are inside out; faces: 64000; turned outward"
+    assert [str(fault) for fault in solid.faults] == [line]
+    assert volume(solid) == pytest.approx(64**3 + 8000 * OCTAHEDRON.volume)
