@@ -1,6 +1,6 @@
 """The ray caster beside gVirtualXray (gvxr), which has OpenGL draw the triangles: path lengths and an X-ray image.
 
-Skipped unless gvxr is installed and an OpenGL context can be had, without a GPU too. tests/README.md has what to install.
+Skipped unless gvxr is installed and an OpenGL context can be had, without a GPU too; tests/README.md says how.
 
 Both see the same polyhedra. gvxr 2.1 is known to be wrong in three ways, in that order of size:
 - A triangle seen edge-on: OpenGL moves corners to 1/256 of a pixel, and what is left of the triangle is extrapolated to

@@ -384,7 +384,8 @@ def test_a_density_that_gives_no_number_is_refused_with_its_surfaces(engine):
     broken = Broken()
     shell = Surface(ball(30.0), "water", "air", "shell", inside_density=broken)
     core = Surface(ball(20.0), "muscle", "water", "core", outside_density=broken)
-    with pytest.raises(InputError, match=r"^shell(, core)?: density of water: Broken.integrate gave nan for \d+ segments"):
+    gave_nan = r"^shell(, core)?: density of water: Broken.integrate gave nan for \d+ segments"
+    with pytest.raises(InputError, match=gave_nan):
         trace(Scene([shell, core]), detector(), engine=engine)
     assert trace(Scene([shell, core]), detector(), engine=engine, texture=False).path_mm["water"].max() > 10
 

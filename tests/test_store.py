@@ -41,19 +41,21 @@ def test_arrays_are_made_once_and_come_back_bit_for_bit(folder):
     assert len(list(folder.iterdir())) == 1
 
 
-def test_a_change_of_code_or_library_makes_them_anew_and_takes_the_old_ones_away(folder, tmp_path, monkeypatch):
+def test_a_change_of_code_or_library_makes_them_anew_and_few_versions_are_kept(folder, tmp_path, monkeypatch):
     make, calls = counted()
     store.kept("thing", ORIGIN, make)
     package = tmp_path / "package"
     (package / "core").mkdir(parents=True)
-    (package / "core" / "checks.py").write_text("changed = True\n")
     monkeypatch.setattr(code, "ROOT", package)
-    forget()
-    store.kept("thing", ORIGIN, make)
+    for version in range(7):
+        (package / "core" / "checks.py").write_text(f"version = {version}\n")
+        forget()
+        store.kept("thing", ORIGIN, make)
+        store.kept("thing", ORIGIN, make)
     store.kept("thing", store.Origin(sources=("core",), libraries=("numpy", "scipy")), make)
     forget()
-    assert len(calls) == 3
-    assert len(list(folder.glob("thing-*"))) == 1
+    assert len(calls) == 9
+    assert len(list(folder.glob("thing-*"))) == 4
 
 
 def test_a_damaged_file_a_folder_that_cannot_be_written_and_off_cost_time_alone(folder, monkeypatch):

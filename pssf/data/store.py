@@ -25,6 +25,10 @@ from .code import code_digest
 Arrays = Mapping[str, NDArray[Any]]
 
 
+# Files kept of one thing, by different versions of what makes it.
+_VERSIONS = 4
+
+
 @dataclass(frozen=True, kw_only=True)
 class Origin:
     """What arrays are made by: when any of it changes, they are made anew.
@@ -52,9 +56,10 @@ def kept(name: str, origin: Origin, make: Callable[[], Arrays]) -> Arrays:
     arrays = make()
     with suppress(OSError):
         _write(path, arrays)
-        for stale in folder.glob(f"{name}-*.npz"):
-            if stale != path:
-                stale.unlink()
+        # Versions of the package that live side by side do not take each other's away.
+        by_age = sorted(folder.glob(f"{name}-*.npz"), key=lambda file: file.stat().st_mtime, reverse=True)
+        for stale in by_age[_VERSIONS:]:
+            stale.unlink()
     return arrays
 
 
