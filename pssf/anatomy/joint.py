@@ -1,5 +1,6 @@
 """The joint: places the femur over the tibia so that the projected joint spaces are what the knee asks for."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,8 +12,11 @@ from ..geometry.view import View, magnification, project
 from ..model.knee import Knee
 from .bones import Build, build_of, grown_femur, grown_tibia, stand_femur, stand_tibia, standing
 from .contours import measure_gap
+from .femur import mean_femur
+from .mean_bone import MeanBone
 from .osteophytes import BoneWithOsteophytes
 from .solids import edges_of, mesh_of
+from .tibia import mean_tibia
 
 _TOLERANCE_MM = 1e-4
 
@@ -105,6 +109,9 @@ def assemble(knee: Knee, shape: BoneShape, reference: View) -> KneeAssembly:
     raises     InputError if the joint spaces cannot be met
     """
     build = build_of(knee, shape)
+    # The first knee after an installation waits seconds for both; they need not wait for each other.
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(MeanBone.prepare, (mean_femur(shape.femur), mean_tibia(shape.tibia))))
     femur, tibia = grown_femur(build, knee.osteophytes), grown_tibia(build, knee.osteophytes)
     pose = solve_pose(knee, build, femur.outer, standing(tibia.outer, build), reference)
     # The femur's tilt closes the joint; its shaft gives that tilt back, so that varus_deg is the angle of the shafts.

@@ -43,6 +43,10 @@ class MeanBone:
         """Its outer solid with the fewer triangles of an inner surface."""
         return self._solids[1]
 
+    def prepare(self) -> None:
+        """Make its solids now, or read them, where that is still to be done."""
+        _ = self._solids
+
     def meshed(self, tolerance_mm: float) -> Manifold:
         """Its outer solid within another tolerance; made anew at every call."""
         return checked(mesh_bone(self.rough(), self.field, self.edge_mm, (tolerance_mm,))[0], self.name)
