@@ -72,9 +72,12 @@ def why_negative(scene: Scene, view: View, material: str, row: int, col: int) ->
     pixel = (x + col * view.pixel_mm, y, z - row * view.pixel_mm)
     ray = View(source_mm=view.source_mm, centre_mm=pixel, rows=1, cols=1, pixel_mm=view.pixel_mm)
     reasons = [f"{what.surface}: {what}" for what in contradictions(scene, ray)]
-    concerned = {s.name for s in scene.surfaces if material in (s.inside, s.outside)}
-    for name in folded(scene, ray).keys() & concerned:
-        reasons.append(f"{name}: its mesh overlaps itself or is folded inside out there")
-    if not reasons and (path := least_paths(scene, ray).get(material)) and path.mm >= -FOLD_MM:
+    concerned = [s for s in scene.surfaces if material in (s.inside, s.outside)]
+    self_crossing = folded(scene, ray)
+    for surface in concerned:
+        if surface.name in self_crossing:
+            reasons.append(f"{surface.name}: its mesh overlaps itself or is folded inside out there")
+    varying = any(s.inside_density if s.inside == material else s.outside_density for s in concerned)
+    if not reasons and varying:
         reasons = ["a density integrates to less than 0"]
     return "; ".join(reasons) or "a surface has it outside where it is not, or two surfaces overlap"
