@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from test_negative import folded_plate
 
-from pssf import InputError, Knee, Scene, Surface, build, check, load_protocol, trace
+from pssf import InputError, Knee, Scene, Surface, build, check, load_protocol, simulate, trace
 
 PROTOCOL = dataclasses.replace(load_protocol("reference"), rows=64, cols=64, pixel_mm=5.0)
 
@@ -177,7 +177,7 @@ def test_a_surface_that_names_what_does_not_surround_it_is_refused_as_trace_refu
     depth_mm=st.sampled_from([0.002, 0.03, 0.06, 0.2, 5.0]), engine=st.sampled_from(["embree", "scanline"]),
     side=st.sampled_from([1, -1]),
 )  # fmt: skip
-def test_what_check_accepts_in_a_view_trace_makes_and_what_it_refuses_trace_refuses(depth_mm, engine, side):
+def test_what_check_accepts_in_a_view_is_simulated_and_what_it_refuses_trace_refuses(depth_mm, engine, side):
     scene = Scene([Surface(folded_plate(depth_mm, side), "cortical_bone", "air", "plate")])
     report = check(scene, FINE)
     assert report.ok == (depth_mm < 0.05)
@@ -185,6 +185,7 @@ def test_what_check_accepts_in_a_view_trace_makes_and_what_it_refuses_trace_refu
         paths = trace(scene, FINE, engine=engine)
         assert paths.path_mm["cortical_bone"].min() == pytest.approx(-depth_mm, rel=0.01)
         assert "noted: cortical_bone: path length comes out negative, but no further than -0.0" in str(report)
+        assert simulate(scene, FINE, engine=engine, paths=paths).pixels.min() > 0
     else:
         with pytest.raises(InputError, match=r"^cortical_bone: path length -.*: plate: its mesh overlaps itself or is"):
             trace(scene, FINE, engine=engine)

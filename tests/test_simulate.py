@@ -121,7 +121,7 @@ def test_a_knee_drawn_and_taken_twice_has_one_digest(small):
 
 def test_a_surface_outside_of_which_its_material_is_not_is_refused(small):
     box = trimesh.creation.box(extents=(40, 40, 40))
-    with pytest.raises(pssf.InputError, match=r"muscle: path length -\d+.* mm \(.*; allowed: 0 mm or more"):
+    with pytest.raises(pssf.InputError, match=r"muscle: path length -\d+.* mm at pixel .*: outside is muscle, but"):
         pssf.simulate(pssf.Scene([pssf.Surface(box, inside="cortical_bone", outside="muscle")]), small)
 
 
