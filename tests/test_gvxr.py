@@ -191,7 +191,7 @@ def test_gvxr_sees_the_same_bone_but_for_the_bend_of_its_triangles(knee_scene, n
 def test_gvxr_draws_nearer_with_the_square_of_its_edges(knee_scene):
     whole = bone(knee_scene, "femur")
     # With triangles long enough for the bend to stand above rounding.
-    mesh = mesh_of(solid_of(np.array(whole.vertices), np.array(whole.faces), "femur").simplify(0.2))
+    mesh = mesh_of(solid_of(np.array(whole.vertices), np.array(whole.faces), "femur").simplify(0.2)).as_trimesh()
     ours = ours_mm(mesh)
     off = [np.percentile(abs(theirs_mm(split_edges(mesh, times)) - ours)[ours > 0], 99.9) for times in range(4)]
     assert 0.1 < off[0] < bend_mm(mesh)

@@ -35,7 +35,7 @@ def test_a_column_is_as_deep_as_its_smaller_half_on_its_axis():
 
 def outwardness(solid, field) -> np.ndarray:
     """(triangles,) cosine between a triangle's normal and the field's gradient, where shafts are not cut off"""
-    mesh = mesh_of(solid)
+    mesh = mesh_of(solid).as_trimesh()
     middle = np.asarray(mesh.triangles_center)
     slope = implicit.gradient(field, middle, field(middle))
     cosine = (np.asarray(mesh.face_normals) * slope).sum(axis=1) / np.maximum(np.linalg.norm(slope, axis=1), 1e-9)

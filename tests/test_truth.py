@@ -66,7 +66,7 @@ def test_the_mask_of_an_osteophyte_reaches_beyond_the_edge_by_its_size(grown):
 def test_masks_of_a_left_knee_mirror_those_of_a_right_one(grown):
     left = dataclasses.replace(grown.knee, side="left")
     for site, mesh in pssf.build(left).osteophytes().items():
-        assert mesh.volume > 0
+        assert mesh.as_trimesh().volume > 0
         seen = raycast.shadow(mesh, grown.protocol)
         assert (seen[:, ::-1] == grown.truth.masks[f"{site}_osteophyte"]).mean() > 0.9999
 

@@ -52,7 +52,7 @@ def measured(knee: Knee) -> Sizes:
     bare = replace(knee, osteophytes=(), rotation_deg=0.0, flexion_deg=0.0, side="right")
     built, meshes = build(bare), dict[str, trimesh.Trimesh]()
     for name, bone in built.bones.items():
-        meshes |= {name: mesh_of(bone.outer), f"{name}_trabecular": mesh_of(bone.inner)}
+        meshes |= {name: mesh_of(bone.outer).as_trimesh(), f"{name}_trabecular": mesh_of(bone.inner).as_trimesh()}
     angle = _femorotibial_deg(meshes)
     return {
         **_femur(meshes, built.assembly),

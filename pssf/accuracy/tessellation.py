@@ -3,7 +3,6 @@
 from time import perf_counter
 
 import numpy as np
-import trimesh
 
 from ..anatomy.contours import envelope
 from ..anatomy.femur import mean_femur
@@ -12,6 +11,7 @@ from ..anatomy.solids import edges_of, mesh_of
 from ..anatomy.tibia import mean_tibia
 from ..core.checks import Array
 from ..data.bones import mean_shape
+from ..geometry.mesh import Mesh
 from ..geometry.view import magnification, project, view_of
 from ..model.protocol import load_protocol
 from .engines import Row
@@ -48,7 +48,7 @@ def tessellation_rows() -> list[Row]:
     return rows
 
 
-def _off_mm(coarse: trimesh.Trimesh, exact: trimesh.Trimesh, lowest: float) -> Array:
+def _off_mm(coarse: Mesh, exact: Mesh, lowest: float) -> Array:
     """Distances between two outlines, across them: at the joint from column to column, at the sides from row to row."""
     view = view_of(load_protocol("reference"))
     distances = []
@@ -65,6 +65,6 @@ def _off_mm(coarse: trimesh.Trimesh, exact: trimesh.Trimesh, lowest: float) -> A
     return np.concatenate(distances) / _FINER * view.pixel_mm / magnification(view)
 
 
-def _seen(mesh: trimesh.Trimesh, axis: int) -> Array:
+def _seen(mesh: Mesh, axis: int) -> Array:
     places = project(mesh.vertices, view_of(load_protocol("reference"))) * _FINER
     return places if axis == 0 else places[:, ::-1]

@@ -1,14 +1,15 @@
 """BuiltKnee: a knee, its solids as a scene, and its labels, as one object."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-import trimesh
 from manifold3d import Manifold
 
 from ..core.checks import Array, InputError
 from ..data.bones import mean_shape
 from ..data.spongy import TrabecularBone, trabecular_bone
+from ..geometry.density import Density
+from ..geometry.mesh import Mesh
 from ..geometry.scene import Scene, Surface
 from ..geometry.view import view_of
 from ..model.knee import Knee
@@ -45,13 +46,13 @@ class BuiltKnee:
         """Medial and lateral joint space measured on the projected contours, osteophytes and all."""
         return measured_jsw_mm(self.knee, self.assembly, self.scene, view_of(protocol))
 
-    def osteophytes(self) -> dict[str, trimesh.Trimesh]:
+    def osteophytes(self) -> dict[str, Mesh]:
         """Site -> what an osteophyte adds to its bone, in the knee frame, mm."""
         return osteophyte_meshes(self.knee, self.assembly)
 
-    def solids(self) -> dict[str, trimesh.Trimesh]:
+    def solids(self) -> dict[str, Mesh]:
         """Name -> mesh, mm, of each bone and each osteophyte: what a mask is made of."""
-        solids = {surface.name: surface.mesh for surface in self.scene.surfaces if surface.name in BONES}
+        solids = {surface.name: surface.arrays for surface in self.scene.surfaces if surface.name in BONES}
         return solids | {f"{site}_osteophyte": mesh for site, mesh in self.osteophytes().items()}
 
     def __repr__(self) -> str:
@@ -90,11 +91,11 @@ def _surfaces(
     for name, part in placed.items():
         density = _texture(knee, name, spongy_bone, shape.scale, pose.bone(name))
         surfaces.append(_surface(part.outer, "cortical_bone", "muscle", name, knee))
-        spongy = _surface(part.inner, "trabecular_bone", "cortical_bone", f"{name}_trabecular", knee)
-        surfaces.append(replace(spongy, inside_density=density))
+        spongy = ("trabecular_bone", "cortical_bone", f"{name}_trabecular")
+        surfaces.append(_surface(part.inner, *spongy, knee, inside_density=density))
         if part.canal is not None:
-            canal = _surface(part.canal, "marrow", "trabecular_bone", f"{name}_marrow", knee)
-            surfaces.append(replace(canal, outside_density=density))
+            canal = ("marrow", "trabecular_bone", f"{name}_marrow")
+            surfaces.append(_surface(part.canal, *canal, knee, outside_density=density))
     return surfaces
 
 
@@ -148,12 +149,12 @@ def _check_nesting(placed: dict[str, bones.Bone], muscle: Manifold) -> None:
                 raise InputError(f"{one} and {other} overlap by {shared:.3g} mm3 ({why}); allowed: 0 mm3")
 
 
-def _surface(solid: Manifold, inside: str, outside: str, name: str, knee: Knee) -> Surface:
-    return _sided(mesh_of(checked(solid, name)), inside, outside, name, knee)
+def _surface(solid: Manifold, inside: str, outside: str, name: str, knee: Knee, **densities: Density) -> Surface:
+    return _sided(mesh_of(checked(solid, name)), inside, outside, name, knee, **densities)
 
 
-def _sided(mesh: trimesh.Trimesh, inside: str, outside: str, name: str, knee: Knee) -> Surface:
+def _sided(mesh: Mesh, inside: str, outside: str, name: str, knee: Knee, **densities: Density) -> Surface:
     """The surface of a mesh, mirrored for a left knee."""
     if knee.side == "left":
-        mesh = trimesh.Trimesh(mesh.vertices * [-1.0, 1.0, 1.0], mesh.faces[:, ::-1], process=False)
-    return Surface(mesh, inside=inside, outside=outside, name=name)
+        mesh = Mesh(mesh.vertices * [-1.0, 1.0, 1.0], np.ascontiguousarray(mesh.faces[:, ::-1]))
+    return Surface(mesh, inside=inside, outside=outside, name=name, **densities)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from ..core.checks import Array
 from ..data.bones import BoneShape, Menisci, Meniscus
 from ..data.records import Pair
+from ..geometry.mesh import Indices
 from .femur import mean_femur
 from .implicit import Field, project_to_surface
 from .solids import dilate_rings, edges_of, loft, mesh_of, ring, solid_of
@@ -34,7 +35,7 @@ class Layer:
 
     bone: Array
     top: Array
-    faces: Array
+    faces: Indices
 
     def covered(self) -> Manifold:
         """The bone with its cartilage."""
@@ -129,7 +130,7 @@ def _layer(outer: Manifold, field: Field, zone: Field, full_mm: Field) -> Layer:
     return Layer(points, top, faces)
 
 
-def _room(points: Array, bearing: NDArray[np.int64], way: Array, faces: Array) -> Array:
+def _room(points: Array, bearing: NDArray[np.int64], way: Array, faces: Indices) -> Array:
     """(n,)  how thick a layer may be where the bone is hollow: half the radius in which the ways outward converge"""
     normals = np.zeros_like(points)
     normals[bearing] = way
@@ -143,7 +144,7 @@ def _room(points: Array, bearing: NDArray[np.int64], way: Array, faces: Array) -
     return np.maximum(0.5 / np.maximum(most[bearing], 1e-6), _THINNEST_MM)
 
 
-def _folded(bone: Array, top: Array, faces: Array) -> NDArray[np.int64]:
+def _folded(bone: Array, top: Array, faces: Indices) -> NDArray[np.int64]:
     """Vertices of triangles that a layer turns by more than 70 degrees, where a hollow is too tight for it."""
     moved = faces[(bone[faces] != top[faces]).any(axis=(1, 2))]
     below, above = (np.cross(p[moved[:, 1]] - p[moved[:, 0]], p[moved[:, 2]] - p[moved[:, 0]]) for p in (bone, top))
@@ -151,7 +152,7 @@ def _folded(bone: Array, top: Array, faces: Array) -> NDArray[np.int64]:
     return np.unique(moved[(below * above).sum(axis=1) < 0.34 * size])
 
 
-def _pinched(faces: Array, thick: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _pinched(faces: Indices, thick: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Vertices without thickness on an edge that has the layer on both sides: there it would touch itself."""
     chosen = faces[thick[faces].any(axis=1)]
     edges = np.sort(np.vstack((chosen[:, [0, 1]], chosen[:, [1, 2]], chosen[:, [2, 0]])), axis=1)

@@ -6,6 +6,7 @@ import numba
 import numpy as np
 
 from ..core.checks import Array
+from ..geometry.mesh import Indices
 from ..geometry.view import View, magnification, project
 
 # Fractions of the tibial half width between which the joint space is measured: clear of the spines and of the margins.
@@ -46,7 +47,7 @@ class Gap:
 
 
 def measure_gap(
-    femur: tuple[Array, Array], tibia: tuple[Array, Array], view: View, side_x: int, half_ml_mm: float
+    femur: tuple[Array, Indices], tibia: tuple[Array, Indices], view: View, side_x: int, half_ml_mm: float
 ) -> Gap:
     """The joint space of a compartment as a detector at `view` sees it.
 
@@ -64,7 +65,7 @@ def measure_gap(
     return Gap(columns, outline[0], outline[1], view.pixel_mm / magnification(view), float(first + last) / 2)
 
 
-def envelope(points_px: Array, edges: Array, first: int, count: int, lowest: float) -> Array:
+def envelope(points_px: Array, edges: Indices, first: int, count: int, lowest: float) -> Array:
     """(count,)  row of the outline of a projected mesh in columns from `first` on
 
     points_px  (n, 2)  its vertices
@@ -75,7 +76,7 @@ def envelope(points_px: Array, edges: Array, first: int, count: int, lowest: flo
 
 
 @numba.njit(cache=True, nogil=True)
-def _walk_edges(points: Array, edges: Array, first: int, count: int, lowest: float) -> Array:
+def _walk_edges(points: Array, edges: Indices, first: int, count: int, lowest: float) -> Array:
     """(count,)  largest lowest*row of any edge at each column; the contour of a polyhedron runs along its edges"""
     best = np.full(count, -np.inf)
     for k in range(edges.shape[0]):

@@ -8,6 +8,7 @@ from manifold3d import Manifold
 
 from ..core.checks import Array, InputError
 from ..data.bones import BoneShape
+from ..geometry.mesh import Indices
 from ..geometry.view import View, magnification, project
 from ..model.knee import Knee
 from .bones import Build, build_of, grown_femur, grown_tibia, stand_femur, stand_tibia, standing
@@ -157,14 +158,14 @@ def solve_pose(knee: Knee, build: Build, femur: Manifold, tibia: Manifold, view:
 _FEMUR_BELOW_MM, _TIBIA_ABOVE_MM = 24.0, -14.0
 
 
-def _lower(femur: Manifold, scale: float) -> tuple[Array, Array]:
+def _lower(femur: Manifold, scale: float) -> tuple[Array, Indices]:
     """Vertices and edges of the scaled femur's lower end."""
     mesh = mesh_of(femur)
     edges = edges_of(mesh.faces)
     return mesh.vertices * scale, edges[(mesh.vertices[edges, 2] < _FEMUR_BELOW_MM).any(axis=1)]
 
 
-def _upper(tibia: Manifold) -> tuple[Array, Array]:
+def _upper(tibia: Manifold) -> tuple[Array, Indices]:
     """Vertices and edges of the tibia's upper end."""
     mesh = mesh_of(tibia)
     edges = edges_of(mesh.faces)

@@ -7,9 +7,9 @@ import numpy as np
 from manifold3d import Manifold
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array, diags_array
-from trimesh.triangles import closest_point
 
 from ..core.checks import Array
+from ..geometry.mesh import Indices
 from .implicit import Field, gradient, lengths, project_to_surface, squares
 from .solids import dilate_rings, edges_of, mesh_of, solid_of, split_edges
 
@@ -79,7 +79,7 @@ def laplacian_smooth(
     return solid_of(places, faces, "evened")
 
 
-def neighbour_means(faces: Array, count: int) -> csr_array:
+def neighbour_means(faces: Indices, count: int) -> csr_array:
     """(count, count)  takes values at vertices to their means over those that share an edge with each
 
     faces  (m, 3)  vertex numbers
@@ -89,7 +89,7 @@ def neighbour_means(faces: Array, count: int) -> csr_array:
     return csr_array(diags_array(1.0 / beside.sum(axis=1)) @ beside)
 
 
-def _add_tip(places: Array, faces: Array, field: Field, tip: Array) -> tuple[Array, Array]:
+def _add_tip(places: Array, faces: Indices, field: Field, tip: Array) -> tuple[Array, Indices]:
     """Places and faces with a tip of the field's surface, where they cut it off.
 
     Edges about it are split_edges, then the triangle below it gets a vertex there.
@@ -107,8 +107,10 @@ def _add_tip(places: Array, faces: Array, field: Field, tip: Array) -> tuple[Arr
     return np.vstack((places, tip)), np.vstack((np.delete(faces, below, axis=0), pieces))
 
 
-def _below(places: Array, faces: Array, tip: Array) -> tuple[int, float]:
+def _below(places: Array, faces: Indices, tip: Array) -> tuple[int, float]:
     """The triangle that is nearest to a tip, and how far away it is."""
+    from trimesh.triangles import closest_point  # loading trimesh takes a second, and many knees have no tips
+
     about = np.flatnonzero(_within(tip, places[faces].mean(axis=1)))
     away = lengths(closest_point(places[faces[about]], np.repeat(tip[None], len(about), axis=0)) - tip)
     return int(about[away.argmin()]), float(away.min())
@@ -118,7 +120,7 @@ def _within(tip: Array, points: Array) -> NDArray[np.bool_]:
     return np.asarray(squares(points - tip) < _TIP_MM**2)
 
 
-def _fix_inverted_faces(places: Array, faces: Array, free: NDArray[np.bool_], field: Field) -> Array:
+def _fix_inverted_faces(places: Array, faces: Indices, free: NDArray[np.bool_], field: Field) -> Array:
     """The places with triangles that face inwards laid flat: what is around them is spread evenly once more.
 
     A patch that stays folded is widened, since a narrow one about a tip has no room to turn.
@@ -160,8 +162,8 @@ def refine_to_tolerance(solid: Manifold, field: Field, tolerance_mm: float, roun
 
 
 def _split_where_off(
-    places: Array, faces: Array, field: Field, tolerance_mm: float, rounds: int, near: Choice | None = None
-) -> tuple[Array, Array]:
+    places: Array, faces: Indices, field: Field, tolerance_mm: float, rounds: int, near: Choice | None = None
+) -> tuple[Array, Indices]:
     """Places and faces with those edges split, up to so many times, whose middles are farther off the field.
 
     near  which vertices both ends of an edge must be among: (n, 3) -> (n,) bool; all of them if None

@@ -4,12 +4,12 @@ from collections.abc import Callable
 
 import manifold3d
 import numpy as np
-import trimesh
 from manifold3d import Manifold
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from ..core.checks import Array, InputError
+from ..geometry.mesh import Indices, Mesh
 
 # Of a triangle with 1, 2 or 3 edges halved: its pieces, by corner (0 to 2) and middle (3 to 5).
 _PIECES = {
@@ -32,19 +32,19 @@ def checked(solid: Manifold, name: str) -> Manifold:
     return solid
 
 
-def solid_of(vertices_mm: Array, faces: Array, name: str) -> Manifold:
+def solid_of(vertices_mm: Array, faces: Indices, name: str) -> Manifold:
     """A checked solid from vertices (n, 3) and faces (m, 3) with outward winding."""
     mesh = manifold3d.Mesh64(np.ascontiguousarray(vertices_mm, np.float64), np.ascontiguousarray(faces, np.uint64))
     return checked(Manifold(mesh), name)
 
 
-def mesh_of(solid: Manifold) -> trimesh.Trimesh:
+def mesh_of(solid: Manifold) -> Mesh:
     """The boundary of a solid, in float64."""
     mesh = solid.to_mesh64()
-    return trimesh.Trimesh(mesh.vert_properties[:, :3], mesh.tri_verts.astype(np.int64), process=False)
+    return Mesh(np.array(mesh.vert_properties[:, :3]), mesh.tri_verts.astype(np.int64))
 
 
-def edges_of(faces: Array) -> Array:
+def edges_of(faces: Indices) -> Indices:
     """(m, 2)  every edge of a mesh once, the smaller vertex first
 
     faces  (m, 3)  vertex numbers
@@ -55,7 +55,7 @@ def edges_of(faces: Array) -> Array:
     return np.column_stack((key // number, key % number))
 
 
-def dilate_rings(chosen: NDArray[np.bool_], faces: Array, rings: int) -> NDArray[np.bool_]:
+def dilate_rings(chosen: NDArray[np.bool_], faces: Indices, rings: int) -> NDArray[np.bool_]:
     """(n,)  which vertices are chosen, or within so many edges of one that is
 
     faces  (m, 3)  vertex numbers
@@ -67,7 +67,7 @@ def dilate_rings(chosen: NDArray[np.bool_], faces: Array, rings: int) -> NDArray
     return wide
 
 
-def split_edges(faces: Array, edges: Array, first: int) -> Array:
+def split_edges(faces: Indices, edges: Indices, first: int) -> Indices:
     """(k, 3)  faces of a closed mesh with some of its edges split in half, each neighbour cut to fit
 
     faces  (m, 3)

@@ -4,10 +4,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import trimesh
 from manifold3d import Manifold
 
 from ..core.checks import Array
+from ..geometry.mesh import Mesh
 from ..model.knee import Knee
 from . import bones, cartilage
 from .joint import KneeAssembly
@@ -26,7 +26,7 @@ class Part:
 
     name: str
     material: str
-    mesh: trimesh.Trimesh
+    mesh: Mesh
 
 
 def between(knee: Knee, assembly: KneeAssembly, placed: dict[str, bones.Bone], muscle: Manifold) -> list[Part]:
@@ -46,7 +46,7 @@ def between(knee: Knee, assembly: KneeAssembly, placed: dict[str, bones.Bone], m
     for name, layer, move in zip(("femur_cartilage", "tibia_cartilage"), layers, moves, strict=True):
         vertices, faces = layer.alone()
         used, number = np.unique(faces, return_inverse=True)
-        mesh = trimesh.Trimesh(move(vertices[used]), number.reshape(-1, 3), process=False)
+        mesh = Mesh(move(vertices[used]), number.reshape(-1, 3))
         parts.append(Part(name, "cartilage", mesh))
         keep.append(_near(layer.covered(), move))
     keep += [_cut(placed[name].outer) for name in ("patella", "fibula")]

@@ -1,10 +1,10 @@
 """What is known about the radiograph of a built knee: joint spaces, landmarks, and where its osteophytes are."""
 
 import numpy as np
-import trimesh
 from manifold3d import Manifold, OpType
 
 from ..core.checks import Array
+from ..geometry.mesh import Mesh
 from ..geometry.scene import Scene
 from ..geometry.view import View, project
 from ..model.knee import Knee
@@ -49,7 +49,7 @@ def measured_jsw_mm(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View
     return medial.jsw_mm, lateral.jsw_mm
 
 
-def osteophyte_meshes(knee: Knee, assembly: KneeAssembly) -> dict[str, trimesh.Trimesh]:
+def osteophyte_meshes(knee: Knee, assembly: KneeAssembly) -> dict[str, Mesh]:
     """Site -> what an osteophyte adds to its bone, where it stands out by more than 0.05 mm, in the knee frame."""
     shape = assembly.build.shape
     bones = (
@@ -65,8 +65,8 @@ def osteophyte_meshes(knee: Knee, assembly: KneeAssembly) -> dict[str, trimesh.T
         added = grown.outer - bare
         for site, beak in zip(sites, grown.beaks, strict=True):
             mesh = mesh_of(_around(added, beak, grown.beaks))
-            faces = mesh.faces if knee.side == "right" else mesh.faces[:, ::-1]
-            meshes[site] = trimesh.Trimesh(_mirrored(move(mesh.vertices), knee), faces, process=False)
+            faces = mesh.faces if knee.side == "right" else np.ascontiguousarray(mesh.faces[:, ::-1])
+            meshes[site] = Mesh(_mirrored(move(mesh.vertices), knee), faces)
     return meshes
 
 
@@ -84,7 +84,7 @@ def _around(added: Manifold, beak: OsteophyteShape, beaks: tuple[OsteophyteShape
 
 def _gaps(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> tuple[Gap, Gap]:
     """The medial and the lateral joint space as a detector sees them."""
-    meshes = {s.name: s.mesh for s in scene.surfaces if s.name in ("femur", "tibia")}
+    meshes = {s.name: s.arrays for s in scene.surfaces if s.name in ("femur", "tibia")}
     femur, tibia = ((m.vertices, edges_of(m.faces)) for m in (meshes["femur"], meshes["tibia"]))
     medial, half = _medial(knee), assembly.build.half_ml_mm
     return measure_gap(femur, tibia, view, medial, half), measure_gap(femur, tibia, view, -medial, half)

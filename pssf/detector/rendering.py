@@ -2,7 +2,6 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
 from scipy import ndimage
 
 from ..core.blocks import block_mean, enlarge
@@ -45,6 +44,8 @@ def present(
 
 def _marked(shown: NDArray[np.float32], side: str) -> NDArray[np.float32]:
     """A view (rows, cols), 0 to 1, within the collimator's shadow, with a side marker in its upper lateral corner."""
+    from PIL import Image, ImageDraw, ImageFont  # only where a marker is drawn
+
     require_choice("side", side, tuple(_MARKERS))
     rows, cols = shown.shape
     smaller = min(rows, cols)

@@ -7,14 +7,17 @@ import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-import trimesh
 
 from ..core.checks import Array, InputError, require
 from .density import Density
+from .mesh import Mesh, MeshField, is_mesh
 from .repair import Fault, Solid, repair, require_sound
+
+if TYPE_CHECKING:
+    import trimesh
 
 # Smaller or larger than this across, and the unit is likely not the millimetre.
 SIZE_MM = (5.0, 3000.0)
@@ -30,6 +33,7 @@ class MeshNotice(UserWarning):
 class Surface:
     """A closed mesh (mm, outward normals) between two materials.
 
+    mesh             a trimesh.Trimesh, or a Mesh, which becomes one when it is read
     inside, outside  tissue names (`data/tissues.toml`), or "FORMULA@DENSITY" in g/cm3, such as "Ti@4.51"
     name             how the surface is called in exports and refusals
     inside_density   relative density of what is inside, where it varies; path lengths become its integrals
@@ -39,7 +43,10 @@ class Surface:
     The mesh is read once, when it is first needed. Two surfaces are equal if they are one.
     """
 
-    mesh: trimesh.Trimesh
+    if TYPE_CHECKING:
+        mesh: trimesh.Trimesh | Mesh
+    else:
+        mesh: Any = MeshField()
     inside: str
     outside: str
     name: str = "surface"
@@ -49,8 +56,8 @@ class Surface:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not re.fullmatch(r"[\w .-]{1,64}", self.name):
             raise InputError(f"surface name = {self.name!r}; allowed: 1 to 64 letters, digits, _, -, . and blanks")
-        if not isinstance(self.mesh, trimesh.Trimesh):
-            raise InputError(f"{self.name}: mesh = {reprlib.repr(self.mesh)}; allowed: a trimesh.Trimesh")
+        if not is_mesh(held := self.__dict__["_mesh"]):
+            raise InputError(f"{self.name}: mesh = {reprlib.repr(held)}; allowed: a trimesh.Trimesh")
         for label, material in (("inside", self.inside), ("outside", self.outside)):
             if not isinstance(material, str) or not material:
                 raise InputError(f"{self.name}: {label} = {material!r}; allowed: the name of a material")
@@ -63,13 +70,18 @@ class Surface:
     def __repr__(self) -> str:
         densities = (("inside_density", self.inside_density), ("outside_density", self.outside_density))
         varying = "".join(f", {label}={type(value).__name__}" for label, value in densities if value is not None)
-        faces = f"{len(self.mesh.faces)} faces"
+        faces = f"{len(self.arrays.faces)} faces"
         return f"Surface({self.name!r}, inside={self.inside!r}, outside={self.outside!r}, {faces}{varying})"
+
+    @property
+    def arrays(self) -> Mesh:
+        """Vertices and faces of the mesh, without trimesh."""
+        return MeshField.arrays(self)
 
     @cached_property
     def solid(self) -> Solid:
         """What the mesh bounds, mended where only one reading is possible, with an account of it."""
-        return repair(self.mesh.vertices, self.mesh.faces, self.name)
+        return repair(*self.arrays, self.name)
 
     @property
     def bounds_mm(self) -> Array:

@@ -18,14 +18,14 @@ from collections.abc import Iterable
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from ..core.checks import Array, InputError, require_choice, require_workers
 from ..geometry.density import Density
+from ..geometry.mesh import Mesh
 from ..geometry.repair import require_sound
 from ..geometry.scene import HasScene, Scene, Surface, require_traceable, scene_of
 from ..geometry.view import View, view_of
@@ -37,6 +37,9 @@ from .negative import require_paths
 from .paths import Audit, Paths, total
 from .rays import add_box, to_mm
 from .sheets import BAND_ROWS, Sheet, frame_of, sheet_of
+
+if TYPE_CHECKING:
+    import trimesh
 
 __all__ = ["Audit", "Paths", "Report", "check", "require_paths", "shadow", "trace"]
 
@@ -104,7 +107,7 @@ def _wanted(scene: Scene, materials: Iterable[str] | None) -> list[str]:
     return list(dict.fromkeys(listed))
 
 
-def shadow(mesh: trimesh.Trimesh, protocol: Protocol | View) -> NDArray[np.bool_]:
+def shadow(mesh: "trimesh.Trimesh | Mesh", protocol: Protocol | View) -> NDArray[np.bool_]:
     """(rows, cols)  where a closed mesh is seen
 
     raises  InputError for a mesh that bounds no solid, or no protocol
