@@ -67,9 +67,9 @@ def test_the_way_is_measured_and_a_slight_overlap_is_passed_over():
     for deep_mm, expected in ((0.04, 0), (0.5, 2)):
         near, far = box(20, 20, 20, at=(0, -10 + deep_mm / 2, 0)), box(20, 20, 20, at=(0, 10 - deep_mm / 2, 0))
         both = limb(Surface(near, "water", "muscle", "near"), Surface(far, "water", "muscle", "far"))
-        found = contradictions(both, VIEW)
-        assert len(found) == expected
-        for one in found:
+        contrary = contradictions(both, VIEW)
+        assert len(contrary) == expected
+        for one in contrary:
             assert one.longest_mm == pytest.approx(deep_mm, rel=0.01)
             assert one.rays > 20
 
@@ -86,9 +86,10 @@ def test_a_mesh_that_overlaps_itself_is_folded_and_contradicts_no_other():
     both = trimesh.util.concatenate([ball(20.0), ball(20.0, at=(0.0, 20.0, 0.0))])
     scene = limb(Surface(both, "water", "muscle", "both"))
     assert not contradictions(scene, VIEW)
-    rays, longest_mm = folded(scene, VIEW)["both"]
-    assert rays > 20
-    assert longest_mm == pytest.approx(20.0, rel=0.02)
+    (fold,) = folded(scene, VIEW)
+    assert scene.surfaces[fold.surface].name == "both"
+    assert fold.rays > 20
+    assert fold.longest_mm == pytest.approx(20.0, rel=0.02)
 
 
 def test_walls_of_a_mesh_that_touch_are_no_fold():

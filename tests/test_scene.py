@@ -68,6 +68,22 @@ def test_however_large_a_scene_is_its_size_is_refused_and_nothing_overflows(acro
         trace(scene, VIEW)
 
 
+@pytest.mark.parametrize("across_mm", [2e-6, 1e-3, 1e6, 9e11])
+def test_what_is_not_too_extreme_is_checked_and_traced_if_its_size_is_allowed(across_mm):
+    box = trimesh.creation.box()
+    scene = alone(trimesh.Trimesh(box.vertices * across_mm, box.faces, process=False), size_mm=(0.0, np.inf))
+    assert str(check(scene)) == "no faults"
+    near, far, pixel_mm = -3.0 * across_mm, 2.0 * across_mm, across_mm / 8
+    view = View(source_mm=(0.0, near, 0.0), centre_mm=(0.0, far, 0.0), rows=9, cols=9, pixel_mm=pixel_mm)
+    assert trace(scene, view).path_mm["water"][4, 4] == pytest.approx(across_mm, rel=1e-6)
+
+
+def test_a_scene_far_from_the_origin_is_refused_for_that():
+    box = trimesh.creation.box(extents=3 * [1000.0])
+    scene = alone(trimesh.Trimesh(box.vertices + 1e18, box.faces, process=False))
+    assert str(check(scene)) == "refused: scene: scene is 1e+18 mm from the origin; allowed: up to 1e+12 mm"
+
+
 @pytest.mark.parametrize("size_mm", [5.0, None, (5.0,), (5.0, 1.0), (-1.0, 5.0), (0.0, np.nan), ("5", "9"), "59"])
 def test_a_span_of_sizes_is_two_numbers(size_mm):
     with pytest.raises(InputError, match=r"scene: size_mm.* = .*; allowed: "):

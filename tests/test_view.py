@@ -43,7 +43,7 @@ GOOD = {"source_mm": (0.0, -900.0, 0.0), "centre_mm": (0.0, 200.0, 0.0), "rows":
 @pytest.mark.parametrize(
     ("field", "value", "why"),
     [
-        ("centre_mm", (0.0, -900.0, 0.0), "y of centre_mm less y of source_mm = 0.0 mm; allowed: 0.001 to"),
+        ("centre_mm", (0.0, -900.0, 0.0), "y of centre_mm less y of source_mm = 0.0 mm; allowed: 1e-06 to"),
         ("centre_mm", (0.0, -1000.0, 0.0), "y of centre_mm less y of source_mm = -100.0 mm"),
         ("source_mm", (float("nan"), -900.0, 0.0), "x of source_mm = nan mm"),
         ("source_mm", (0.0, -np.inf, 0.0), "y of source_mm = -inf mm"),

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 # Smaller or larger than this across, and the unit is likely not the millimetre.
 SIZE_MM = (5.0, 3000.0)
-# Whatever the unit: the cubes of what is larger overflow when rays are cast.
-_LARGEST_MM = 1e12
+# Whatever the unit: here a micrometre is still resolved around a kilometre, and no square of a place overflows.
+_EXTREME_MM = (1e-6, 1e12)
 
 
 class MeshNotice(UserWarning):
@@ -145,13 +145,18 @@ class Scene:
         faults = [fault for surface in self.surfaces for fault in surface.solid.faults]
         if any(fault.outcome == "refused" for fault in faults):
             return tuple(faults)
-        low, high = self.size_mm[0], min(self.size_mm[1], _LARGEST_MM)
+        low, high = max(self.size_mm[0], _EXTREME_MM[0]), min(self.size_mm[1], _EXTREME_MM[1])
         # Halves, so that what spans all of float64 does not overflow.
         across_mm = 2.0 * float((self.bounds_mm[1] / 2 - self.bounds_mm[0] / 2).max())
+        away_mm = float(abs(self.bounds_mm).max())
+        what = hint = ""
         if not low <= across_mm <= high:
             what = f"scene is {across_mm:.4g} mm across"
-            other = "; or Scene(..., size_mm=...)" if across_mm <= _LARGEST_MM else ""
+            other = "" if self.size_mm[0] <= across_mm <= self.size_mm[1] else "; or Scene(..., size_mm=...)"
             hint = f"allowed: {low:g} to {high:g} mm{_unit_hint(across_mm, low, high)}{other}"
+        elif away_mm > _EXTREME_MM[1]:
+            what, hint = f"scene is {away_mm:.4g} mm from the origin", f"allowed: up to {_EXTREME_MM[1]:g} mm"
+        if what:
             faults.append(Fault(surface="scene", what=what, count=0, first=(), outcome="refused", hint=hint))
         return tuple(faults)
 

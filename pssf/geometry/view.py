@@ -8,10 +8,10 @@ import numpy as np
 from ..core.checks import Array, InputError, require, require_whole
 from ..model.protocol import Protocol
 
-# Places and pixels beyond these leave float64 no room for the squares and cubes of them.
-_FARTHEST_MM, _PIXEL_MM, _MOST_PIXELS = 1e12, (1e-9, 1e9), 65536
+# Wide enough for any scene that is traced, and for a view of the whole of it.
+_FARTHEST_MM, _PIXEL_MM, _MOST_PIXELS = 1e14, (1e-9, 1e12), 65536
 # Of the detector from the source, along y.
-_NEAREST_MM = 1e-3
+_NEAREST_MM = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,6 @@
 """check: what is wrong with a scene, before any image is made of it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,7 +23,7 @@ _SHOWN = "sample rays that show it"
 
 @dataclass(frozen=True)
 class Report:
-    """What was found. `str(report)` has a line for each fault."""
+    """What `check` gives. `str(report)` has a line for each fault, in the order of Scene.faults, then the notes."""
 
     faults: tuple[Fault, ...]
 
@@ -81,9 +81,10 @@ def _crowded_edges(surface: Surface) -> list[Fault]:
 def _overlaps(scene: Scene, sample: View) -> list[Fault]:
     """Meshes that overlap themselves, and surfaces that contradict each other, on sample rays."""
     faults = []
-    for name, (rays, most_mm) in folded(scene, sample).items():
-        what = f"mesh overlaps itself or has a body inside out, over up to {most_mm:.3g} mm of a ray; {_SHOWN}"
-        faults.append(_noted(name, what, rays, (), "path counts as often as the mesh goes around"))
+    for fold in folded(scene, sample):
+        what = f"mesh overlaps itself or has a body inside out, over up to {fold.longest_mm:.3g} mm of a ray; {_SHOWN}"
+        name, hint = scene.surfaces[fold.surface].name, "path counts as often as the mesh goes around"
+        faults.append(_noted(name, what, fold.rays, (), hint))
     contrary = contradictions(scene, sample)
     pairs = {(one.surface, one.owner) for one in contrary}
     for one in contrary:
@@ -100,13 +101,11 @@ def _negative_paths(scene: Scene, view: View) -> list[Fault]:
         if least.mm < -FOLD_MM:
             what = f"path length comes out negative, down to {least.mm:.4g} mm; rays that show it"
             hint = f"{why_negative(scene, view, material, least.row, least.col)}; allowed: {-FOLD_MM:g} mm or more"
-            refused = Fault(surface=material, what=what, count=least.negative, first=(), outcome="refused", hint=hint)
-            faults.append(refused)
+            faults.append(replace(_noted(material, what, least.negative, (), hint), outcome="refused"))
         elif least.negative:
             what = f"path length comes out negative, but no further than {least.mm:.4g} mm; rays that show it"
-            faults.append(
-                _noted(material, what, least.negative, (), "as where a mesh is folded; it is traced as it is")
-            )
+            hint = "as where a mesh is folded; it is traced as it is"
+            faults.append(_noted(material, what, least.negative, (), hint))
     return faults
 
 

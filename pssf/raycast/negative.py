@@ -73,9 +73,8 @@ def why_negative(scene: Scene, view: View, material: str, row: int, col: int) ->
     ray = View(source_mm=view.source_mm, centre_mm=pixel, rows=1, cols=1, pixel_mm=view.pixel_mm)
     reasons = [f"{what.surface}: {what}" for what in contradictions(scene, ray)]
     concerned = [s for s in scene.surfaces if material in (s.inside, s.outside)]
-    self_crossing = folded(scene, ray)
-    for surface in concerned:
-        if surface.name in self_crossing:
+    for fold in folded(scene, ray):
+        if (surface := scene.surfaces[fold.surface]) in concerned:
             reasons.append(f"{surface.name}: its mesh overlaps itself or is folded inside out there")
     varying = any(s.inside_density if s.inside == material else s.outside_density for s in concerned)
     if not reasons and varying:

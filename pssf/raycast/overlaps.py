@@ -71,26 +71,38 @@ def contradictions(scene: Scene, view: View) -> tuple[Contradiction, ...]:
     """What surfaces say that the rays of a view do not find, where that concerns more than FOLD_MM of a ray."""
     tally: dict[Contradiction, list[float]] = {}
     for along in _bands(scene, view):
-        wrong = _wrong(scene, along) & (_stretch_mm(along.ray, along.at_mm) > FOLD_MM)
-        for ray in np.unique(along.ray[wrong]):
+        wrong, long = _wrong(scene, along), _stretch_mm(along.ray, along.at_mm) > FOLD_MM
+        for ray in np.unique(along.ray[wrong & long]):
             of_ray = slice(*np.searchsorted(along.ray, [ray, ray + 1]))
             longest: dict[Contradiction, float] = {}
-            for what, length_mm in _along_ray(scene, along.picked(of_ray)):
+            for what, length_mm in _along_ray(scene, along.picked(of_ray), wrong[of_ray], long[of_ray]):
                 longest[what] = max(length_mm, longest.get(what, 0.0))
             for what, length_mm in longest.items():
                 tally.setdefault(what, []).append(length_mm)
     return tuple(replace(what, rays=len(lengths), longest_mm=max(lengths)) for what, lengths in tally.items())
 
 
-def folded(scene: Scene, view: View) -> dict[str, tuple[int, float]]:
-    """Surface -> rays on which its mesh goes around a place twice or backwards, and the longest such way, mm.
+class Fold(NamedTuple):
+    """Where a mesh goes around a place twice or backwards.
 
-    Ways of FOLD_MM and less are passed over, and so are walls of it that touch.
+    surface     number in the scene
+    rays        that show it
+    longest_mm  longest way along a ray on which it does
+    """
+
+    surface: int
+    rays: int
+    longest_mm: float
+
+
+def folded(scene: Scene, view: View) -> list[Fold]:
+    """Meshes that overlap themselves or are folded inside out, for more than FOLD_MM of a ray of a view.
+
+    Walls of a mesh that touch are no fold.
     """
     rays, longest = np.zeros(len(scene.surfaces), int), np.zeros(len(scene.surfaces))
     for along in _bands(scene, view):
-        order = np.lexsort((along.at_mm, along.ray, along.surface))
-        ray, at_mm, sign, surface = along.picked(order)
+        ray, at_mm, sign, surface = along.picked(np.lexsort((along.at_mm, along.ray, along.surface)))
         # The signs of every ray and surface add up to zero, so one sum serves all of them.
         around = -np.cumsum(sign)
         stretch_mm = _stretch_mm(ray, at_mm) * ((around < 0) | (around > 1))
@@ -98,11 +110,7 @@ def folded(scene: Scene, view: View) -> dict[str, tuple[int, float]]:
             own = (surface == number) & (stretch_mm > FOLD_MM)
             rays[number] += len(np.unique(ray[own]))
             longest[number] = max(longest[number], stretch_mm[own].max())
-    return {
-        surface.name: (int(count), float(most))
-        for surface, count, most in zip(scene.surfaces, rays, longest, strict=True)
-        if count
-    }
+    return [Fold(int(k), int(rays[k]), float(longest[k])) for k in np.flatnonzero(rays)]
 
 
 def _bands(scene: Scene, view: View) -> Iterator[_Along]:
@@ -151,12 +159,14 @@ def _wrong(scene: Scene, along: _Along) -> NDArray[np.bool_]:
     return wrong
 
 
-def _along_ray(scene: Scene, along: _Along) -> Iterator[tuple[Contradiction, float]]:
+def _along_ray(
+    scene: Scene, along: _Along, wrong: NDArray[np.bool_], long: NDArray[np.bool_]
+) -> Iterator[tuple[Contradiction, float]]:
     """What surfaces say that one ray does not find, and for how long materials do not add up, mm.
 
     Crossings within FOLD_MM are taken in whatever order makes sense of them, as where surfaces share a wall.
+    wrong, long  (n,)  whether materials do not add up behind a crossing, and whether the next is further than FOLD_MM
     """
-    wrong, long = _wrong(scene, along), _stretch_mm(along.ray, along.at_mm) > FOLD_MM
     good, first, last = -1, -1, -1
     for k in range(len(along.ray)):
         if wrong[k] and long[k]:
