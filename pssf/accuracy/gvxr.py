@@ -82,8 +82,8 @@ def _row(gvxr: Any, what: str, scene: Scene, side: int, workers: int) -> Row:
     gvxr.removePolygonMeshesFromXRayRenderer()
     gvxr.removePolygonMeshesFromSceneGraph()
     triangles = sum(len(surface.mesh.faces) for surface in scene.surfaces)
-    found = {"surfaces": len(scene.surfaces), "triangles": triangles, "pixels": side * side}
-    return {"scene": what, **found, **seconds, "p999_mm": float(f"{np.percentile(apart, 99.9):.2g}")}
+    scene_is = {"surfaces": len(scene.surfaces), "triangles": triangles, "pixels": side * side}
+    return {"scene": what, **scene_is, **seconds, "p999_mm": float(f"{np.percentile(apart, 99.9):.2g}")}
 
 
 def _path_lengths(

@@ -27,17 +27,17 @@ def read_protocol(name_or_path: str | PathLike[str]) -> tuple[dict[str, Any], st
 
     raises  InputError for an unknown name, a file that is not readable TOML, or a base that leads back to itself
     """
-    found: dict[str, Any] = {}
+    fields: dict[str, Any] = {}
     path = first = _protocol_path(name_or_path)
     seen: list[Path] = []
     while True:
         if path.resolve() in seen:
             raise InputError(f"protocol {first.name}: base leads back to {path.name}; allowed: a base without a circle")
         seen.append(path.resolve())
-        found = read_toml(path) | found
-        base = found.pop("base", None)
+        fields = read_toml(path) | fields
+        base = fields.pop("base", None)
         if base is None:
-            return found, f"protocol {first.name}"
+            return fields, f"protocol {first.name}"
         if not isinstance(base, str):
             raise InputError(f"protocol {path.name}: base = {base!r}; allowed: the name or path of a protocol")
         path = path.parent / base if base.endswith(".toml") else _protocol_path(base)

@@ -26,10 +26,10 @@ from ..model.radiograph import Radiograph
 _UIDS = UUID("6f0c1d7e-3b52-5b7e-9a55-50535346646d")
 
 
-def write(radiograph: Radiograph, told: str, path: Path, intent: str, side: str | None) -> None:
+def write(radiograph: Radiograph, description: str, path: Path, intent: str, side: str | None) -> None:
     """Write a radiograph as a Digital X-Ray object.
 
-    told    JSON of all it was made from; kept in the acquisition context, since archives drop private attributes
+    description    JSON of all it was made from; kept in the acquisition context, since archives drop private attributes
     intent  "processing": 16 bit, the pixels as they are; "presentation": 12 bit, as `present` renders them
     side    of which a presentation bears the marker, with the collimator's edge; None for neither
     """
@@ -38,21 +38,21 @@ def write(radiograph: Radiograph, told: str, path: Path, intent: str, side: str 
     if intent == "presentation":
         shown = present(radiograph.pixels, bits=12, side=side, detector=protocol.detector)
     pixels = shown.astype("<u2", copy=False)
-    uids = uids_of(radiograph, told)
-    found = start(radiograph, uids, ("radiograph", intent))
-    found.update(dataset({"SeriesInstanceUID": uids[f"{intent} series"], "SOPInstanceUID": uids[intent]}))
-    found.SeriesDescription = f"{name_of(radiograph.protocol)[:40]}, for {intent}"
-    text = {"ValueType": "TEXT", "ConceptNameCodeSequence": [code("parameters")], "TextValue": told}
-    found.AcquisitionContextSequence = [dataset(text)]
-    found.update(_anatomy(radiograph.knee))
-    found.update(_technique(radiograph.protocol))
-    found.update(_geometry(radiograph.protocol))
+    uids = uids_of(radiograph, description)
+    item = start(radiograph, uids, ("radiograph", intent))
+    item.update(dataset({"SeriesInstanceUID": uids[f"{intent} series"], "SOPInstanceUID": uids[intent]}))
+    item.SeriesDescription = f"{name_of(radiograph.protocol)[:40]}, for {intent}"
+    text = {"ValueType": "TEXT", "ConceptNameCodeSequence": [code("parameters")], "TextValue": description}
+    item.AcquisitionContextSequence = [dataset(text)]
+    item.update(_anatomy(radiograph.knee))
+    item.update(_technique(radiograph.protocol))
+    item.update(_geometry(radiograph.protocol))
     remark = f"linear in absorbed energy, offset {detectors()[protocol.detector].offset_dn:g}"
     if intent == "presentation":
         remark = "for eyes: log signal, large structures evened out, edges sharpened; not for measurement of intensity"
-        found.SourceImageSequence = [reference(uids, "source_of_processing")]
-    found.ImageComments = f"SYNTHETIC, no patient. Pixels {remark}.{_beam(radiograph.protocol)}"
-    finish(found, pixels, path)
+        item.SourceImageSequence = [reference(uids, "source_of_processing")]
+    item.ImageComments = f"SYNTHETIC, no patient. Pixels {remark}.{_beam(radiograph.protocol)}"
+    finish(item, pixels, path)
 
 
 def read(path: Path) -> tuple[NDArray[np.uint16], str]:
@@ -60,14 +60,14 @@ def read(path: Path) -> tuple[NDArray[np.uint16], str]:
 
     raises  InputError for another's DICOM, or one For Presentation; whatever its reader has for damage
     """
-    found, told = opened(path)
+    item, description = opened(path)
     wanted = dicom_tables().processing["PresentationIntentType"]
-    if found.PresentationIntentType != wanted:
+    if item.PresentationIntentType != wanted:
         raise InputError(
-            f"file {path}: PresentationIntentType = {found.PresentationIntentType!r}; allowed: {wanted}, "
+            f"file {path}: PresentationIntentType = {item.PresentationIntentType!r}; allowed: {wanted}, "
             "whose pixels are linear (load_parameters tells what either was made from)"
         )
-    return found.pixel_array.astype(np.uint16), told
+    return item.pixel_array.astype(np.uint16), description
 
 
 def opened(path: Path) -> tuple[Dataset, str]:
@@ -75,8 +75,8 @@ def opened(path: Path) -> tuple[Dataset, str]:
 
     raises  InputError for another's DICOM, or one that is no radiograph; whatever its reader has for damage
     """
-    found = ours(path, "radiograph")
-    return found, found.AcquisitionContextSequence[0].TextValue
+    item = ours(path, "radiograph")
+    return item, item.AcquisitionContextSequence[0].TextValue
 
 
 def ours(path: Path, kind: str) -> Dataset:
@@ -84,71 +84,69 @@ def ours(path: Path, kind: str) -> Dataset:
 
     raises  InputError for another's DICOM, or one of another modality; whatever its reader has for damage
     """
-    found = pydicom.dcmread(path)
+    item = pydicom.dcmread(path)
     for keyword, among in (("Manufacturer", "every"), ("Modality", kind)):
-        require_choice(
-            f"file {path}: {keyword}", str(found.get(keyword, "")), [getattr(dicom_tables(), among)[keyword]]
-        )
-    return found
+        require_choice(f"file {path}: {keyword}", str(item.get(keyword, "")), [getattr(dicom_tables(), among)[keyword]])
+    return item
 
 
 def start(radiograph: Radiograph, uids: Mapping[str, UID], kinds: Iterable[str]) -> Dataset:
     """What every object of a radiograph has: the constants of its kinds (`data/dicom.toml`), subject and maker."""
-    found = Dataset()
+    item = Dataset()
     for kind in ("every", *kinds):
-        found.update(dataset(getattr(dicom_tables(), kind)))
+        item.update(dataset(getattr(dicom_tables(), kind)))
     knee, version = radiograph.knee, radiograph.versions.get("pssf", "")
-    found.StudyInstanceUID = uids["study"]
-    found.PatientID = f"PSSF-{uids['study'][5:21]}"
-    found.PatientSex = "" if knee is None else {"male": "M", "female": "F"}[knee.sex]
+    item.StudyInstanceUID = uids["study"]
+    item.PatientID = f"PSSF-{uids['study'][5:21]}"
+    item.PatientSex = "" if knee is None else {"male": "M", "female": "F"}[knee.sex]
     if knee is not None:
-        found.PatientAge = f"{round(knee.age_years):03d}Y"
-        found.PatientSize = _ds(knee.stature_mm / 1000)
-    found.SoftwareVersions = f"pssf {version}".strip()
-    found.Rows, found.Columns = radiograph.pixels.shape
-    found.DerivationDescription = (
+        item.PatientAge = f"{round(knee.age_years):03d}Y"
+        item.PatientSize = _ds(knee.stature_mm / 1000)
+    item.SoftwareVersions = f"pssf {version}".strip()
+    item.Rows, item.Columns = radiograph.pixels.shape
+    item.DerivationDescription = (
         f"Synthetic: rays cast through closed meshes by pssf {version}, engine {radiograph.engine}, "
         f"protocol {name_of(radiograph.protocol)}, seed {radiograph.seed}. Not an exposure of a person."
     )
-    return found
+    return item
 
 
-def finish(found: Dataset, pixels: NDArray[Any], path: Path) -> None:
+def finish(item: Dataset, pixels: NDArray[Any], path: Path) -> None:
     """Write an object with its pixels, uncompressed and little-endian.
 
     pixels  (rows, cols), or (frames, rows, cols) packed into bits
     """
     content = pixels.tobytes()
-    found.PixelData = content + b"\0" * (len(content) % 2)
-    found["PixelData"].VR = "OW" if found.BitsAllocated == 16 else "OB"
-    found.file_meta = FileMetaDataset()
-    found.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
-    found.file_meta.ImplementationClassUID = uid("implementation")
-    found.file_meta.ImplementationVersionName = "PSSF"
-    found.save_as(path, enforce_file_format=True)
+    item.PixelData = content + b"\0" * (len(content) % 2)
+    item["PixelData"].VR = "OW" if item.BitsAllocated == 16 else "OB"
+    item.file_meta = FileMetaDataset()
+    item.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
+    item.file_meta.ImplementationClassUID = uid("implementation")
+    item.file_meta.ImplementationVersionName = "PSSF"
+    item.save_as(path, enforce_file_format=True)
 
 
-def uids_of(radiograph: Radiograph, told: str) -> dict[str, UID]:
+def uids_of(radiograph: Radiograph, description: str) -> dict[str, UID]:
     """UIDs made from the content: of the study (one a knee), series and object of each kind, and the masks' series."""
-    content = hashlib.sha256(told.encode())
+    content = hashlib.sha256(description.encode())
     content.update(np.ascontiguousarray(radiograph.pixels, "<u2").tobytes())
     exposure = content.hexdigest()
     subject = exposure if radiograph.knee is None else _text(knee_table(radiograph.knee))
-    found = {"study": uid("study", subject), "masks series": uid("masks series", exposure)}
+    uids = {"study": uid("study", subject), "masks series": uid("masks series", exposure)}
     for kind in ("processing", "presentation"):
-        found[kind], found[f"{kind} series"] = uid(kind, exposure), uid(f"{kind} series", exposure)
-    return found
+        uids[kind], uids[f"{kind} series"] = uid(kind, exposure), uid(f"{kind} series", exposure)
+    return uids
 
 
 def reference(uids: Mapping[str, UID], purpose: str | None = None) -> Dataset:
     """A reference to the For Processing object of a radiograph, if need be with its purpose."""
-    found = dataset({
+    item = dataset({
         "ReferencedSOPClassUID": dicom_tables().processing["SOPClassUID"],
         "ReferencedSOPInstanceUID": uids["processing"],
     })  # fmt: skip
     if purpose:
-        found.PurposeOfReferenceCodeSequence = [code(purpose)]
-    return found
+        item.PurposeOfReferenceCodeSequence = [code(purpose)]
+    return item
 
 
 def code(name: str) -> Dataset:
@@ -161,30 +159,30 @@ def _anatomy(knee: Knee | None) -> Dataset:
     """Which knee, seen from where; of a scene of one's own neither is known."""
     if knee is None:
         return dataset({"ImageLaterality": "U", "AnatomicRegionSequence": []})
-    found = dataset(dicom_tables().knee)
-    found.ImageLaterality = {"right": "R", "left": "L"}[knee.side]
-    found.AnatomicRegionSequence = [code("knee")]
-    found.ViewCodeSequence = [code("antero_posterior")]
-    return found
+    item = dataset(dicom_tables().knee)
+    item.ImageLaterality = {"right": "R", "left": "L"}[knee.side]
+    item.AnatomicRegionSequence = [code("knee")]
+    item.ViewCodeSequence = [code("antero_posterior")]
+    return item
 
 
 def _technique(protocol: Protocol) -> Dataset:
     layer = detectors()[protocol.detector]
-    found = dataset({
+    item = dataset({
         "ProtocolName": name_of(protocol),
         "FocalSpots": _ds(protocol.focal_spot_mm),
         "DetectorID": f"PSSF-{protocol.detector}".upper(),
         "DetectorDescription": f"{layer.formula}, {layer.thickness_mm:g} mm, packing {layer.packing:g}",
     })  # fmt: skip
     if protocol.mas > 0:
-        found.ExposureInuAs = round(1000 * protocol.mas)
+        item.ExposureInuAs = round(1000 * protocol.mas)
         if float(protocol.mas).is_integer():  # an integer in DICOM; a rounded one would contradict the line above
-            found.Exposure = int(protocol.mas)
+            item.Exposure = int(protocol.mas)
     if protocol.mono_kev is None:
-        found.update(dataset(dicom_tables().tube))
-        found.KVP = _ds(protocol.tube_kv)
-        found.FilterThicknessMinimum = found.FilterThicknessMaximum = _ds(protocol.filtration_mm_al)
-    return found
+        item.update(dataset(dicom_tables().tube))
+        item.KVP = _ds(protocol.tube_kv)
+        item.FilterThicknessMinimum = item.FilterThicknessMaximum = _ds(protocol.filtration_mm_al)
+    return item
 
 
 def _beam(protocol: Protocol) -> str:
@@ -199,7 +197,7 @@ def _geometry(protocol: Protocol) -> Dataset:
     view = view_of(protocol)
     enlarged = magnification(view)
     field_mm = [round(n * protocol.pixel_mm) for n in (protocol.rows, protocol.cols)]  # whole numbers in DICOM
-    found = dataset({
+    item = dataset({
         "DistanceSourceToPatient": _ds(protocol.sod_mm),
         "DistanceSourceToDetector": _ds(enlarged * protocol.sod_mm),
         "EstimatedRadiographicMagnificationFactor": _ds(enlarged),
@@ -209,16 +207,16 @@ def _geometry(protocol: Protocol) -> Dataset:
         "PixelSpacing": [_ds(protocol.pixel_mm / enlarged)] * 2,
     })  # fmt: skip
     if min(field_mm) > 0:
-        found.FieldOfViewDimensions = field_mm
-    return found
+        item.FieldOfViewDimensions = field_mm
+    return item
 
 
 def dataset(values: Mapping[str, Any]) -> Dataset:
     """A data set from keyword -> value."""
-    found = Dataset()
+    item = Dataset()
     for keyword, value in values.items():
-        setattr(found, keyword, value)
-    return found
+        setattr(item, keyword, value)
+    return item
 
 
 def name_of(protocol: Protocol) -> str:

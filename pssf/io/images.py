@@ -113,8 +113,8 @@ def load(path: str | Path) -> Radiograph:
             whose pixels are not linear (`load_parameters` reads what it was made from)
     """
     with reading(path, "a TIFF or DICOM by pssf"):
-        pixels, told = _opened(Path(path))
-        made = _parameters(told, path)
+        pixels, text = _opened(Path(path))
+        made = _parameters(text, path)
         size = (made["protocol"].rows, made["protocol"].cols)
         if pixels.shape != size:
             raise InputError(f"file {path}: pixels = {pixels.shape}; allowed: {size}, those of its protocol")
@@ -130,17 +130,17 @@ def load_parameters(path: str | Path) -> dict[str, Any]:
     path = Path(path)
     with reading(path, "a TIFF, DICOM, PNG or JSON by pssf"):
         if path.suffix.lower() == ".json":
-            told = path.read_text(encoding="utf-8")
+            text = path.read_text(encoding="utf-8")
         elif path.suffix.lower() == ".png":
             with Image.open(path) as image:
-                told = image.info["Description"]
+                text = image.info["Description"]
         elif path.suffix.lower() == ".dcm":
             from . import dicom
 
-            told = dicom.opened(path)[1]
+            text = dicom.opened(path)[1]
         else:
-            told = _opened(path)[1]
-        return _parameters(told, path)
+            text = _opened(path)[1]
+        return _parameters(text, path)
 
 
 def _opened(path: Path) -> tuple[NDArray[np.uint16], str]:
@@ -155,15 +155,15 @@ def _opened(path: Path) -> tuple[NDArray[np.uint16], str]:
 
 
 def _parameters(text: str, path: str | Path) -> dict[str, Any]:
-    told = json.loads(text)
+    fields = json.loads(text)
     return {
-        "protocol": protocol_from(told["protocol"], f"file {path}"),
-        "seed": told["seed"],
-        "knee": None if told["knee"] is None else knee_from(told["knee"], f"file {path}"),
-        "truth": None if told["truth"] is None else _truth(told["truth"]),
-        "engine": told["engine"],
-        "audit": told["audit"],
-        "versions": told["versions"],
+        "protocol": protocol_from(fields["protocol"], f"file {path}"),
+        "seed": fields["seed"],
+        "knee": None if fields["knee"] is None else knee_from(fields["knee"], f"file {path}"),
+        "truth": None if fields["truth"] is None else _truth(fields["truth"]),
+        "engine": fields["engine"],
+        "audit": fields["audit"],
+        "versions": fields["versions"],
     }
 
 

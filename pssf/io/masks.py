@@ -66,7 +66,7 @@ def load_masks(path: str | Path) -> dict[str, NDArray[np.bool_]]:
 
 
 def _write_tiff(radiograph: Radiograph, masks: Mapping[str, NDArray[np.bool_]], path: Path) -> None:
-    told = {"masks": list(masks), "radiograph": json.loads(as_json(radiograph))}
+    header = {"masks": list(masks), "radiograph": json.loads(as_json(radiograph))}
     per_cm = float(10.0 / radiograph.protocol.pixel_mm)
     with tifffile.TiffWriter(path) as tiff:
         for k, (name, mask) in enumerate(masks.items()):
@@ -77,7 +77,7 @@ def _write_tiff(radiograph: Radiograph, masks: Mapping[str, NDArray[np.bool_]], 
                 resolution=(per_cm, per_cm),
                 resolutionunit="CENTIMETER",
                 software=f"pssf {version('pssf')}",
-                description=json.dumps(told) if k == 0 else None,
+                description=json.dumps(header) if k == 0 else None,
                 extratags=[(_PAGE_NAME, "s", 0, name, True)],
                 metadata=None,
             )

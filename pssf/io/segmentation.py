@@ -17,33 +17,33 @@ _BONES = ("femur", "tibia", "fibula", "patella")
 _OSTEOPHYTE = "_osteophyte"
 
 
-def write(radiograph: Radiograph, told: str, masks: Masks, path: Path) -> None:
+def write(radiograph: Radiograph, description: str, masks: Masks, path: Path) -> None:
     """Write masks as a Segmentation that refers to the For Processing object of their radiograph.
 
-    told   JSON of all the radiograph was made from, which its UIDs are made of
+    description   JSON of all the radiograph was made from, which its UIDs are made of
     masks  name -> (rows, cols) bool
     """
-    uids = dicom.uids_of(radiograph, told)
-    found = dicom.start(radiograph, uids, ("segmentation",))
+    uids = dicom.uids_of(radiograph, description)
+    item = dicom.start(radiograph, uids, ("segmentation",))
     # Bits run on from frame to frame, the first in the lowest bit of its byte (PS3.5, 8.1.1).
     bits = np.packbits(np.concatenate([np.ravel(mask) for mask in masks.values()]).astype(np.bool_), bitorder="little")
     content = hashlib.sha256(" ".join(masks).encode() + bits.tobytes()).hexdigest()
-    found.SeriesInstanceUID, found.SOPInstanceUID = uids["masks series"], dicom.uid(uids["masks series"], content)
-    found.SeriesDescription = f"{dicom.name_of(radiograph.protocol)[:40]}, masks"
-    found.NumberOfFrames = len(masks)
+    item.SeriesInstanceUID, item.SOPInstanceUID = uids["masks series"], dicom.uid(uids["masks series"], content)
+    item.SeriesDescription = f"{dicom.name_of(radiograph.protocol)[:40]}, masks"
+    item.NumberOfFrames = len(masks)
     side = None if radiograph.knee is None else radiograph.knee.side
-    found.SegmentSequence = [_segment(k, name, side, found.SoftwareVersions) for k, name in enumerate(masks, start=1)]
+    item.SegmentSequence = [_segment(k, name, side, item.SoftwareVersions) for k, name in enumerate(masks, start=1)]
     series = {
         "SeriesInstanceUID": uids["processing series"],
         "ReferencedInstanceSequence": [dicom.reference(uids)],
     }
-    found.ReferencedSeriesSequence = [dicom.dataset(series)]
-    found.update(_dimensions(dicom.uid("dimensions", found.SOPInstanceUID)))
+    item.ReferencedSeriesSequence = [dicom.dataset(series)]
+    item.update(_dimensions(dicom.uid("dimensions", item.SOPInstanceUID)))
     source = dicom.reference(uids, "source_of_segmentation")
     source.SpatialLocationsPreserved = "YES"
-    found.SharedFunctionalGroupsSequence = [dicom.dataset({})]
-    found.PerFrameFunctionalGroupsSequence = [_frame(k, source) for k in range(1, len(masks) + 1)]
-    dicom.finish(found, bits, path)
+    item.SharedFunctionalGroupsSequence = [dicom.dataset({})]
+    item.PerFrameFunctionalGroupsSequence = [_frame(k, source) for k in range(1, len(masks) + 1)]
+    dicom.finish(item, bits, path)
 
 
 def read(path: Path) -> dict[str, NDArray[np.bool_]]:
@@ -51,17 +51,17 @@ def read(path: Path) -> dict[str, NDArray[np.bool_]]:
 
     raises  InputError for another's DICOM, or one that is no Segmentation; whatever its reader has for damage
     """
-    found = dicom.ours(path, "segmentation")
-    shape = (int(found.NumberOfFrames), found.Rows, found.Columns)
-    names = [segment.SegmentLabel for segment in found.SegmentSequence]
-    return dict(zip(names, found.pixel_array.reshape(shape).astype(np.bool_), strict=True))
+    item = dicom.ours(path, "segmentation")
+    shape = (int(item.NumberOfFrames), item.Rows, item.Columns)
+    names = [segment.SegmentLabel for segment in item.SegmentSequence]
+    return dict(zip(names, item.pixel_array.reshape(shape).astype(np.bool_), strict=True))
 
 
 def _segment(number: int, name: str, side: str | None, version: str) -> Dataset:
     """What a mask is, by its name: a bone, or an osteophyte of a bone."""
     beak = name.endswith(_OSTEOPHYTE)
     what = "osteophyte" if beak else name if name in _BONES else "body_structure"
-    found = dicom.dataset({
+    item = dicom.dataset({
         "SegmentNumber": number,
         "SegmentLabel": name,
         "SegmentAlgorithmType": "AUTOMATIC",
@@ -72,10 +72,10 @@ def _segment(number: int, name: str, side: str | None, version: str) -> Dataset:
     # An osteophyte of a tibial spine is the tibia's; the other sites name their bone.
     bone = ("femur" if name.removesuffix(_OSTEOPHYTE).endswith("femur") else "tibia") if beak else "knee"
     if side is None:
-        return found
-    found.AnatomicRegionSequence = [dicom.code(bone)]
-    found.AnatomicRegionSequence[0].AnatomicRegionModifierSequence = [dicom.code(side)]
-    return found
+        return item
+    item.AnatomicRegionSequence = [dicom.code(bone)]
+    item.AnatomicRegionSequence[0].AnatomicRegionModifierSequence = [dicom.code(side)]
+    return item
 
 
 def _frame(number: int, source: Dataset) -> Dataset:
@@ -89,7 +89,7 @@ def _frame(number: int, source: Dataset) -> Dataset:
 
 
 def _dimensions(uid: str) -> Dataset:
-    """Frames are told apart by their segment alone."""
+    """Frames are description apart by their segment alone."""
     index = {
         "DimensionOrganizationUID": uid,
         "DimensionIndexPointer": Tag("ReferencedSegmentNumber"),

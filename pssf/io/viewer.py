@@ -15,6 +15,7 @@ import trimesh
 from numpy.typing import NDArray
 from PIL import Image
 
+from ..core.blocks import block_mean
 from ..detector import present
 from ..geometry.scene import Scene, Surface
 from ..model.knee import knee_table
@@ -128,9 +129,9 @@ def _picture(radiograph: Radiograph) -> dict[str, Any]:
     rows, cols = shown.shape
     step = -(-max(rows, cols) // SIDE_PX)
     rows, cols = rows // step * step, cols // step * step
-    blocks = shown[:rows, :cols].reshape(rows // step, step, cols // step, step)
+    small = np.rint(block_mean(shown[:rows, :cols], step)).astype(np.uint8)
     buffer = io.BytesIO()
-    Image.fromarray(np.rint(blocks.mean(axis=(1, 3))).astype(np.uint8)).save(buffer, format="PNG", optimize=True)
+    Image.fromarray(small).save(buffer, format="PNG", optimize=True)
     truth = radiograph.truth
     spots = {} if truth is None else truth.landmarks_px
     protocol = radiograph.protocol
@@ -147,14 +148,14 @@ def _parameters(radiograph: Radiograph) -> dict[str, dict[str, str]]:
     """What the radiograph was made from, as tables of text."""
     tables = {} if radiograph.knee is None else {"Knee": knee_table(radiograph.knee)}
     tables["Protocol"] = protocol_table(radiograph.protocol)
-    return {title: {name: _told(value) for name, value in table.items()} for title, table in tables.items()}
+    return {title: {name: _as_text(value) for name, value in table.items()} for title, table in tables.items()}
 
 
-def _told(value: Any) -> str:
+def _as_text(value: Any) -> str:
     if isinstance(value, Mapping):
-        return " ".join(_told(part) for part in value.values())
+        return " ".join(_as_text(part) for part in value.values())
     if isinstance(value, Sequence) and not isinstance(value, str):
-        return ", ".join(map(_told, value)) or "none"
+        return ", ".join(map(_as_text, value)) or "none"
     if value is None:
         return "none"
     return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -80,10 +80,10 @@ def _by_energy(kind: str, parts: tuple[tuple[int, float], ...], energies: Array)
 def _bound(parts: tuple[tuple[int, float], ...], x: Array) -> Array:
     electrons = sum(w * z / xraylib.AtomicWeight(z) for z, w in parts)
     # At x = 0, where xraylib has no value, nothing scatters.
-    found = sum(
+    scattering = sum(
         w / xraylib.AtomicWeight(z) * np.array([0.0, *(xraylib.SF_Compt(z, float(v)) for v in x[1:])]) for z, w in parts
     )
-    return np.asarray(np.clip(found / electrons, 0, 1))
+    return np.asarray(np.clip(scattering / electrons, 0, 1))
 
 
 def _coherent(parts: tuple[tuple[int, float], ...], x: Array) -> Array:

@@ -81,11 +81,11 @@ def exit_gap_mm(scene: Scene, view: View) -> float:
         if sheet is None or sheet.rows[0] >= sheet.rows[1] or sheet.cols[0] >= sheet.cols[1]:
             continue
         assert looks.rows <= BAND_ROWS
-        found = crossings(sheet, *sheet.rows)
-        row, col, rows, cols = found.window
-        met = np.diff(found.starts) > 0
+        crossed = crossings(sheet, *sheet.rows)
+        row, col, rows, cols = crossed.window
+        met = np.diff(crossed.starts) > 0
         depth = np.zeros(rows * cols)
-        depth[met] = found.depth[found.starts[1:][met] - 1]
+        depth[met] = crossed.depth[crossed.starts[1:][met] - 1]
         part = last[row : row + rows, col : col + cols]
         np.maximum(part, np.minimum(depth, 1.0).reshape(rows, cols), out=part)
     middle = last[_MIDDLE, _MIDDLE]

@@ -80,7 +80,7 @@ def follow(
 def _random(s: NDArray[np.uint64]) -> float:
     """Uniform in [0, 1): xoshiro256++ (Blackman and Vigna 2019)."""
     total = s[0] + s[3]
-    found = ((total << np.uint64(23)) | (total >> np.uint64(41))) + s[0]
+    mixed = ((total << np.uint64(23)) | (total >> np.uint64(41))) + s[0]
     moved = s[1] << np.uint64(17)
     s[2] ^= s[0]
     s[3] ^= s[1]
@@ -88,7 +88,7 @@ def _random(s: NDArray[np.uint64]) -> float:
     s[0] ^= s[3]
     s[2] ^= moved
     s[3] = (s[3] << np.uint64(45)) | (s[3] >> np.uint64(19))
-    return (found >> np.uint64(11)) * (1.0 / 9007199254740992.0)
+    return (mixed >> np.uint64(11)) * (1.0 / 9007199254740992.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")

@@ -73,7 +73,7 @@ def _chosen(shares: Array, weights: Array, count: int) -> NDArray[np.int64]:
                 moved[place] += way
                 if not 0 <= moved[place] < len(weights) or len(np.unique(moved)) < len(moved):
                     continue
-                found = _weights(shares, moved)[1]
-                if found < error:
-                    bins, error = moved, found
+                error_moved = _weights(shares, moved)[1]
+                if error_moved < error:
+                    bins, error = moved, error_moved
     return np.sort(bins)

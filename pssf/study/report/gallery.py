@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from ...core.blocks import block_mean
 from ...detector import present
 from ...radiomics.table import Load
 from ..settings import SELECTIONS, StudySettings
@@ -74,7 +75,7 @@ def _panel(located: pd.DataFrame, load_pixels: Load, settings: StudySettings) ->
 def _image(row: dict[str, Any], pixels: NDArray[np.uint16], region_px: int) -> PanelImage:
     rows, cols = (length // _SHRINK for length in pixels.shape)
     shown = present(pixels)[: rows * _SHRINK, : cols * _SHRINK]
-    small = shown.reshape(rows, _SHRINK, cols, _SHRINK).mean(axis=(1, 3))
+    small = block_mean(shown, _SHRINK)
     return PanelImage(
         display=np.round(small).astype(np.uint8),
         title=f"grade {row['grade']}",
