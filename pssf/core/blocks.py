@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from .checks import Array
 
 
-def block_mean(image: NDArray[np.generic], step: int) -> Array:
+def block_mean(image: NDArray[np.integer | np.floating], step: int) -> Array:
     """(ceil(rows/step), ceil(cols/step))  means of blocks; those at the lower and right edge may be smaller
 
     image  (rows, cols)
