@@ -89,7 +89,7 @@ def _overlaps(scene: Scene, sample: View) -> list[Fault]:
     pairs = {(one.surface, one.owner) for one in contrary}
     for one in contrary:
         mutual = (one.owner, one.surface) in pairs
-        hint = f"it and {one.owner} overlap" if mutual else f"its {one.side} is wrong, or it lies where it should not"
+        hint = f"it and {one.owner} overlap" if mutual else "its outside is wrong, or it lies where it should not"
         faults.append(_noted(one.surface, f"{one}; {_SHOWN}", one.rays, (), hint))
     return faults
 

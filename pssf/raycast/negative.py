@@ -71,7 +71,8 @@ def why_negative(scene: Scene, view: View, material: str, row: int, col: int) ->
     x, y, z = view.corner_mm
     pixel = (x + col * view.pixel_mm, y, z - row * view.pixel_mm)
     ray = View(source_mm=view.source_mm, centre_mm=pixel, rows=1, cols=1, pixel_mm=view.pixel_mm)
-    reasons = [f"{what.surface}: {what}" for what in contradictions(scene, ray)]
+    contrary = contradictions(scene, ray)
+    reasons = [f"{what.surface}: {what}" for what in contrary if what.says == material]
     concerned = [s for s in scene.surfaces if material in (s.inside, s.outside)]
     for fold in folded(scene, ray):
         if (surface := scene.surfaces[fold.surface]) in concerned:

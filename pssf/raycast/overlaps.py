@@ -1,8 +1,9 @@
-"""Where surfaces contradict each other: what rays find on a side of a surface, against what it says is there.
+"""Where surfaces contradict each other: what rays find outside of a surface, against what it says is there.
 
 At every place along a ray each material is there as often as surfaces around the place have it inside, less as often as
-they have it outside. In a scene that is right, one material is there once. Where one is there less than not at all, the
-surfaces crossed on the way in and on the way out say what was not so.
+they have it outside. In a scene that is right, one material is there once. Where one is there less than not at all, it
+is asked which of the surfaces crossed before and behind are not in what they say: in the inside of the surface that was
+entered last and not yet left.
 """
 
 from collections.abc import Iterator
@@ -26,16 +27,14 @@ class Contradiction:
     """A surface that says what rays do not find.
 
     surface     that says so
-    side        "outside" or "inside", of which it says so
-    says        material that it names
-    there       material that rays find
+    says        material that it has outside
+    there       material that rays find there
     owner       surface that has that inside; "" for the ambient material
     rays        that show it
     longest_mm  longest way along a ray on which materials do not add up because of it
     """
 
     surface: str
-    side: str
     says: str
     there: str
     owner: str
@@ -45,7 +44,7 @@ class Contradiction:
     def __str__(self) -> str:
         whose = f" ({self.owner})" if self.owner else ""
         where = f"over up to {self.longest_mm:.3g} mm of a ray"
-        return f"{self.side} is {self.says}, but {self.there}{whose} is there, {where}"
+        return f"outside is {self.says}, but {self.there}{whose} is there, {where}"
 
 
 class _Along(NamedTuple):
@@ -69,17 +68,20 @@ class _Along(NamedTuple):
 
 def contradictions(scene: Scene, view: View) -> tuple[Contradiction, ...]:
     """What surfaces say that the rays of a view do not find, where that concerns more than FOLD_MM of a ray."""
-    tally: dict[Contradiction, list[float]] = {}
-    for along in _bands(scene, view):
-        wrong, long = _wrong(scene, along), _stretch_mm(along.ray, along.at_mm) > FOLD_MM
-        for ray in np.unique(along.ray[wrong & long]):
-            of_ray = slice(*np.searchsorted(along.ray, [ray, ray + 1]))
-            longest: dict[Contradiction, float] = {}
-            for what, length_mm in _along_ray(scene, along.picked(of_ray), wrong[of_ray], long[of_ray]):
-                longest[what] = max(length_mm, longest.get(what, 0.0))
-            for what, length_mm in longest.items():
-                tally.setdefault(what, []).append(length_mm)
-    return tuple(replace(what, rays=len(lengths), longest_mm=max(lengths)) for what, lengths in tally.items())
+    longest: dict[Contradiction, Array] = {}
+    for first, along in enumerate(_bands(scene, view)):
+        for pattern, rays, at_mm in _patterns(scene, along):
+            for what, run, shared in _along_pattern(scene, pattern):
+                # Of what does not add up, what lies within both surfaces.
+                ways_mm = np.minimum(*(at_mm[:, stop] - at_mm[:, start] for start, stop in (run, shared)))
+                of_all = longest.setdefault(what, np.zeros(view.rows * view.cols))
+                place = first * BAND_ROWS * view.cols + rays
+                of_all[place] = np.maximum(of_all[place], ways_mm)
+    return tuple(
+        replace(what, rays=int((ways_mm > FOLD_MM).sum()), longest_mm=float(ways_mm.max()))
+        for what, ways_mm in longest.items()
+        if ways_mm.max() > FOLD_MM
+    )
 
 
 class Fold(NamedTuple):
@@ -159,55 +161,96 @@ def _wrong(scene: Scene, along: _Along) -> NDArray[np.bool_]:
     return wrong
 
 
-def _along_ray(
-    scene: Scene, along: _Along, wrong: NDArray[np.bool_], long: NDArray[np.bool_]
-) -> Iterator[tuple[Contradiction, float]]:
-    """What surfaces say that one ray does not find, and for how long materials do not add up, mm.
+class _Pattern(NamedTuple):
+    """What rays have in common that cross the same surfaces in the same order.
+
+    surface, sign  of each crossing, as in _Along
+    wrong          whether materials do not add up behind it
+    long           whether the next crossing is further than FOLD_MM
+    """
+
+    surface: tuple[int, ...]
+    sign: tuple[int, ...]
+    wrong: tuple[bool, ...]
+    long: tuple[bool, ...]
+
+
+def _patterns(scene: Scene, along: _Along) -> Iterator[tuple[_Pattern, NDArray[np.int64], Array]]:
+    """Rays along which materials do not add up: what they have in common, their numbers (k,), places (k, n) in mm."""
+    wrong, long = _wrong(scene, along), _stretch_mm(along.ray, along.at_mm) > FOLD_MM
+    columns = np.column_stack((along.surface, along.sign, wrong, long))
+    alike: dict[bytes, list[int]] = {}
+    numbers = np.unique(along.ray[wrong & long])
+    starts, stops = np.searchsorted(along.ray, numbers), np.searchsorted(along.ray, numbers, side="right")
+    for k, (start, stop) in enumerate(zip(starts, stops, strict=True)):
+        alike.setdefault(columns[start:stop].tobytes(), []).append(k)
+    for those in alike.values():
+        surface, sign, beyond, far = columns[starts[those[0]] : stops[those[0]]].T.tolist()
+        places = starts[those][:, None] + np.arange(len(surface))
+        yield _Pattern(tuple(surface), tuple(sign), tuple(beyond), tuple(far)), numbers[those], along.at_mm[places]
+
+
+_Span = tuple[int, int]
+
+
+def _along_pattern(scene: Scene, pattern: _Pattern) -> Iterator[tuple[Contradiction, _Span, _Span]]:
+    """What surfaces say that rays do not find, between which crossings materials do not add up, and both surfaces lie.
 
     Crossings within FOLD_MM are taken in whatever order makes sense of them, as where surfaces share a wall.
-    wrong, long  (n,)  whether materials do not add up behind a crossing, and whether the next is further than FOLD_MM
     """
-    good, first, last = -1, -1, -1
-    for k in range(len(along.ray)):
-        if wrong[k] and long[k]:
-            first, last = (k if first < 0 else first), k
-        elif long[k] or k == len(along.ray) - 1:
-            if first >= 0:
-                length_mm = float(along.at_mm[last + 1] - along.at_mm[first])
-                for what in _unmatched(scene, along, good, range(good + 1, first + 1), -1):
-                    yield what, length_mm
-                for what in _unmatched(scene, along, k, range(last + 1, k + 1), +1):
-                    yield what, length_mm
-            good, first = k, -1
+    spans, runs = _spans(pattern), _runs(pattern)
+    entered, first = list[int](), 0
+    for last in range(len(pattern.sign)):
+        if not pattern.long[last] and last < len(pattern.sign) - 1:
+            continue
+        run = runs[last] or (runs[first - 1] if first else None)
+        left = [k for k in range(first, last + 1) if k in spans]
+        first = last + 1
+        while left:
+            around = {k: [n for n in entered if n != pattern.surface[k]] for k in left}
+            there = {k: scene.surfaces[around[k][-1]].inside if around[k] else scene.ambient for k in left}
+            right = [k for k in left if scene.surfaces[pattern.surface[k]].outside == there[k]]
+            k = (right or left)[0]
+            if not right and run:
+                surface, owner = scene.surfaces[pattern.surface[k]], around[k][-1] if around[k] else None
+                shared = spans[k] if owner is None else _shared(spans[k], pattern, spans, owner, k)
+                name = "" if owner is None else scene.surfaces[owner].name
+                what = Contradiction(surface=surface.name, says=surface.outside, there=there[k], owner=name)
+                yield what, run, shared
+            left.remove(k)
+            entered = [*around[k], pattern.surface[k]] if pattern.sign[k] < 0 else around[k]
 
 
-def _unmatched(scene: Scene, along: _Along, known: int, crossings: range, way: int) -> list[Contradiction]:
-    """Crossings that no order of them makes sense of, from a stretch that is right on to one that is wrong.
+def _spans(pattern: _Pattern) -> dict[int, _Span]:
+    """Crossing -> those at which its surface is entered and left, if it is then around the ray once and not before."""
+    around, begun, spans = dict[int, int](), dict[int, int](), dict[int, _Span]()
+    for k, (number, sign) in enumerate(zip(pattern.surface, pattern.sign, strict=True)):
+        before = around.get(number, 0)
+        around[number] = before - sign
+        if before == 0 and sign < 0:
+            begun[number] = k
+        elif before > 0 and around[number] == 0:
+            spans[begun[number]] = spans[k] = begun[number], k
+    return spans
 
-    known  crossing behind which the ray is right; -1 before the first
-    way    -1 where the crossings lie behind that stretch, +1 where they lie before it: what enters leaves, seen from it
-    """
-    around = np.bincount(along.surface[: known + 1], -along.sign[: known + 1], len(scene.surfaces))
-    counts = dict.fromkeys(scene.materials, 0.0) | {scene.ambient: 1.0}
-    for surface, times in zip(scene.surfaces, around, strict=True):
-        counts[surface.inside] += times
-        counts[surface.outside] -= times
-    there = max(counts, key=counts.__getitem__)
-    left = []
-    for k in crossings:
-        number, enters = int(along.surface[k]), along.sign[k] == way
-        # Entered twice, or left without having been entered: that is between the mesh and itself.
-        if (around[number] < 1) == enters:
-            left.append((number, "outside" if enters else "inside"))
-    while match := next((one for one in left if getattr(scene.surfaces[one[0]], one[1]) == there), None):
-        left.remove(match)
-        number, side = match
-        there = scene.surfaces[number].inside if side == "outside" else scene.surfaces[number].outside
-        around[number] += 1 if side == "outside" else -1
-    within = [s.name for s, times in zip(scene.surfaces, around, strict=True) if times >= 1 and s.inside == there]
-    owner = within[-1] if within else ""
-    concerned = [(scene.surfaces[number], side) for number, side in left]
-    return [
-        Contradiction(surface=s.name, side=side, says=getattr(s, side), there=there, owner=owner)
-        for s, side in concerned
-    ]
+
+def _runs(pattern: _Pattern) -> list[_Span | None]:
+    """For each crossing, those between which materials do not add up, if they do not behind it."""
+    runs: list[_Span | None] = [None] * len(pattern.sign)
+    first = None
+    for k, (wrong, long) in enumerate(zip(pattern.wrong, pattern.long, strict=True)):
+        if wrong and long:
+            first = k if first is None else first
+            for inner in range(first, k + 1):
+                runs[inner] = first, k + 1
+        elif long:
+            first = None
+    return runs
+
+
+def _shared(span: _Span, pattern: _Pattern, spans: dict[int, _Span], owner: int, crossing: int) -> _Span:
+    """Between which crossings a surface and another, that the ray is within at one of them, are both around the ray."""
+    others = {spans[k] for k in spans if pattern.surface[k] == owner}
+    nearest = min(others, key=lambda other: max(other[0] - crossing, crossing - other[1], 0))
+    start = max(span[0], nearest[0])
+    return start, max(start, min(span[1], nearest[1]))
