@@ -4,12 +4,14 @@ import dataclasses
 
 import numpy as np
 import pandas as pd
+import pytest
 from test_evidence import LIGHT, NAMES, table
 
+from pssf.core.checks import InputError
 from pssf.core.execution import Execution
 from pssf.study.learn.scenarios import one_split
 from pssf.study.learn.split import PARTS
-from pssf.study.learn.training import fewest, share_of, train
+from pssf.study.learn.training import Job, fewest, one_job, share_of, train
 
 
 def test_splits_are_those_of_one_split_in_order_on_any_number_of_workers():
@@ -22,6 +24,13 @@ def test_splits_are_those_of_one_split_in_order_on_any_number_of_workers():
         expected = one_split(repeat, table=cohort, names=NAMES, settings=LIGHT).predictions
         for outcome in (first, second):
             pd.testing.assert_frame_equal(outcome.predictions[list(expected)], expected, check_exact=True)
+
+
+def test_a_worker_with_other_code_trains_nothing():
+    with pytest.raises(
+        InputError, match=r"on .*: other code of pssf \(study\); allowed: the code where the run started"
+    ):
+        one_job(Job(0), table=table(6), names=NAMES, settings=LIGHT, code={"study": "0"})
 
 
 def test_every_subject_is_in_one_part_of_each_split():

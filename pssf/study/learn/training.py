@@ -1,5 +1,6 @@
 """All splits of a cohort, trained and tested in parallel, and how the cost of one grows with the subjects."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from time import process_time
 
@@ -8,6 +9,7 @@ import pandas as pd
 
 from ...core.execution import Execution
 from ...core.parallel import ordered_map
+from ...data.code import code_digest, require_code
 from ..predictions import Outcome
 from ..settings import StudySettings
 from ..statistics.subjects import worst_grades
@@ -15,6 +17,7 @@ from .baselines import measures_of
 from .scenarios import one_split
 from .split import PARTS
 
+_CODE = ("core", "radiomics", "study")  # what an outcome depends on
 _SHARES = (0.5, 0.25)  # of the subjects, on which the first split is taken once more
 
 
@@ -34,6 +37,8 @@ def train(usable: pd.DataFrame, names: list[str], settings: StudySettings, execu
 
     usable   radiographs with a region found: radiograph, knee, subject, grade, protocol, features, measures
     names    of the features
+    raises   InputError for too few subjects of a grade, or a worker with other code; WorkersLostError when workers keep
+             being killed
     """
     table = usable[["radiograph", "knee", "subject", "grade", "protocol", *measures_of(usable), *names]]
     smaller = [share for share in _SHARES if fewest(table, share) >= len(PARTS)]
@@ -42,7 +47,7 @@ def train(usable: pd.DataFrame, names: list[str], settings: StudySettings, execu
         splits = ordered_map(
             one_job,
             jobs,
-            shared={"table": table, "names": names, "settings": settings},
+            shared={"table": table, "names": names, "settings": settings, "code": code_digest(_CODE)},
             workers=execution.workers,
             scheduler=execution.scheduler,
             arrived=lambda index, _: stage.advance() if index < settings.repeats else None,
@@ -54,8 +59,15 @@ def train(usable: pd.DataFrame, names: list[str], settings: StudySettings, execu
     return [outcome for outcome, _, _ in splits[: settings.repeats]]
 
 
-def one_job(job: Job, *, table: pd.DataFrame, names: list[str], settings: StudySettings) -> tuple[Outcome, int, float]:
-    """The outcome of a split, of how many subjects, and the seconds of work that it took."""
+def one_job(
+    job: Job, *, table: pd.DataFrame, names: list[str], settings: StudySettings, code: Mapping[str, str]
+) -> tuple[Outcome, int, float]:
+    """The outcome of a split, of how many subjects, and the seconds of work that it took.
+
+    code    of `code_digest` where the run started
+    raises  InputError where the code is another here
+    """
+    require_code(code)
     began = process_time()
     part = table[table["subject"].isin(share_of(table, job.share))]
     outcome = one_split(job.repeat, table=part, names=names, settings=settings)
