@@ -6,8 +6,11 @@ is asked which of the surfaces crossed before and behind are not in what they sa
 entered last and not yet left.
 """
 
+from bisect import bisect
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
@@ -68,15 +71,14 @@ class _Along(NamedTuple):
 
 def contradictions(scene: Scene, view: View) -> tuple[Contradiction, ...]:
     """What surfaces say that the rays of a view do not find, where that concerns more than FOLD_MM of a ray."""
-    longest: dict[Contradiction, Array] = {}
+    longest: dict[Contradiction, Array] = defaultdict(lambda: np.zeros(view.rows * view.cols))
     for first, along in enumerate(_bands(scene, view)):
         for pattern, rays, at_mm in _patterns(scene, along):
             for what, run, shared in _along_pattern(scene, pattern):
                 # Of what does not add up, what lies within both surfaces.
                 ways_mm = np.minimum(*(at_mm[:, stop] - at_mm[:, start] for start, stop in (run, shared)))
-                of_all = longest.setdefault(what, np.zeros(view.rows * view.cols))
                 place = first * BAND_ROWS * view.cols + rays
-                of_all[place] = np.maximum(of_all[place], ways_mm)
+                longest[what][place] = np.maximum(longest[what][place], ways_mm)
     return tuple(
         replace(what, rays=int((ways_mm > FOLD_MM).sum()), longest_mm=float(ways_mm.max()))
         for what, ways_mm in longest.items()
@@ -198,7 +200,9 @@ def _along_pattern(scene: Scene, pattern: _Pattern) -> Iterator[tuple[Contradict
 
     Crossings within FOLD_MM are taken in whatever order makes sense of them, as where surfaces share a wall.
     """
-    spans, runs = _spans(pattern), _runs(pattern)
+    spans, runs, of_surface = _spans(pattern), _runs(pattern), defaultdict[int, list[_Span]](list)
+    for k, span in spans.items():
+        of_surface[pattern.surface[k]].append(span)
     entered, first = list[int](), 0
     for last in range(len(pattern.sign)):
         if not pattern.long[last] and last < len(pattern.sign) - 1:
@@ -213,7 +217,7 @@ def _along_pattern(scene: Scene, pattern: _Pattern) -> Iterator[tuple[Contradict
             k = (right or left)[0]
             if not right and run:
                 surface, owner = scene.surfaces[pattern.surface[k]], around[k][-1] if around[k] else None
-                shared = spans[k] if owner is None else _shared(spans[k], pattern, spans, owner, k)
+                shared = spans[k] if owner is None else _shared(spans[k], of_surface[owner], k)
                 name = "" if owner is None else scene.surfaces[owner].name
                 what = Contradiction(surface=surface.name, says=surface.outside, there=there[k], owner=name)
                 yield what, run, shared
@@ -237,20 +241,18 @@ def _spans(pattern: _Pattern) -> dict[int, _Span]:
 def _runs(pattern: _Pattern) -> list[_Span | None]:
     """For each crossing, those between which materials do not add up, if they do not behind it."""
     runs: list[_Span | None] = [None] * len(pattern.sign)
-    first = None
-    for k, (wrong, long) in enumerate(zip(pattern.wrong, pattern.long, strict=True)):
-        if wrong and long:
-            first = k if first is None else first
-            for inner in range(first, k + 1):
-                runs[inner] = first, k + 1
-        elif long:
-            first = None
+    stretches = list(enumerate(zip(pattern.wrong, pattern.long, strict=True)))
+    wrong = [k for k, (amiss, long) in stretches if amiss and long]
+    right = [k for k, (amiss, long) in stretches if long and not amiss]
+    for _, same in groupby(wrong, key=lambda k: bisect(right, k)):
+        first, *others = same
+        last = others[-1] if others else first
+        runs[first : last + 1] = [(first, last + 1)] * (last + 1 - first)
     return runs
 
 
-def _shared(span: _Span, pattern: _Pattern, spans: dict[int, _Span], owner: int, crossing: int) -> _Span:
-    """Between which crossings a surface and another, that the ray is within at one of them, are both around the ray."""
-    others = {spans[k] for k in spans if pattern.surface[k] == owner}
+def _shared(span: _Span, others: list[_Span], crossing: int) -> _Span:
+    """What a surface's span has in common with that of another around one of its crossings."""
     nearest = min(others, key=lambda other: max(other[0] - crossing, crossing - other[1], 0))
     start = max(span[0], nearest[0])
     return start, max(start, min(span[1], nearest[1]))
