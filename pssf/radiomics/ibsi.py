@@ -9,13 +9,12 @@ def tag_of(name: str) -> str:
 
     name  as `features.extract` gives it
     """
-    tags: dict[str, str] = getattr(ibsi_tags(), family(name), {})
-    return tags.get(_short(name), "")
+    return ibsi_tags().get(family(name), {}).get(_short(name), "")
 
 
 def departure_of(name: str) -> str:
     """How a feature departs from the initiative's definition, or that it is not theirs; "" where it does not."""
-    departures = ibsi_tags().departures
+    departures = ibsi_tags()["departures"]
     return departures.get(f"{family(name)}_{_short(name)}", departures.get(family(name), ""))
 
 
