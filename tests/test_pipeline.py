@@ -14,6 +14,9 @@ from scipy.ndimage import gaussian_filter
 from pssf import study
 from pssf.core.checks import InputError
 from pssf.core.execution import Execution
+from pssf.data.readmes import readmes
+from pssf.experiment import SHOWN, shown_rows
+from pssf.io.readme import open_checkout
 from pssf.io.results import load_table
 from pssf.radiomics.region import Template
 from pssf.radiomics.table import TEXT
@@ -112,6 +115,21 @@ def test_a_study_finds_the_regions_and_tells_the_grades_apart(result):
         "reliability and figures",
         "claims",
     ]
+
+
+def test_the_readme_of_a_checkout_takes_what_a_study_found(result, tmp_path):
+    names = [name for source in SHOWN for name in readmes().shown(source)]
+    (tmp_path / "README.md").write_text("".join(f"<!-- table: {name} -->\n<!-- /table -->\n" for name in names))
+    checkout = open_checkout(tmp_path, SHOWN, preset="mine")
+    written = checkout.take(shown_rows(result), result.pictures.values(), measured_with=result.report)
+    assert [path.name for path in written] == ["README.md", "robustness.png", "stability.png"]
+    text = written[0].read_text()
+    assert text.count("`uv run pssf study --preset mine`") == len(names)
+    within = result.scores.query("task == '0 vs 2' and scenario == 'within' and model == 'lr'").iloc[0]
+    line = next(line for line in text.splitlines() if line.startswith("| 0 vs 2 | reference, reference | "))
+    assert line.split(" | ")[2].startswith(f"{within['auc']:.2f} (")
+    assert "| cohort | " in text
+    assert "| A subset of features is stable | " in text
 
 
 def test_the_report_is_one_page_with_everything_in_it(result):
