@@ -7,30 +7,29 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from ..data import tables
+from ..data.spongy import Lattice
 
 Block = NDArray[np.uint8]
 _MAKING = Lock()
-_LAST: dict[int, tuple[Block, float]] = {}
+_LAST: dict[tuple[int, Lattice], tuple[Block, float]] = {}
 
 
-def lattice(seed: int) -> tuple[Block, float]:
+def lattice(seed: int, table: Lattice) -> tuple[Block, float]:
     """(nx, nz, ny)  bone content of the voxels, 0 none and 255 solid, periodic; and what makes its mean 1
 
     A Gaussian field with the power spectrum of `data/trabeculae.toml`, cut off softly: bone where it is high, next to
     none elsewhere. y comes last, so that a ray along it reads what lies side by side. Kept until another seed comes.
     """
     with _MAKING:  # a second thread waits for the first, instead of making the same again
-        if seed not in _LAST:
+        if (seed, table) not in _LAST:
             _LAST.clear()
-            _LAST[seed] = _made(seed)
-        return _LAST[seed]
+            _LAST[seed, table] = _made(seed, table)
+        return _LAST[seed, table]
 
 
-def _made(seed: int) -> tuple[Block, float]:
-    table = tables.data("trabeculae")["lattice"]
-    nx, nz, ny = table["voxels"]
-    amplitude = _amplitude()
+def _made(seed: int, table: Lattice) -> tuple[Block, float]:
+    nx, nz, ny = table.voxels
+    amplitude = _amplitude(table)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
     waves = rng.standard_normal((nx, nz, 2 * amplitude.shape[2]), np.float32).view(np.complex64)
     # Power is the same at f and -f; negative frequencies come second and in falling order.
@@ -41,8 +40,8 @@ def _made(seed: int) -> tuple[Block, float]:
     block = np.empty((nx, nz, ny), np.uint8)
     for i in range(0, nx, 32):  # in parts, so that nothing as large as the block is held in float32
         field = fft.irfft(waves[i : i + 32], ny, axis=2, norm="forward", workers=2)
-        field -= np.float32(table["cut"])
-        field *= np.float32(-1 / table["softness"])
+        field -= np.float32(table.cut)
+        field *= np.float32(-1 / table.softness)
         np.exp(field, out=field)
         field += 1
         block[i : i + 32] = np.rint(np.divide(255, field, out=field), out=field)
@@ -51,23 +50,22 @@ def _made(seed: int) -> tuple[Block, float]:
 
 
 @cache
-def _amplitude() -> NDArray[np.float32]:
+def _amplitude(table: Lattice) -> NDArray[np.float32]:
     """(nx / 2 + 1, nz / 2 + 1, waves along y)  of the waves of a field with variance 1, frequencies not negative"""
-    table = tables.data("trabeculae")["lattice"]
-    steps = (np.fft.rfftfreq(n, d).astype(np.float32) for n, d in zip(table["voxels"], table["voxel_mm"], strict=True))
+    steps = (np.fft.rfftfreq(n, d).astype(np.float32) for n, d in zip(table.voxels, table.voxel_mm, strict=True))
     fx, fz, fy = np.meshgrid(*steps, indexing="ij", sparse=True)
-    fy = fy[..., : table["waves_y"]] * np.float32(table["stretch_y"])
-    across, along = fx**2 + fy**2, np.float32(table["length_per_mm"])
+    fy = fy[..., : table.waves_y] * np.float32(table.stretch_y)
+    across, along = fx**2 + fy**2, np.float32(table.length_per_mm)
     total = across + fz**2
-    up = np.exp(-(fz**2) / (2 * (along + table["spread"] * np.sqrt(across)) ** 2))
-    level = np.exp(-across / (2 * (along + table["spread"] * fz) ** 2))
-    power = (total + np.float32(table["low_per_mm"]) ** 2) ** np.float32(table["rise"] / 2)
-    power /= 1 + (total / np.float32(table["high_per_mm"]) ** 2) ** np.float32(table["steep"] / 2)
-    power *= table["upright"] * up + table["level"] * level + table["any"]
+    up = np.exp(-(fz**2) / (2 * (along + table.spread * np.sqrt(across)) ** 2))
+    level = np.exp(-across / (2 * (along + table.spread * fz) ** 2))
+    power = (total + np.float32(table.low_per_mm) ** 2) ** np.float32(table.rise / 2)
+    power /= 1 + (total / np.float32(table.high_per_mm) ** 2) ** np.float32(table.steep / 2)
+    power *= table.upright * up + table.level * level + table.any
     power[0, 0, 0] = 0
     # Each of the waves stands for two or four of frequencies of either sign. Those along y are the half that a real
     # transform holds; it reads the plane fy = 0 as if half of that were the mirror image of the other half.
-    of = [np.where((np.arange(n // 2 + 1) == 0) | (np.arange(n // 2 + 1) == n // 2), 1, 2) for n in table["voxels"][:2]]
+    of = [np.where((np.arange(n // 2 + 1) == 0) | (np.arange(n // 2 + 1) == n // 2), 1, 2) for n in table.voxels[:2]]
     held = np.einsum("i,j,ijk->k", *of, power, dtype=np.float64) * np.where(np.arange(power.shape[2]), 4, 2)
     power[..., 0] *= 2
     return np.sqrt(power / held.sum(), dtype=np.float32)

@@ -4,7 +4,7 @@ BV/TV is a smooth mean m(x, y, z) times a lattice of struts around it, m (1 + g 
 mean 1 and 0 <= g <= 1, so that it is never negative; the physeal scar adds to it. Density is that of such a mix of bone
 and marrow.
 
-lattice  the struts     march  integrals along segments
+lattice    the struts     integrate  integrals along segments
 """
 
 from dataclasses import dataclass
@@ -13,9 +13,9 @@ import numpy as np
 
 from ..core.checks import Array, InputError, require, require_choice, require_seed
 from ..data.records import Triple
-from ..data.spongy import TrabecularBone
+from ..data.spongy import Lattice, TrabecularBone
+from .integrate import Region, Steps, Struts, integrate_density
 from .lattice import lattice
-from .march import Region, march
 
 BONES = ("femur", "tibia", "fibula", "patella")
 # Samples a voxel of the lattice, and samples over which the smooth part is taken as straight.
@@ -28,14 +28,14 @@ class Trabeculae:
 
     region  its smooth part
     seed    of the lattice, which is made when it is first needed
-    voxel_mm  size of its voxels (x, z, y)
+    table   of the lattice
     shift   where in the lattice (x, z, y, in voxels) the bone is
     into    rows of the (3, 4) transform from the knee frame into the bone's
     """
 
     region: Region
     seed: int
-    voxel_mm: Triple
+    table: Lattice
     shift: Triple
     into: tuple[float, ...]
 
@@ -55,11 +55,10 @@ class Trabeculae:
         if not len(out):
             return out
         starts, ends = (np.ascontiguousarray(points, np.float64) for points in (starts_mm, ends_mm))
-        block, unit = lattice(self.seed)
+        block, unit = lattice(self.seed, self.table)
         frame, shift = np.array(self.into).reshape(3, 4), np.array(self.shift)
-        per_mm = 1 / np.array(self.voxel_mm)
-        struts = (block.reshape(-1), block.shape, unit, per_mm, shift)
-        march(starts, ends, frame, *struts, self.region, fine, piece, out)
+        struts = Struts(block.reshape(-1), block.shape, unit, 1 / np.array(self.table.voxel_mm), shift)
+        integrate_density(starts, ends, frame, struts, self.region, Steps(fine, piece), out)
         return out
 
 
@@ -97,7 +96,7 @@ def trabeculae(
     return Trabeculae(
         region=_region(bone, table, rng.random(3).tolist(), scale, sclerosis, age_years, sex),
         seed=int(seed),
-        voxel_mm=table.lattice.voxel_mm,
+        table=table.lattice,
         shift=(x, z, y),
         into=_inverse(np.asarray(frame, np.float64), mirror),
     )

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -10,29 +10,49 @@ from numpy.typing import NDArray
 
 from ..core.checks import Array
 from ..geometry.density import Density, integrated
+from .sheets import Frame
 
 
-@dataclass(frozen=True, kw_only=True)
-class Crossings:
+class Window(NamedTuple):
+    """Pixels of an image: the first row and column, and how many rows and columns."""
+
+    row: int
+    col: int
+    rows: int
+    cols: int
+
+
+class Crossings(NamedTuple):
     """Crossings of a window of pixels with one surface.
 
-    window  first row, first column, rows, columns
     starts  (rows x cols + 1,)  where the crossings of each pixel's ray start below; the last is their number
     depth   (n,)  fraction of the way from the source to the pixel, growing along a ray
     sign    (n,)  int8  +1 where the ray leaves, -1 where it enters
     """
 
-    window: tuple[int, int, int, int]
+    window: Window
     starts: NDArray[np.int64]
     depth: Array
     sign: NDArray[np.int8]
 
 
-def offsets(number: NDArray[np.integer]) -> NDArray[np.int64]:
-    """(pixels + 1,)  where each pixel's crossings start if those of all are put in one row"""
+class _Segments(NamedTuple):
+    """Parts of rays inside a surface, mm, their pixels, and how often they are inside over the ray's length."""
+
+    starts_mm: Array
+    ends_mm: Array
+    pixels: NDArray[np.int64]
+    weights: Array
+
+
+def room_for(window: Window, number: NDArray[np.integer]) -> Crossings:
+    """Crossings of which only the numbers are known yet
+
+    number  (rows, cols)  how often each ray crosses the surface
+    """
     starts = np.zeros(number.size + 1, np.int64)
     np.cumsum(number, out=starts[1:])
-    return starts
+    return Crossings(window, starts, np.empty(starts[-1]), np.empty(starts[-1], np.int8))
 
 
 def joined(parts: Sequence[tuple[Crossings, int]]) -> Crossings:
@@ -47,40 +67,39 @@ def joined(parts: Sequence[tuple[Crossings, int]]) -> Crossings:
     number = np.zeros(high - low, np.int64)
     for (part, _), (row, col, rows, cols) in zip(parts, windows - [*low, 0, 0], strict=True):
         number[row : row + rows, col : col + cols] += np.diff(part.starts).reshape(rows, cols)
-    starts = offsets(number)
-    depth, sign, free = np.empty(starts[-1]), np.empty(starts[-1], np.int8), starts[:-1].copy().reshape(number.shape)
-    for (part, factor), window in zip(parts, windows - [*low, 0, 0], strict=True):
-        _append(part.starts, part.depth, part.sign, factor, window, free, depth, sign)
-    order(starts, depth, sign)
-    return Crossings(window=(int(low[0]), int(low[1]), *number.shape), starts=starts, depth=depth, sign=sign)
+    whole = room_for(Window(*low.tolist(), *number.shape), number)
+    free = whole.starts[:-1].copy()
+    for part, factor in parts:
+        _append(part, factor, free, whole)
+    order(whole.starts, whole.depth, whole.sign)
+    return whole
 
 
 def chords(crossings: Crossings) -> Array:
     """(rows, cols)  lengths inside, as fractions of the way from the source to the pixel"""
-    out = np.empty(crossings.window[2:])
+    out = np.empty((crossings.window.rows, crossings.window.cols))
     _sum_depths(crossings.starts, crossings.depth, crossings.sign, out.reshape(-1))
     return out
 
 
-def integrals(crossings: Crossings, frame: Array, density: Density) -> Array:
-    """(rows, cols)  integrals of a density inside, as fractions of the way from the source to the pixel
-
-    frame  as in a Sheet
-    """
-    window = np.array(crossings.window)
+def integrals(crossings: Crossings, frame: Frame, density: Density) -> Array:
+    """(rows, cols)  integrals of a density inside, as fractions of the way from the source to the pixel"""
+    window = crossings.window
     most = len(crossings.depth) + len(crossings.starts) - 1
-    starts_mm, ends_mm, pixels = np.empty((most, 3)), np.empty((most, 3)), np.empty(most, np.int64)
-    weights = np.empty(most)
-    ways = (crossings.starts, crossings.depth, crossings.sign, frame, window)
-    count = _segments(*ways, starts_mm, ends_mm, pixels, weights)
-    lengths = integrated(density, starts_mm[:count], ends_mm[:count])
-    total = np.bincount(pixels[:count], weights=weights[:count] * lengths, minlength=window[2] * window[3])
-    return np.asarray(total, dtype=np.float64).reshape(crossings.window[2:])
+    segments = _Segments(np.empty((most, 3)), np.empty((most, 3)), np.empty(most, np.int64), np.empty(most))
+    count = _segments(crossings, frame, segments)
+    lengths = integrated(density, segments.starts_mm[:count], segments.ends_mm[:count])
+    pixels, weights = segments.pixels[:count], segments.weights[:count]
+    total = np.bincount(pixels, weights=weights * lengths, minlength=window.rows * window.cols)
+    return np.asarray(total, dtype=np.float64).reshape(window.rows, window.cols)
 
 
 @njit(cache=True, nogil=True)
 def order(starts: NDArray[np.int64], depth: Array, sign: NDArray[np.int8]) -> None:
-    """Order the crossings of each ray by depth, in place; rays have few."""
+    """Order the crossings of each ray by depth, in place; rays have few.
+
+    starts, depth, sign  (pixels + 1,), (n,), (n,)  as in Crossings
+    """
     for pixel in range(len(starts) - 1):
         for k in range(starts[pixel] + 1, starts[pixel + 1]):
             d, s, n = depth[k], sign[k], k
@@ -91,22 +110,16 @@ def order(starts: NDArray[np.int64], depth: Array, sign: NDArray[np.int8]) -> No
 
 
 @njit(cache=True, nogil=True)
-def _append(
-    starts: NDArray[np.int64],
-    depth: Array,
-    sign: NDArray[np.int8],
-    factor: int,
-    window: NDArray[np.int64],
-    free: NDArray[np.int64],
-    to_depth: Array,
-    to_sign: NDArray[np.int8],
-) -> None:
-    """Write the crossings of a window (first row, first column, rows, columns) to where `free` says, and move it on."""
-    for pixel in range(len(starts) - 1):
-        row, col = window[0] + pixel // window[3], window[1] + pixel % window[3]
-        for k in range(starts[pixel], starts[pixel + 1]):
-            to_depth[free[row, col]], to_sign[free[row, col]] = depth[k], factor * sign[k]
-            free[row, col] += 1
+def _append(part: Crossings, factor: int, free: NDArray[np.int64], whole: Crossings) -> None:
+    """Write the crossings of a part, times a factor, to where `free` says for each pixel of the whole; move it on."""
+    cols = part.window.cols
+    for pixel in range(len(part.starts) - 1):
+        row = part.window.row - whole.window.row + pixel // cols
+        place = row * whole.window.cols + part.window.col - whole.window.col + pixel % cols
+        for k in range(part.starts[pixel], part.starts[pixel + 1]):
+            n = free[place]
+            whole.depth[n], whole.sign[n] = part.depth[k], factor * part.sign[k]
+            free[place] = n + 1
 
 
 @njit(cache=True, nogil=True)
@@ -119,35 +132,25 @@ def _sum_depths(starts: NDArray[np.int64], depth: Array, sign: NDArray[np.int8],
 
 
 @njit(cache=True, nogil=True)
-def _segments(
-    starts: NDArray[np.int64],
-    depth: Array,
-    sign: NDArray[np.int8],
-    frame: Array,
-    window: NDArray[np.int64],
-    starts_mm: Array,
-    ends_mm: Array,
-    pixels: NDArray[np.int64],
-    weights: Array,
-) -> int:
-    """Segments of rays inside, with their pixel and how often they are inside over the ray's length; their count."""
-    count = 0
-    for pixel in range(len(starts) - 1):
-        row, col = window[0] + pixel // window[3], window[1] + pixel % window[3]
-        x, y, z = frame[3] + col * frame[6], frame[4], frame[5] - row * frame[6]
-        length = math.sqrt(x * x + y * y + z * z)
+def _segments(crossings: Crossings, frame: Frame, segments: _Segments) -> int:
+    """Fill in the segments of rays inside; returns their count."""
+    count, window, source, starts_mm, ends_mm = 0, crossings.window, frame.source, segments.starts_mm, segments.ends_mm
+    for pixel in range(len(crossings.starts) - 1):
+        row, col = window.row + pixel // window.cols, window.col + pixel % window.cols
+        x, y, z = frame.way.x + col * frame.pixel_mm, frame.way.y, frame.way.z - row * frame.pixel_mm
+        first, stop = crossings.starts[pixel], crossings.starts[pixel + 1]
         # Who leaves more often than he enters was inside from the start.
         inside, at = 0, 0.0
-        for k in range(starts[pixel], starts[pixel + 1]):
-            inside += sign[k]
-        for k in range(starts[pixel], starts[pixel + 1]):
-            end = min(depth[k], 1.0)
+        for k in range(first, stop):
+            inside += crossings.sign[k]
+        for k in range(first, stop):
+            end = min(crossings.depth[k], 1.0)
             if inside != 0 and end > at:
-                for axis, way in enumerate((x, y, z)):
-                    starts_mm[count, axis] = frame[axis] + at * way
-                    ends_mm[count, axis] = frame[axis] + end * way
-                pixels[count], weights[count] = pixel, inside / length
+                starts_mm[count, 0], ends_mm[count, 0] = source.x + at * x, source.x + end * x
+                starts_mm[count, 1], ends_mm[count, 1] = source.y + at * y, source.y + end * y
+                starts_mm[count, 2], ends_mm[count, 2] = source.z + at * z, source.z + end * z
+                segments.pixels[count], segments.weights[count] = pixel, inside / math.sqrt(x * x + y * y + z * z)
                 count += 1
-            inside -= sign[k]
+            inside -= crossings.sign[k]
             at = max(end, at)
     return count

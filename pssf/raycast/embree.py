@@ -8,50 +8,32 @@ finds its triangle sooner than one that starts within. A pixel is handed to the 
 
 - it does not lie strictly inside the projected triangle, in float64: the ray passes so near an edge that Embree took
   the neighbour, or both;
-- a hit lies no deeper than the one before it, or the same triangle is found too often: a surface seen edge-on;
+- a hit lies no deeper than the one before it, or the same triangle is met too often: a surface seen edge-on;
 - Embree finds no more triangles before the count is reached: at an outline, or between sheets that nearly touch;
 - the signs of its crossings do not add up to how often the surface goes around the source.
 
 So every crossing taken is a true one, no two are the same, and there are as many as there should be.
 """
 
-import math
 import os
 from functools import cache
-from typing import Any
 
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore import EmbreeDevice
 from embreex.rtcore_scene import EmbreeScene
-from numba import njit
 from numpy.typing import NDArray
 
 from ..core.checks import Array
 from ..geometry.topology import used
 from . import scanline
-from .crossings import Crossings, chords, offsets
+from .casting import GRID, Extent, Ints, Progress, Rays, advance, spread
+from .crossings import Crossings, Window, chords, room_for
 from .paths import Audit
-from .rays import start
-from .sheets import Sheet
+from .rays import ways_mm
+from .sheets import Point, Sheet, Triangles
 
-Floats = NDArray[np.float32]
-Ints = NDArray[np.int32]
-Signs = NDArray[np.int8]
-
-SPACING = float(np.finfo(np.float32).eps)
-
-# A ray starts again this many float32 spacings off the triangle it met, on its far side. Off the triangle, not along
-# the ray: one met at a grazing angle would be found again. This is past the rounding of both, and short of any other
-# sheet that matters: two sheets of one surface within 4e-5 mm (at 100 mm from its centre) are skipped together.
-STEP_SPACINGS = 3.0
-
-# Of so many columns one is cast first. A ray between two of them that lies strictly inside as many of a neighbour's
-# triangles as it has crossings has met those, and is not cast itself.
-STRIDE = 4
-
-# A triangle found again and again, or a ray with more crossings than any mesh has, is given up and repaired.
-AGAIN_LIMIT = 8
+# A ray with more crossings than any mesh has is given up and repaired.
 HIT_LIMIT = 20_000
 # For all surfaces: with one each, Embree crashes at a thousand of them. A forked process makes its own.
 _device = cache(lambda process: EmbreeDevice())
@@ -65,236 +47,85 @@ class Caster:
 
     def __init__(self, sheet: Sheet, around: int) -> None:
         self.sheet, self.around = sheet, around
-        # Embree takes in half a microsecond a triangle, under Python's lock: it gets those that a ray can meet.
-        kept = scanline.covering(sheet)
-        points, faces = used(sheet.points, sheet.faces[kept])
+        # Embree takes in a microsecond a triangle, under Python's lock: it gets those that a ray can meet.
+        whole, in_sight = sheet.triangles, np.zeros(len(sheet.triangles.faces), np.bool_)
+        in_sight[sheet.order] = True
+        kept = np.flatnonzero(in_sight)
+        points, faces = used(sheet.points, whole.faces[kept])
         if not len(kept):
             points = np.zeros((1, 3))
         low, high = points.min(axis=0), points.max(axis=0)
-        size = float((high - low).max())
-        self.low, self.high = low - 0.01 * size, high + 0.01 * size
         # Around the surface's own centre float32 is finest; from the focus it would err by 1e-4 mm.
-        self.centre = (low + high) / 2
-        self.geometry = (sheet.faces[kept], sheet.seen, sheet.planes[kept], sheet.frame, self.centre)
+        centre, margin = (low + high) / 2, 0.01 * (high - low).max()
+        near, far = (np.array([low[1] - margin, high[1] + margin]) - sheet.frame.source.y) / sheet.frame.way.y
+        self.extent = Extent(Point(*centre.tolist()), max(float(near), 0.0), float(far))
+        planes, rows = whole.planes[kept], whole.rows[kept]
+        self.triangles = Triangles(whole.faces[kept], whole.projected, planes, whole.near[kept], whole.far[kept], rows)
         # Not "robust", which takes a fifth more time: what Embree misses is noticed by the count, and repaired.
         self.tree = EmbreeScene(_device(os.getpid()), robust=False)
-        TriangleMesh(self.tree, (points - self.centre).astype(np.float32), faces)
+        # embreex reads number by number, as Python does: from Python's own numbers and lists in a third of the time.
+        lists = np.fromiter(faces.tolist(), object, len(faces))
+        TriangleMesh(self.tree, (points - centre).astype(np.float32).astype(object), lists)
         # The first call builds the tree; it must not be two threads' first call.
         self.tree.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32), output=1)
 
     def chords(self, first: int, stop: int) -> tuple[Array, Audit]:
         """What `scanline.chords` gives, and an audit."""
-        found, audit = self.crossings(first, stop)
-        return chords(found), audit
+        listed, audit = self.crossings(first, stop)
+        return chords(listed), audit
 
     def crossings(self, first: int, stop: int) -> tuple[Crossings, Audit]:
         """What `scanline.crossings` gives, and an audit."""
-        sheet = self.sheet
-        number = scanline.counts(sheet, first, stop)
-        window = (first, sheet.cols[0], *number.shape)
-        left, starts = number.reshape(-1).copy(), offsets(number)
-        depth, sign, doubt = np.zeros(starts[-1]), np.zeros(starts[-1], np.int8), np.zeros(number.size, np.bool_)
-        rays = _Rays(int(np.count_nonzero(left)))
-        pixels, met = np.array(window), np.empty(starts[-1], np.int32)
-        place: tuple[Any, ...] = (sheet.frame, self.centre, self.low, self.high, pixels, left, doubt, *rays.state)
-        state: tuple[Any, ...] = (*self.geometry, pixels, starts, depth, sign, met, doubt, left, *rays.state)
-        for between in (False, True):
-            count: int = start(*place, STRIDE, between)  # type: ignore[call-arg]
-            for _ in range(HIT_LIMIT):
-                if count == 0:
-                    break
-                hit = self.tree.run(rays.origins[:count], rays.directions[:count], output=1)
-                count = _advance(hit["primID"], hit["tfar"], *state)
-            doubt[rays.pixels[:count]] = True
-            if not between:
-                _spread(*self.geometry[:4], pixels, starts, depth, sign, met, doubt, left, STRIDE)
-        found = Crossings(window=window, starts=starts, depth=depth, sign=sign)
-        lacking = _lacking(starts, sign, left, self.around) & ~doubt
-        unrepaired = self._repair(found, (doubt | lacking).reshape(number.shape))
-        audit = Audit(
-            rays=len(rays.pixels),
-            unbalanced=int(lacking.sum()),
-            imprecise=int(doubt.sum()),
-            repaired=int((doubt | lacking).sum()) - unrepaired,
+        number = scanline.counts(self.sheet, first, stop)
+        listed = room_for(Window(first, self.sheet.cols[0], *number.shape), number)
+        turns, doubt = np.zeros(number.size, np.int32), np.zeros(number.size, np.bool_)
+        progress = Progress(number.reshape(-1).copy(), turns, doubt, np.empty(len(listed.depth), np.int32))
+        on_grid = np.zeros(number.shape, np.bool_)
+        on_grid[::GRID, ::GRID] = True
+        self._cast(on_grid.reshape(-1), listed, progress)
+        spread(self.triangles, self.sheet.frame, listed, progress, int(number.max(initial=0)))
+        self._cast(~on_grid.reshape(-1), listed, progress)
+        bad = (progress.left > 0) | (turns != self.around) | doubt
+        rays = int(np.count_nonzero(number))
+        return listed, self._repaired(listed, bad, doubt, rays) if bad.any() else Audit(rays=rays)
+
+    def _repaired(self, listed: Crossings, bad: NDArray[np.bool_], doubt: NDArray[np.bool_], rays: int) -> Audit:
+        """Take the crossings of bad pixels from the scanline engine, in place; returns the audit."""
+        scanline.refill(self.sheet, listed, bad)
+        number = np.diff(listed.starts)
+        pixels = np.repeat(np.arange(len(number)), number)
+        wrong = np.bincount(pixels, listed.sign, len(number)) != self.around
+        wrong |= np.bincount(pixels, ~np.isfinite(listed.depth), len(number)) > 0
+        count, imprecise, unrepaired = (int(np.count_nonzero(which)) for which in (bad, doubt, wrong & bad))
+        return Audit(
+            rays=rays,
+            unbalanced=count - imprecise,
+            imprecise=imprecise,
+            repaired=count - unrepaired,
             unrepaired=unrepaired,
         )
-        return found, audit
 
-    def _repair(self, found: Crossings, bad: NDArray[np.bool_]) -> int:
-        """Take the crossings of bad pixels from the scanline engine, in place; returns how many are bad even then."""
-        first, _, _, cols = found.window
-        unrepaired = 0
-        for row in map(int, np.flatnonzero(bad.any(axis=1))):
-            exact = scanline.crossings(self.sheet, first + row, first + row + 1)
-            for col in map(int, np.flatnonzero(bad[row])):
-                place = slice(*found.starts[row * cols + col : row * cols + col + 2])
-                source = slice(*exact.starts[col : col + 2])
-                found.depth[place], found.sign[place] = exact.depth[source], exact.sign[source]
-                balanced = found.sign[place].sum() == self.around and np.isfinite(found.depth[place]).all()
-                unrepaired += not balanced
-        return unrepaired
-
-
-class _Rays:
-    """Rays under way, packed: the first `count` entries of each array are alive."""
-
-    def __init__(self, size: int) -> None:
-        self.origins = np.empty((size, 3), np.float32)  # around the surface's centre
-        self.directions = np.empty((size, 3), np.float32)  # of length 1
-        self.pixels = np.empty(size, np.int32)  # within the window
-        self.depths = np.empty(size)  # of the last hit from the front
-        self.ends = np.empty(size)  # depth behind the surface, from where the last crossing is looked for
-        self.triangles = np.empty(size, np.int32)  # of the last hit
-        self.again = np.empty(size, np.int32)  # times that it was found again
-        self.state: tuple[Any, ...] = (
-            self.origins,
-            self.directions,
-            self.pixels,
-            self.depths,
-            self.ends,
-            self.triangles,
-            self.again,
-        )
-
-
-@njit(cache=True, nogil=True)
-def _lacking(starts: NDArray[np.int64], sign: Signs, left: Ints, around: int) -> NDArray[np.bool_]:
-    """Which rays have crossings left to find, or signs that do not add up."""
-    lacking = left > 0
-    for pixel in range(len(left)):
-        total = 0
-        for k in range(starts[pixel], starts[pixel + 1]):
-            total += sign[k]
-        if total != around:
-            lacking[pixel] = True
-    return lacking
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _place(frame: Array, centre: Array, at: float, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Where a ray is at a depth, around the centre of a surface."""
-    return frame[0] - centre[0] + at * x, frame[1] - centre[1] + at * y, frame[2] - centre[2] + at * z
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _way(frame: Array, window: NDArray[np.int64], pixel: int) -> tuple[int, int, float, float, float]:
-    """Row and column of a pixel of a window, and the way of its ray from the source to it."""
-    row, col = window[0] + pixel // window[3], window[1] + pixel % window[3]
-    return row, col, frame[3] + col * frame[6], frame[4], frame[5] - row * frame[6]
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _holds(seen: Array, face: Ints, side: float, row: int, col: int) -> bool:
-    """Whether a pixel lies strictly inside a projected triangle; side > 0: seen from behind, < 0: from the front."""
-    for corner in range(3):
-        one, other = face[corner], face[(corner + 1) % 3]
-        turn = (seen[other, 1] - seen[one, 1]) * (row - seen[one, 0]) - (col - seen[one, 1]) * (
-            seen[other, 0] - seen[one, 0]
-        )
-        if not turn * side > 0.0:
-            return False
-    return True
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _spread(
-    faces: Ints,
-    seen: Array,
-    planes: Array,
-    frame: Array,
-    window: NDArray[np.int64],
-    starts: NDArray[np.int64],
-    depth: Array,
-    sign: Signs,
-    met: Ints,
-    doubt: NDArray[np.bool_],
-    left: Ints,
-    stride: int,
-) -> None:
-    """Give pixels the triangles of a neighbour that was cast, where they lie strictly inside every one of them."""
-    for pixel in range(len(left)):
-        off, cols = pixel % window[3] % stride, window[3] - pixel % window[3]
-        if left[pixel] == 0 or off == 0:
-            continue
-        row, col, x, y, z = _way(frame, window, pixel)
-        for other in (pixel - off, pixel + stride - off):
-            if stride - off >= cols and other > pixel:
-                continue
-            if left[other] or doubt[other] or starts[other + 1] - starts[other] != left[pixel]:
-                continue
-            last, holds = 0.0, True
-            for k in range(left[pixel]):
-                triangle = met[starts[other] + k]
-                nx, ny, nz, scaled = planes[triangle]
-                at = scaled / (nx * x + ny * y + nz * z)
-                holds = at > last and _holds(seen, faces[triangle], scaled, row, col)
-                if not holds:
-                    break
-                last, place = at, starts[pixel] + k
-                depth[place], sign[place], met[place] = at, 1 if scaled > 0.0 else -1, triangle
-            if holds:
-                left[pixel] = 0
+    def _cast(self, among: NDArray[np.bool_], listed: Crossings, progress: Progress) -> None:
+        """Cast the rays of those pixels, out of some, that have crossings left."""
+        pixels = np.flatnonzero((progress.left > 0) & among)
+        rays, count = self._start(listed.window, pixels, progress.left[pixels]), len(pixels)
+        for _ in range(HIT_LIMIT):
+            if count == 0:
                 break
+            hit = self.tree.run(rays.origins[:count], rays.directions[:count], output=1)
+            hits = hit["primID"], hit["tfar"]
+            count = advance(hits, self.triangles, self.sheet.frame, self.extent, listed, progress, rays)
+        progress.doubt[rays.pixels[:count]] = True
 
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _advance(
-    found: Ints,
-    distance: Floats,
-    faces: Ints,
-    seen: Array,
-    planes: Array,
-    frame: Array,
-    centre: Array,
-    window: NDArray[np.int64],
-    starts: NDArray[np.int64],
-    depth: Array,
-    sign: Signs,
-    met: Ints,
-    doubt: NDArray[np.bool_],
-    left: Ints,
-    origins: Floats,
-    directions: Floats,
-    pixels: Ints,
-    depths: Array,
-    ends: Array,
-    triangles: Ints,
-    again: Ints,
-) -> int:
-    """Note hits, drop rays that are done or in doubt, move the others on; returns their count."""
-    count = 0
-    for k in range(len(found)):
-        pixel, triangle = pixels[k], found[k]
-        if triangle < 0:
-            continue
-        row, col, x, y, z = _way(frame, window, pixel)
-        if triangle == triangles[k] and left[pixel] > 1:
-            # Rounding put the new start before the triangle just left after all: go on from where Embree sees it.
-            at, tries = depths[k], again[k] + 1
-            px, py, pz = origins[k] + distance[k] * directions[k]
-            ox, oy, oz = directions[k]
-        else:
-            nx, ny, nz, scaled = planes[triangle]
-            at, tries = scaled / (nx * x + ny * y + nz * z), 0
-            px, py, pz = _place(frame, centre, at, x, y, z)
-            doubt[pixel] = not at > depths[k] or not _holds(seen, faces[triangle], scaled, row, col)
-            off = (1.0 if scaled > 0.0 else -1.0) / math.sqrt(nx * nx + ny * ny + nz * nz)
-            ox, oy, oz = nx * off, ny * off, nz * off
-            place = starts[pixel + 1] - left[pixel]
-            depth[place], sign[place], met[place] = at, 1 if scaled > 0.0 else -1, triangle
-            left[pixel] -= 1
-        if doubt[pixel] or tries >= AGAIN_LIMIT:
-            doubt[pixel] = True
-            continue
-        if left[pixel] == 0:
-            continue
-        step, turn = STEP_SPACINGS * SPACING * max(abs(px), abs(py), abs(pz)), 1.0
-        if left[pixel] == 1:
-            px, py, pz = _place(frame, centre, ends[k], x, y, z)
-            step, turn = 0.0, -1.0
-        origins[count, 0], origins[count, 1], origins[count, 2] = px + step * ox, py + step * oy, pz + step * oz
-        for axis in range(3):
-            directions[count, axis] = turn * directions[k, axis]
-        pixels[count], depths[count], ends[count], triangles[count], again[count] = pixel, at, ends[k], triangle, tries
-        count += 1
-    return count
+    def _start(self, window: Window, pixels: NDArray[np.int64], left: Ints) -> Rays:
+        """Rays to pixels of a window, from before the surface; those of a single crossing from behind it."""
+        frame, (centre, near, far) = self.sheet.frame, self.extent
+        x, y, z = ways_mm(frame, window.row + pixels // window.cols, window.col + pixels % window.cols)
+        length = np.sqrt(x * x + y * y + z * z)
+        at, turn = np.where(left == 1, far, near), np.where(left == 1, -1.0, 1.0) / length
+        origins, directions = np.empty((len(pixels), 3), np.float32), np.empty((len(pixels), 3), np.float32)
+        for axis, way in enumerate((x, np.full_like(x, y), z)):
+            origins[:, axis] = frame.source[axis] - centre[axis] + at * way
+            directions[:, axis] = turn * way
+        depths, again = np.zeros(len(pixels)), np.zeros(len(pixels), np.int32)
+        return Rays(origins, directions, pixels.astype(np.int32), depths, np.full_like(again, -1), again)

@@ -1,7 +1,7 @@
 """What a trace gives back: path lengths, and an account of how the rays fared."""
 
 from collections.abc import Iterable
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,5 +73,5 @@ class Paths:
 
 def total(audits: Iterable[Audit]) -> Audit:
     """The audits of parts of an image, as one."""
-    columns = zip(*map(astuple, audits), strict=True)
-    return Audit(**{field.name: sum(column) for field, column in zip(fields(Audit), columns, strict=False)})
+    parts = list(audits)
+    return Audit(**{field.name: sum(getattr(part, field.name) for part in parts) for field in fields(Audit)})

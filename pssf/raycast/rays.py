@@ -1,98 +1,56 @@
-"""Rays from the source to the pixels: their lengths, where they meet a box, and where they start there.
+"""Rays from the source to the pixels: their ways, their lengths, and the part of them inside a box."""
 
-`frame` is that of a Sheet. Compiled functions that call each other stand in one module: the cache of compiled code
-notices changes in the module of the caller only.
-"""
-
-import math
+from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ..core.checks import Array
+from .sheets import Frame
 
 
-@njit(cache=True, nogil=True)
-def add_box(frame: Array, bounds: Array, first: int, fraction: Array) -> None:
-    """Add the part of each ray inside a box (2, 3) to `fraction` (rows, cols), which starts at row `first`."""
-    for row in range(fraction.shape[0]):
-        for col in range(fraction.shape[1]):
-            near, far = _box_span(frame, bounds[0], bounds[1], first + row, col, 1.0)
-            fraction[row, col] += max(far - near, 0.0)
+def ways_mm(frame: Frame, rows: NDArray[np.integer], cols: NDArray[np.integer]) -> tuple[Array, float, Array]:
+    """From the source to pixels, mm: x of each column, y, z of each row
 
-
-@njit(cache=True, nogil=True)
-def to_mm(fraction: Array, frame: Array, first: int, path_mm: NDArray[np.floating]) -> None:
-    """Fractions of the way from source to pixel (rows, cols) times its length, into `path_mm` (rows, cols)."""
-    for row in range(fraction.shape[0]):
-        z = frame[5] - (first + row) * frame[6]
-        for col in range(fraction.shape[1]):
-            x = frame[3] + col * frame[6]
-            path_mm[row, col] = fraction[row, col] * np.sqrt(x * x + frame[4] * frame[4] + z * z)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def start(
-    frame: Array,
-    centre: Array,
-    low: Array,
-    high: Array,
-    window: NDArray[np.int64],
-    left: NDArray[np.int32],
-    doubt: NDArray[np.bool_],
-    origins: NDArray[np.float32],
-    directions: NDArray[np.float32],
-    pixels: NDArray[np.int32],
-    depths: Array,
-    ends: Array,
-    triangles: NDArray[np.int32],
-    again: NDArray[np.int32],
-    stride: int,
-    between: bool,
-) -> int:
-    """Put the rays of a window (first row, first column, rows, columns) where they enter the box; returns their count.
-
-    left    crossings of each pixel's ray; one without any is left out, and one with a single one comes from behind
-    doubt   set where a ray with crossings misses the box, which rounding alone can bring about
-    stride  of every so many columns alone; or, `between`, of the others
+    rows, cols  (n,), (m,)  numbers of rows and columns
     """
-    count = 0
-    for pixel in range(len(left)):
-        if left[pixel] == 0 or (pixel % window[3] % stride > 0) != between:
-            continue
-        row, col = window[0] + pixel // window[3], window[1] + pixel % window[3]
-        near, far = _box_span(frame, low, high, row, col, np.inf)
-        if near >= far:
-            doubt[pixel] = True
-            continue
-        way = frame[3] + col * frame[6], frame[4], frame[5] - row * frame[6]
-        length = math.sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2])
-        at, turn = (far, -1.0 / length) if left[pixel] == 1 else (near, 1.0 / length)
-        for axis in range(3):
-            origins[count, axis] = frame[axis] - centre[axis] + at * way[axis]
-            directions[count, axis] = turn * way[axis]
-        pixels[count], depths[count], ends[count], triangles[count], again[count] = pixel, 0.0, far, -1, 0
-        count += 1
-    return count
+    x, z = frame.way.x + cols * frame.pixel_mm, frame.way.z - rows * frame.pixel_mm
+    return np.asarray(x, np.float64), frame.way.y, np.asarray(z, np.float64)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _box_span(frame: Array, low: Array, high: Array, row: int, col: int, limit: float) -> tuple[float, float]:
-    """Depths, up to `limit`, at which a ray enters and leaves an axis-parallel box; it misses if it leaves first."""
-    near, far = 0.0, limit
-    for axis in range(3):
-        way = frame[3 + axis]
-        if axis == 0:
-            way += col * frame[6]
-        elif axis == 2:
-            way -= row * frame[6]
-        if way == 0.0:
-            # Parallel to the slab: its lower side counts as inside and its upper one as outside.
-            if not low[axis] <= frame[axis] < high[axis]:
-                return 1.0, 0.0
-            continue
-        one, other = (low[axis] - frame[axis]) / way, (high[axis] - frame[axis]) / way
-        near = max(near, min(one, other))
-        far = min(far, max(one, other))
+def add_box(frame: Frame, bounds: Array, first: int, fraction: Array) -> None:
+    """Add the part of each ray inside an axis-parallel box, over its length.
+
+    bounds    (2, 3)        mm
+    fraction  (rows, cols)  added to in place; its rows begin at row `first`
+    """
+    x, y, z = ways_mm(frame, first + np.arange(fraction.shape[0]), np.arange(fraction.shape[1]))
+    ways = x, np.array([y]), z[:, None]
+    slabs = [_between(*each) for each in zip(bounds[0], bounds[1], frame.source, ways, strict=True)]
+    near, far = (np.maximum(slabs[0][0], slabs[1][0]), np.minimum(slabs[0][1], slabs[1][1]))
+    fraction += np.maximum(np.minimum(far, slabs[2][1]) - np.maximum(near, slabs[2][0]), 0.0)
+
+
+def to_mm(fraction: Array, frame: Frame, first: int, path_mm: NDArray[np.floating]) -> None:
+    """Lengths from fractions of the way from source to pixel.
+
+    fraction  (rows, cols)  its rows begin at row `first`
+    path_mm   (rows, cols)  written to
+    """
+    path_mm[:] = fraction * _lengths_mm(frame, first, *fraction.shape)
+
+
+@lru_cache(maxsize=8)  # every material of a band asks
+def _lengths_mm(frame: Frame, first: int, rows: int, cols: int) -> Array:
+    x, y, z = ways_mm(frame, first + np.arange(rows), np.arange(cols))
+    return np.asarray(np.sqrt(x * x + y * y + (z * z)[:, None]))
+
+
+def _between(low: float, high: float, source: float, way: Array) -> tuple[Array, Array]:
+    """Fractions of ways at which they enter and leave a slab, no less than 0 and no more than 1."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        one, other = (low - source) / way, (high - source) / way
+    near, far = np.maximum(np.minimum(one, other), 0.0), np.minimum(np.maximum(one, other), 1.0)
+    # Parallel to the slab: its lower side counts as inside and its upper one as outside.
+    near[way == 0], far[way == 0] = (0.0, 1.0) if low <= source < high else (1.0, 0.0)
     return near, far

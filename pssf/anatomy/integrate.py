@@ -1,4 +1,4 @@
-"""march: segments in the knee, a region, a lattice -> integrals of density along them."""
+"""integrate_density: segments in the knee, a region, struts -> integrals of density along them."""
 
 import math
 from typing import NamedTuple
@@ -59,6 +59,28 @@ class Region(NamedTuple):
     per_bvtv: float
 
 
+class Struts(NamedTuple):
+    """The lattice, and where in it a bone lies.
+
+    block   flat, of `size` voxels (x, z, y); times `unit`, its mean is 1
+    per_mm  (3,)  voxels in a millimetre
+    shift   (3,)  where in the lattice the bone's origin is, voxels
+    """
+
+    block: Block
+    size: Size
+    unit: float
+    per_mm: Array
+    shift: Array
+
+
+class Steps(NamedTuple):
+    """Samples a voxel, and samples over which the smooth part is taken as straight."""
+
+    fine: int
+    piece: int
+
+
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _bell(x: float) -> float:
     fall = 1.0 / (1.0 + x * x)
@@ -116,19 +138,20 @@ def _on_plane(block: Block, size: Size, a: float, b: float, k: int) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _value(block: Block, size: Size, unit: float, near: Node, step: Node, i: int) -> float:
+def _value(struts: Struts, near: Node, step: Node, i: int) -> float:
     """BV/TV without the scar, i steps on from a node: mean + swing (lattice - 1)."""
     a, b, c = near[0] + i * step[0], near[1] + i * step[1], near[2] + i * step[2]
     k = int(c)
-    strut = _on_plane(block, size, a, b, k)
+    strut = _on_plane(struts.block, struts.size, a, b, k)
     if c - k > _ON_PLANE:
-        strut += (c - k) * (_on_plane(block, size, a, b, k + 1) - strut)
-    return near[3] + i * step[3] + (near[4] + i * step[4]) * (unit * strut - 1.0)
+        strut += (c - k) * (_on_plane(struts.block, struts.size, a, b, k + 1) - strut)
+    return near[3] + i * step[3] + (near[4] + i * step[4]) * (struts.unit * strut - 1.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _sum(block: Block, size: Size, unit: float, near: Node, step: Node, first: int, last: int) -> float:
+def _sum(struts: Struts, near: Node, step: Node, first: int, last: int) -> float:
     """Sum of the values from sample `first` up to, without it, `last`."""
+    block, size, unit = struts.block, struts.size, struts.unit
     total, k, up = 0.0, int(near[2]), 1 if step[2] > 0.0 else -1
     # A plane a sample, which no other rays have: the same as below in two thirds of the time.
     if abs(step[2] - up) < 1e-9:
@@ -137,28 +160,26 @@ def _sum(block: Block, size: Size, unit: float, near: Node, step: Node, first: i
             total += near[3] + i * step[3] + (near[4] + i * step[4]) * (unit * strut - 1.0)
         return total
     for i in range(first, last):
-        total += _value(block, size, unit, near, step, i)
+        total += _value(struts, near, step, i)
     return total
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _between(
-    block: Block, size: Size, unit: float, near: Node, far: Node, start: float, stop: float, piece: int
-) -> float:
+def _between(struts: Struts, near: Node, far: Node, start: float, stop: float, piece: int) -> float:
     """Integral of BV/TV over a piece from start to stop, in samples (0 to `piece`), straight between them."""
     by = 1.0 / piece
     x, z, y, mean = by * (far[0] - near[0]), by * (far[1] - near[1]), by * (far[2] - near[2]), by * (far[3] - near[3])
     step = (x, z, y, mean, by * (far[4] - near[4]), by * (far[5] - near[5]), by * (far[6] - near[6]))
     first, last = int(start), math.ceil(stop)
-    low, high = _value(block, size, unit, near, step, first), _value(block, size, unit, near, step, last)
+    low, high = _value(struts, near, step, first), _value(struts, near, step, last)
     total = (low + high) / 2 if last > first else 0.0
-    total += _sum(block, size, unit, near, step, first + 1, last)
+    total += _sum(struts, near, step, first + 1, last)
     # What of the first and the last step is outside.
     if start > first:
-        then = _value(block, size, unit, near, step, first + 1)
+        then = _value(struts, near, step, first + 1)
         total -= (start - first) * (low + (then - low) * (start - first) / 2)
     if stop < last:
-        then = _value(block, size, unit, near, step, last - 1)
+        then = _value(struts, near, step, last - 1)
         total -= (last - stop) * (high + (then - high) * (last - stop) / 2)
     if min(near[5], far[5]) > _FAR or max(near[5], far[5]) < -_FAR:
         return total
@@ -180,33 +201,19 @@ def _turned(into: Array, x: float, y: float, z: float, shifted: float) -> Triple
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def march(
-    starts: Array,
-    ends: Array,
-    into: Array,
-    block: Block,
-    size: Size,
-    unit: float,
-    per_mm: Array,
-    shift: Array,
-    region: Region,
-    fine: int,
-    piece: int,
-    out: Array,
+def integrate_density(
+    starts: Array, ends: Array, into: Array, struts: Struts, region: Region, steps: Steps, out: Array
 ) -> None:
     """Write the integral of relative density along each segment to `out`, mm.
 
     starts, ends  (n, 3)  knee frame, mm
     into          (3, 4)  transform into the bone's frame
-    block         lattice, flat, of `size` voxels (x, z, y); times `unit`, its mean is 1
-    per_mm        (3,)  voxels in a millimetre
-    shift         (3,)  where in the lattice the bone's origin is, voxels
-    fine, piece   samples a voxel, and samples over which the smooth part is taken as straight
     out           (n,)
 
     Samples keep their places wherever on its line a segment begins, so that its parts add up: for rays about along y
     they are on the planes of the lattice, for others at whole multiples of a step from the point nearest the origin.
     """
+    per_mm, shift, fine, piece = struts.per_mm, struts.shift, steps.fine, steps.piece
     for n in range(len(starts)):
         x, y, z = _turned(into, starts[n, 0], starts[n, 1], starts[n, 2], 1.0)
         dx, dy, dz = _turned(into, ends[n, 0] - starts[n, 0], ends[n, 1] - starts[n, 1], ends[n, 2] - starts[n, 2], 0.0)
@@ -227,6 +234,6 @@ def march(
             then = (number + piece) * gap
             far = _node(region, per_mm, shift, x + then * dx, y + then * dy, z + then * dz)
             low, high = max(start - number, 0.0), min(stop - number, float(piece))
-            total += _between(block, size, unit, near, far, low, high, piece)
+            total += _between(struts, near, far, low, high, piece)
             near, number = far, number + piece
         out[n] += region.per_bvtv * gap * total
