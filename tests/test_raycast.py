@@ -340,6 +340,48 @@ def test_the_audit_counts_the_pixels_in_the_box_of_a_surface_and_those_that_cros
     assert total([Audit(rays=2, repaired=1), Audit(rays=3)]) == Audit(rays=5, repaired=1)
 
 
+def asked_of_embree(monkeypatch):
+    """Counts of rays that Embree is asked for from now on, one for each call."""
+    counts = []
+
+    class Counting(embree.EmbreeScene):
+        def run(self, origins, directions, **options):
+            counts.append(len(origins))
+            return super().run(origins, directions, **options)
+
+    monkeypatch.setattr(embree, "EmbreeScene", Counting)
+    return counts
+
+
+@pytest.mark.parametrize("mesh", [ball(50.0, subdivisions=2), rough(3)], ids=["large triangles", "folds and slivers"])
+def test_rays_that_share_what_a_neighbour_met_are_as_exact_as_those_that_are_cast(monkeypatch, mesh):
+    fine = detector(rows=512, cols=512, pixel_mm=0.3)
+    exact = trace(alone(mesh), fine, engine="scanline", precision="float64").path_mm["water"]
+    counts = asked_of_embree(monkeypatch)
+    paths = trace(alone(mesh), fine, engine="embree", precision="float64")
+    # Two crossings a ray at least, were each cast.
+    assert sum(counts) < 0.7 * 2 * paths.audit.rays
+    assert_allclose(paths.path_mm["water"], exact, rtol=0, atol=1e-9)
+    assert_clean(paths.audit)
+
+
+@pytest.mark.parametrize("count", [200, 3])
+def test_parallel_plates_are_exact_and_what_is_in_doubt_in_a_band_is_repaired_at_once(monkeypatch, count):
+    # The diagonals of their faces run through the centres of pixels.
+    plates = [box(150.0, 0.2, 150.0, at=(0.0, 0.5 * k - 50.0, 0.0)) for k in range(count)]
+    protocol = detector(rows=96, cols=96, pixel_mm=1.0)
+    expected = sum(convex_chord(plate, view_of(protocol)) for plate in plates)
+    calls, spans = [], scanline._find_spans
+    monkeypatch.setattr(scanline, "_find_spans", lambda *given: calls.append(1) or spans(*given))
+    scene = Scene([Surface(plate, "cortical_bone", "air") for plate in plates])
+    paths = trace(scene, protocol, engine="embree", precision="float64")
+    assert_allclose(paths.path_mm["cortical_bone"], expected, rtol=0, atol=1e-9)
+    assert paths.audit.repaired > 50 * count
+    assert_clean(paths.audit)
+    # One look to count crossings and one for all that is in doubt.
+    assert len(calls) <= 2 * count * (96 // BAND_ROWS)
+
+
 def test_rays_that_are_given_up_are_repaired_to_the_same_numbers(monkeypatch):
     expected = trace(alone(rough(8)), detector()).path_mm["water"]
     monkeypatch.setattr(embree, "HIT_LIMIT", 1)

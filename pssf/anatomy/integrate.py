@@ -1,22 +1,65 @@
-"""integrate_density: segments in the knee, a region, struts -> integrals of density along them."""
+"""integrate_density: segments in the knee, a region, a lattice -> integrals of density along them.
+
+So many segments are worked on at a time, side by side in one array: loops over them all compile to vector instructions.
+"""
 
 import math
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from ..core.checks import Array
+from ..data.records import Triple
 from .lattice import Block
+
+LANES = 16
+# Rows of the array, in steps of LANES. Of a segment's line: a point, its direction, the length of a step, where on it
+# the segment begins and ends and the present piece ends, in steps; the segment's length, the integral so far, and what
+# of the present piece is within the segment, in steps.
+_X, _Y, _Z, _DX, _DY, _DZ, _STEP, _START, _STOP, _END, _LENGTH, _TOTAL, _LOW, _HIGH = range(0, 14 * LANES, LANES)
+# Of the present piece: its near end, its far end, and the change from one sample to the next, each with rows as below.
+_NEAR, _FAR, _RISE = range(14 * LANES, 35 * LANES, 7 * LANES)
+# Where it is in the lattice (x, z, y, in voxels), the contrast of struts, BV/TV less that, half thicknesses over the
+# scar, BV/TV that the scar adds.
+_A, _B, _C, _SWING, _REST, _OVER, _SCAR = range(0, 7 * LANES, LANES)
+
+# Of the present sample: the lattice at four corners around it.
+_ONE, _TWO, _THREE, _FOUR = range(35 * LANES, 39 * LANES, LANES)
 
 # So near to a plane of voxels (in voxels) a place is taken as on it, which halves the work.
 _ON_PLANE = 1e-6
+# So many voxels are whole periods, and keep a place positive, where cutting off the fraction rounds down.
+_PERIODS = 65536.0
 # Nothing is left of the scar so many half thicknesses from it.
-_FAR = 30.0
+_SCAR_ENDS = 30.0
 
-Triple = tuple[float, float, float]
-Size = tuple[int, int, int]
-Node = tuple[float, float, float, float, float, float, float]
+Places = NDArray[np.int32]
+
+
+class Struts(NamedTuple):
+    """The lattice as a bone has it.
+
+    voxels  ((nx + 1) x (nz + 1) x ny,)  bone content of voxels, the first in x and in z once more after the last
+    size    (nx, nz, ny), powers of two; the lattice repeats after so many voxels
+    unit    what makes its mean 1
+    per_mm  voxels in a millimetre, along x, z, y
+    shift   where in it the bone's origin is, in voxels, along x, z, y
+    """
+
+    voxels: Block
+    size: tuple[int, int, int]
+    unit: float
+    per_mm: Triple
+    shift: Triple
+
+
+class Steps(NamedTuple):
+    """Samples a voxel, and samples over which the smooth part is taken as straight."""
+
+    fine: int
+    piece: int
 
 
 class Region(NamedTuple):
@@ -59,145 +102,149 @@ class Region(NamedTuple):
     per_bvtv: float
 
 
-class Struts(NamedTuple):
-    """The lattice, and where in it a bone lies.
-
-    block   flat, of `size` voxels (x, z, y); times `unit`, its mean is 1
-    per_mm  (3,)  voxels in a millimetre
-    shift   (3,)  where in the lattice the bone's origin is, voxels
-    """
-
-    block: Block
-    size: Size
-    unit: float
-    per_mm: Array
-    shift: Array
-
-
-class Steps(NamedTuple):
-    """Samples a voxel, and samples over which the smooth part is taken as straight."""
-
-    fine: int
-    piece: int
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _bell(x: float) -> float:
     fall = 1.0 / (1.0 + x * x)
     return fall * fall
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _smooth(region: Region, x: float, y: float, z: float) -> tuple[float, float, float, float, float]:
-    """Of a place in the bone: x in the fan of struts (mm), BV/TV, its swing, half thicknesses over the scar, scar."""
-    x, y, z = x * region.per_scale, y * region.per_scale, z * region.per_scale
-    down = max(region.shaftward * z, 0.0)
-    near, far = region.fan_mm * region.fan_mm, down * down
-    u = x * (near + far) / (near + (1.0 - region.fan) * far)
-    fade = down * region.fade_per_mm
-    fade = 1.0 / (1.0 + fade * fade * fade * fade)
-    medial = x / math.sqrt(x * x + region.middle_mm * region.middle_mm)
-    side = (abs(u) - region.column_mm) * region.column_per_mm
-    mean = region.shaft + (region.bvtv - region.shaft) * fade
-    mean *= (1.0 + region.medial * medial) * (1.0 + region.load * (1.0 - side * side) / (1.0 + side * side))
-    surface = 0.0
-    for dip in region.dips:
-        if dip[2] != 0.0:
+@njit(cache=True, nogil=True, error_model="numpy")
+def _nodes(lanes: Array, region: Region, struts: Struts) -> None:
+    """Fill in the far ends of pieces."""
+    for n in range(LANES):
+        at = lanes[_END + n] * lanes[_STEP + n]
+        place = (
+            lanes[_X + n] + at * lanes[_DX + n],
+            lanes[_Y + n] + at * lanes[_DY + n],
+            lanes[_Z + n] + at * lanes[_DZ + n],
+        )
+        x, y, z = place[0] * region.per_scale, place[1] * region.per_scale, place[2] * region.per_scale
+        down = max(region.shaftward * z, 0.0)
+        near, far = region.fan_mm * region.fan_mm, down * down
+        u = x * (near + far) / (near + (1.0 - region.fan) * far)
+        fade = down * region.fade_per_mm
+        fade = 1.0 / (1.0 + fade * fade * fade * fade)
+        medial = x / math.sqrt(x * x + region.middle_mm * region.middle_mm)
+        side = (abs(u) - region.column_mm) * region.column_per_mm
+        mean = region.shaft + (region.bvtv - region.shaft) * fade
+        mean *= (1.0 + region.medial * medial) * (1.0 + region.load * (1.0 - side * side) / (1.0 + side * side))
+        surface = 0.0
+        for dip in region.dips:
             surface += dip[2] * _bell((x - dip[0]) * dip[1])
-    high, deep = min(z - surface - region.joint[1], region.below), y - region.joint[0]
-    depth = max(region.joint[2] - math.sqrt(deep * deep + high * high), 0.0) * region.plate_per_mm
-    plate = region.plate_medial * (0.5 + 0.5 * medial) + region.plate_lateral * (0.5 - 0.5 * medial)
-    mean *= 1.0 + plate * fade * _bell(depth)
-    swing = mean * (region.gain_shaft + (region.gain - region.gain_shaft) * fade)
-    over = z - region.scar_z - region.scar_slope * x - region.scar_bow_per_mm * x * x
-    scar = region.scar_bvtv * _bell((x - region.scar_x) * region.scar_wide_per_mm)
-    return u * region.scale, mean, swing, over * region.scar_per_mm, scar
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _node(region: Region, per_mm: Array, shift: Array, x: float, y: float, z: float) -> Node:
-    """Of a place in the bone: where it is in the lattice (x, z, y, voxels), and the rest of `_smooth`."""
-    u, mean, swing, over, scar = _smooth(region, x, y, z)
-    # So many voxels are whole periods, and keep a place positive, where cutting off the fraction rounds down.
-    a, b, c = u * per_mm[0] + shift[0], z * per_mm[1] + shift[1], y * per_mm[2] + shift[2]
-    return a + 65536.0, b + 65536.0, c + 65536.0 + _ON_PLANE / 2, mean, swing, over, scar
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _on_plane(block: Block, size: Size, a: float, b: float, k: int) -> float:
-    """The lattice in one of its planes across y, at a place in voxels, all positive; linear between voxels."""
-    i, j = int(a), int(b)
-    k &= size[2] - 1
-    near, far = (i & (size[0] - 1)) * size[1] * size[2], ((i + 1) & (size[0] - 1)) * size[1] * size[2]
-    low, high = (j & (size[1] - 1)) * size[2] + k, ((j + 1) & (size[1] - 1)) * size[2] + k
-    # Unsigned, so that no index is looked at for being negative.
-    one, two = np.float64(block[np.uint64(near + low)]), np.float64(block[np.uint64(near + high)])
-    three, four = np.float64(block[np.uint64(far + low)]), np.float64(block[np.uint64(far + high)])
-    one += (b - j) * (two - one)
-    return one + (a - i) * (three + (b - j) * (four - three) - one)
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _value(struts: Struts, near: Node, step: Node, i: int) -> float:
-    """BV/TV without the scar, i steps on from a node: mean + swing (lattice - 1)."""
-    a, b, c = near[0] + i * step[0], near[1] + i * step[1], near[2] + i * step[2]
-    k = int(c)
-    strut = _on_plane(struts.block, struts.size, a, b, k)
-    if c - k > _ON_PLANE:
-        strut += (c - k) * (_on_plane(struts.block, struts.size, a, b, k + 1) - strut)
-    return near[3] + i * step[3] + (near[4] + i * step[4]) * (struts.unit * strut - 1.0)
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _sum(struts: Struts, near: Node, step: Node, first: int, last: int) -> float:
-    """Sum of the values from sample `first` up to, without it, `last`."""
-    block, size, unit = struts.block, struts.size, struts.unit
-    total, k, up = 0.0, int(near[2]), 1 if step[2] > 0.0 else -1
-    # A plane a sample, which no other rays have: the same as below in two thirds of the time.
-    if abs(step[2] - up) < 1e-9:
-        for i in range(first, last):
-            strut = _on_plane(block, size, near[0] + i * step[0], near[1] + i * step[1], k + i * up)
-            total += near[3] + i * step[3] + (near[4] + i * step[4]) * (unit * strut - 1.0)
-        return total
-    for i in range(first, last):
-        total += _value(struts, near, step, i)
-    return total
+        high, deep = min(z - surface - region.joint[1], region.below), y - region.joint[0]
+        depth = max(region.joint[2] - math.sqrt(deep * deep + high * high), 0.0) * region.plate_per_mm
+        plate = region.plate_medial * (0.5 + 0.5 * medial) + region.plate_lateral * (0.5 - 0.5 * medial)
+        mean *= 1.0 + plate * fade * _bell(depth)
+        swing = mean * (region.gain_shaft + (region.gain - region.gain_shaft) * fade)
+        over = z - region.scar_z - region.scar_slope * x - region.scar_bow_per_mm * x * x
+        lanes[_FAR + _A + n] = u * region.scale * struts.per_mm[0] + struts.shift[0] + _PERIODS
+        lanes[_FAR + _B + n] = place[2] * struts.per_mm[1] + struts.shift[1] + _PERIODS
+        lanes[_FAR + _C + n] = place[1] * struts.per_mm[2] + struts.shift[2] + _PERIODS + _ON_PLANE / 2
+        lanes[_FAR + _SWING + n], lanes[_FAR + _REST + n] = swing, mean - swing
+        lanes[_FAR + _OVER + n] = over * region.scar_per_mm
+        lanes[_FAR + _SCAR + n] = region.scar_bvtv * _bell((x - region.scar_x) * region.scar_wide_per_mm)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _between(struts: Struts, near: Node, far: Node, start: float, stop: float, piece: int) -> float:
-    """Integral of BV/TV over a piece from start to stop, in samples (0 to `piece`), straight between them."""
-    by = 1.0 / piece
-    x, z, y, mean = by * (far[0] - near[0]), by * (far[1] - near[1]), by * (far[2] - near[2]), by * (far[3] - near[3])
-    step = (x, z, y, mean, by * (far[4] - near[4]), by * (far[5] - near[5]), by * (far[6] - near[6]))
-    first, last = int(start), math.ceil(stop)
-    low, high = _value(struts, near, step, first), _value(struts, near, step, last)
-    total = (low + high) / 2 if last > first else 0.0
-    total += _sum(struts, near, step, first + 1, last)
-    # What of the first and the last step is outside.
-    if start > first:
-        then = _value(struts, near, step, first + 1)
-        total -= (start - first) * (low + (then - low) * (start - first) / 2)
-    if stop < last:
-        then = _value(struts, near, step, last - 1)
-        total -= (last - stop) * (high + (then - high) * (last - stop) / 2)
-    if min(near[5], far[5]) > _FAR or max(near[5], far[5]) < -_FAR:
-        return total
-    # The scar's profile (1 + q^2)^-1.5 is the slope of q / sqrt(1 + q^2): exact however thin it is beside a sample.
-    scar, one, two = (near[6] + far[6]) / 2, near[5] + start * step[5], near[5] + stop * step[5]
-    if abs(step[5]) < 1e-7:
-        return total + scar * (stop - start) * (1.0 + one * one) ** -1.5
-    return total + scar * (two / math.sqrt(1.0 + two * two) - one / math.sqrt(1.0 + one * one)) / step[5]
+def _share(x: float) -> float:
+    """Twice the area of a hat, which falls from 1 at 0 to 0 at -1 and 1, between 0 and x."""
+    x = min(max(x, -1.0), 1.0)
+    return x * (2.0 - abs(x))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _turned(into: Array, x: float, y: float, z: float, shifted: float) -> Triple:
-    """A place in the knee frame as one in the bone's, or a way (shifted = 0)."""
-    return (
-        into[0, 0] * x + into[0, 1] * y + into[0, 2] * z + into[0, 3] * shifted,
-        into[1, 0] * x + into[1, 1] * y + into[1, 2] * z + into[1, 3] * shifted,
-        into[2, 0] * x + into[2, 1] * y + into[2, 2] * z + into[2, 3] * shifted,
-    )
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sample(lanes: Array, places: Places, struts: Struts, i: int, above: int) -> None:
+    """Add what struts give at sample i of the pieces, in the lattice's plane below the place, or above it."""
+    (nx, nz, ny), voxels = struts.size, struts.voxels
+    row, col, unit = (nz + 1) * ny, ny, 0.5 * struts.unit
+    # Of a place so far past a plane, this plane's share: 1 - c for the plane below, c for the one above.
+    whole, part = 1.0 - above, 2.0 * above - 1.0
+    for n in range(LANES):
+        a = np.int32(lanes[_NEAR + _A + n] + i * lanes[_RISE + _A + n])
+        b = np.int32(lanes[_NEAR + _B + n] + i * lanes[_RISE + _B + n])
+        c = np.int32(lanes[_NEAR + _C + n] + i * lanes[_RISE + _C + n])
+        places[n] = (a & (nx - 1)) * row + (b & (nz - 1)) * col + ((c + above) & (ny - 1))
+    for n in range(LANES):
+        place = np.uint64(places[n])  # unsigned, so that no index is looked at for being negative
+        lanes[_ONE + n] = voxels[place]
+        lanes[_TWO + n] = voxels[place + np.uint64(col)]
+        lanes[_THREE + n] = voxels[place + np.uint64(row)]
+        lanes[_FOUR + n] = voxels[place + np.uint64(row + col)]
+    for n in range(LANES):
+        a = lanes[_NEAR + _A + n] + i * lanes[_RISE + _A + n]
+        b = lanes[_NEAR + _B + n] + i * lanes[_RISE + _B + n]
+        c = lanes[_NEAR + _C + n] + i * lanes[_RISE + _C + n]
+        a, b, c = a - np.int32(a), b - np.int32(b), c - np.int32(c)
+        near = lanes[_ONE + n] + b * (lanes[_TWO + n] - lanes[_ONE + n])
+        far = lanes[_THREE + n] + b * (lanes[_FOUR + n] - lanes[_THREE + n])
+        c = c if c > _ON_PLANE else 0.0
+        weight = (_share(lanes[_HIGH + n] - i) - _share(lanes[_LOW + n] - i)) * (whole + part * c)
+        swing = lanes[_NEAR + _SWING + n] + i * lanes[_RISE + _SWING + n]
+        lanes[_TOTAL + n] += unit * weight * swing * (near + a * (far - near))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _begin(lanes: Array, starts: Array, ends: Array, first: int, into: Array, struts: Struts, steps: Steps) -> None:
+    """Fill in the lines of segments from number `first` on; after the last one that again, until all rows are full."""
+    (px, pz, py), piece = struts.per_mm, steps.piece
+    for n in range(LANES):
+        k = min(first + n, len(starts) - 1)
+        for axis in range(3):
+            point, way = into[axis, 3], 0.0
+            for j in range(3):
+                point += into[axis, j] * starts[k, j]
+                way += into[axis, j] * (ends[k, j] - starts[k, j])
+            lanes[_X + axis * LANES + n], lanes[_DX + axis * LANES + n] = point, way
+        x, y, z, dx, dy, dz = (
+            lanes[_X + n],
+            lanes[_Y + n],
+            lanes[_Z + n],
+            lanes[_DX + n],
+            lanes[_DY + n],
+            lanes[_DZ + n],
+        )
+        length = math.sqrt(dx * dx + dy * dy + dz * dz)
+        lanes[_LENGTH + n] = length
+        if length == 0.0:
+            dy = length = 1.0
+        dx, dy, dz = dx / length, dy / length, dz / length
+        along, across = abs(dy) * py, 2.0 * max(abs(dx) * px, abs(dz) * pz)
+        start, step = x * dx + y * dy + z * dz, 1.0 / (across * steps.fine)
+        if along >= across:
+            start, step = (y + struts.shift[2] / py) / dy, 1.0 / (along * steps.fine)
+        lanes[_X + n], lanes[_Y + n], lanes[_Z + n] = x - start * dx, y - start * dy, z - start * dz
+        lanes[_DX + n], lanes[_DY + n], lanes[_DZ + n], lanes[_STEP + n] = dx, dy, dz, step
+        lanes[_START + n], lanes[_STOP + n] = start / step, (start + lanes[_LENGTH + n]) / step
+        lanes[_END + n], lanes[_TOTAL + n] = math.floor(lanes[_START + n] / piece) * piece, 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _next_piece(lanes: Array, piece: int) -> tuple[int, int, int]:
+    """Fill in the changes over a piece, and add what it gives without struts; returns first and last sample, planes."""
+    for k in range(7 * LANES):
+        lanes[_RISE + k] = (lanes[_FAR + k] - lanes[_NEAR + k]) / piece
+    first, last, planes = piece, -1, 1
+    for n in range(LANES):
+        begin = lanes[_END + n] - piece
+        low, high = max(lanes[_START + n] - begin, 0.0), min(lanes[_STOP + n] - begin, float(piece))
+        lanes[_LOW + n], lanes[_HIGH + n] = low, max(low, high)
+        if not low < high:
+            continue
+        first, last = min(first, int(low)), max(last, math.ceil(high))
+        # A plane a sample, unless it lies oblique: then between two.
+        if abs(abs(lanes[_RISE + _C + n]) - 1.0) > 1e-9:
+            planes = 2
+        added = (high - low) * (lanes[_NEAR + _REST + n] + (low + high) / 2 * lanes[_RISE + _REST + n])
+        over, rise = lanes[_NEAR + _OVER + n], lanes[_RISE + _OVER + n]
+        one, two = over + low * rise, over + high * rise
+        if min(one, two) < _SCAR_ENDS and max(one, two) > -_SCAR_ENDS:
+            # The profile (1 + q^2)^-1.5 is the slope of q / sqrt(1 + q^2): exact however thin it is beside a sample.
+            mean = (1.0 + one * one) ** -1.5
+            if abs(rise) > 1e-7:
+                mean = (two / math.sqrt(1.0 + two * two) - one / math.sqrt(1.0 + one * one)) / (two - one)
+            added += (high - low) * mean * (lanes[_NEAR + _SCAR + n] + lanes[_FAR + _SCAR + n]) / 2
+        lanes[_TOTAL + n] += added
+    return first, last, planes
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -213,27 +260,23 @@ def integrate_density(
     Samples keep their places wherever on its line a segment begins, so that its parts add up: for rays about along y
     they are on the planes of the lattice, for others at whole multiples of a step from the point nearest the origin.
     """
-    per_mm, shift, fine, piece = struts.per_mm, struts.shift, steps.fine, steps.piece
-    for n in range(len(starts)):
-        x, y, z = _turned(into, starts[n, 0], starts[n, 1], starts[n, 2], 1.0)
-        dx, dy, dz = _turned(into, ends[n, 0] - starts[n, 0], ends[n, 1] - starts[n, 1], ends[n, 2] - starts[n, 2], 0.0)
-        length = math.sqrt(dx * dx + dy * dy + dz * dz)
-        out[n] = region.marrow * length
-        if length == 0.0:
-            continue
-        dx, dy, dz = dx / length, dy / length, dz / length
-        along, across = abs(dy) * per_mm[2], 2.0 * max(abs(dx) * per_mm[0], abs(dz) * per_mm[1])
-        start, gap = x * dx + y * dy + z * dz, 1.0 / (across * fine)
-        if along >= across:
-            start, gap = (y + shift[2] / per_mm[2]) / dy, 1.0 / (along * fine)
-        x, y, z = x - start * dx, y - start * dy, z - start * dz
-        start, stop = start / gap, (start + length) / gap
-        number, total = math.floor(start / piece) * piece, 0.0
-        near = _node(region, per_mm, shift, x + number * gap * dx, y + number * gap * dy, z + number * gap * dz)
-        while number < stop:
-            then = (number + piece) * gap
-            far = _node(region, per_mm, shift, x + then * dx, y + then * dy, z + then * dz)
-            low, high = max(start - number, 0.0), min(stop - number, float(piece))
-            total += _between(struts, near, far, low, high, piece)
-            near, number = far, number + piece
-        out[n] += region.per_bvtv * gap * total
+    lanes, places = np.zeros(39 * LANES), np.zeros(LANES, np.int32)
+    for segment in range(0, len(starts), LANES):
+        _begin(lanes, starts, ends, segment, into, struts, steps)
+        _nodes(lanes, region, struts)
+        more = True
+        while more:
+            for k in range(7 * LANES):
+                lanes[_NEAR + k] = lanes[_FAR + k]
+            more = False
+            for n in range(LANES):
+                lanes[_END + n] += steps.piece
+                more |= lanes[_END + n] < lanes[_STOP + n]
+            _nodes(lanes, region, struts)
+            first, last, planes = _next_piece(lanes, steps.piece)
+            for i in range(first, last + 1):
+                for above in range(planes):
+                    _sample(lanes, places, struts, i, above)
+        for n in range(min(LANES, len(starts) - segment)):
+            part = region.per_bvtv * lanes[_STEP + n] * lanes[_TOTAL + n]
+            out[segment + n] = region.marrow * lanes[_LENGTH + n] + part

@@ -15,10 +15,11 @@ _LAST: dict[tuple[int, Lattice], tuple[Block, float]] = {}
 
 
 def lattice(seed: int, table: Lattice) -> tuple[Block, float]:
-    """(nx, nz, ny)  bone content of the voxels, 0 none and 255 solid, periodic; and what makes its mean 1
+    """(nx + 1, nz + 1, ny)  bone content of the voxels, 0 none and 255 solid, periodic; and what makes its mean 1
 
     A Gaussian field with the power spectrum of `data/trabeculae.toml`, cut off softly: bone where it is high, next to
-    none elsewhere. y comes last, so that a ray along it reads what lies side by side. Kept until another seed comes.
+    none elsewhere. y comes last, so that a ray along it reads what lies side by side; in x and in z the first voxels
+    stand once more after the last, so that what lies beside a voxel is always as far on. Kept until another seed comes.
     """
     with _MAKING:  # a second thread waits for the first, instead of making the same again
         if (seed, table) not in _LAST:
@@ -37,16 +38,17 @@ def _made(seed: int, table: Lattice) -> tuple[Block, float]:
     for i, wave in enumerate(waves):
         wave *= amplitude[across[i], up]
     waves = fft.ifft2(waves, axes=(0, 1), norm="forward", workers=2, overwrite_x=True)
-    block = np.empty((nx, nz, ny), np.uint8)
+    block = np.empty((nx + 1, nz + 1, ny), np.uint8)
     for i in range(0, nx, 32):  # in parts, so that nothing as large as the block is held in float32
         field = fft.irfft(waves[i : i + 32], ny, axis=2, norm="forward", workers=2)
         field -= np.float32(table.cut)
         field *= np.float32(-1 / table.softness)
         np.exp(field, out=field)
         field += 1
-        block[i : i + 32] = np.rint(np.divide(255, field, out=field), out=field)
+        block[i : i + 32, :nz] = np.rint(np.divide(255, field, out=field), out=field)
+    block[nx], block[:, nz] = block[0], block[:, 0]
     block.setflags(write=False)
-    return block, 1 / float(block.mean())
+    return block, 1 / float(block[:nx, :nz].mean())
 
 
 @cache

@@ -56,9 +56,10 @@ class Trabeculae:
             return out
         starts, ends = (np.ascontiguousarray(points, np.float64) for points in (starts_mm, ends_mm))
         block, unit = lattice(self.seed, self.table)
-        frame, shift = np.array(self.into).reshape(3, 4), np.array(self.shift)
-        struts = Struts(block.reshape(-1), block.shape, unit, 1 / np.array(self.table.voxel_mm), shift)
-        integrate_density(starts, ends, frame, struts, self.region, Steps(fine, piece), out)
+        x, z, y = self.table.voxel_mm
+        struts = Struts(block.reshape(-1), self.table.voxels, unit, (1 / x, 1 / z, 1 / y), self.shift)
+        into = np.array(self.into).reshape(3, 4)
+        integrate_density(starts, ends, into, struts, self.region, Steps(fine, piece), out)
         return out
 
 
