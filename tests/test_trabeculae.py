@@ -171,7 +171,7 @@ def test_the_lattice_is_bone_in_about_its_share_and_repeats():
 def test_the_lattice_is_made_once_when_it_is_needed_and_for_one_seed_at_a_time(monkeypatch):
     made = []
 
-    def make(seed):
+    def make(seed, table):
         made.append(seed)
         time.sleep(0.05)  # long enough for a second thread to ask as well
         block = np.zeros((513, 257, 128), np.uint8)
@@ -189,7 +189,7 @@ def test_the_lattice_is_made_once_when_it_is_needed_and_for_one_seed_at_a_time(m
     assert made == [11]
     bone(seed=12).integrate(*ends)
     assert made == [11, 12]
-    assert list(struts._LAST) == [12]
+    assert [seed for seed, _ in struts._LAST] == [12]
 
 
 def test_projected_struts_are_upright_fine_and_about_gaussian(patch):
