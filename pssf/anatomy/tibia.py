@@ -3,6 +3,7 @@
 In the frame of the bone at the mean man's size: x medial, y posterior, z = 0 at the middle of a level plateau.
 """
 
+import atexit
 from functools import lru_cache, partial
 
 import numpy as np
@@ -22,6 +23,10 @@ _END_MM = -285.0
 def mean_tibia(shape: TibiaShape) -> MeanBone:
     """The mean man's tibia, with a level plateau."""
     return MeanBone("tibia", field_of(shape), partial(_rough, shape), shape.edge_mm, shape.tolerance_mm)
+
+
+# manifold3d says on standard error what of it still stands when Python has ended.
+atexit.register(mean_tibia.cache_clear)
 
 
 def field_of(shape: TibiaShape) -> Field:
