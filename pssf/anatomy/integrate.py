@@ -177,8 +177,8 @@ def _sample(lanes: Array, places: Places, struts: Struts, i: int, above: int) ->
         a, b, c = a - np.int32(a), b - np.int32(b), c - np.int32(c)
         near = lanes[_ONE + n] + b * (lanes[_TWO + n] - lanes[_ONE + n])
         far = lanes[_THREE + n] + b * (lanes[_FOUR + n] - lanes[_THREE + n])
-        c = c if c > _ON_PLANE else 0.0
-        weight = (_share(lanes[_HIGH + n] - i) - _share(lanes[_LOW + n] - i)) * (whole + part * c)
+        beyond: float = c if c > _ON_PLANE else 0.0
+        weight = (_share(lanes[_HIGH + n] - i) - _share(lanes[_LOW + n] - i)) * (whole + part * beyond)
         swing = lanes[_NEAR + _SWING + n] + i * lanes[_RISE + _SWING + n]
         lanes[_TOTAL + n] += unit * weight * swing * (near + a * (far - near))
 
