@@ -2,7 +2,9 @@
 
 import dataclasses
 import json
+import os
 import shutil
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,6 +14,10 @@ from hypothesis import HealthCheck, settings
 import pssf
 from pssf import cohort
 from pssf.data import code
+
+# Hundreds of processes are started here, and each would compile all that it imports.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 # No test is timed, and a commit that passes passes again: the examples are drawn from the test's own text.
 settings.register_profile("pssf", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])

@@ -92,6 +92,23 @@ def test_workers_that_have_just_died_are_waited_for(doomed):
     parallel.require_scheduler(doomed.scheduler_address)
 
 
+@pytest.mark.parametrize("error", [OSError("Timed out trying to connect after 30 s"), ConnectionResetError("closed")])
+def test_a_worker_that_dies_as_it_is_asked_is_asked_again(error):
+    pytest.importorskip("distributed")
+    from pssf.core import cluster as module
+
+    replies = iter([{"tcp://a:1": error}, {"tcp://a:2": ("0.1.0", [])}])
+
+    class Client:
+        def wait_for_workers(self, count, timeout):
+            pass
+
+        def run(self, function, modules, on_error):
+            return next(replies)
+
+    assert module._answers(Client(), ()) == [("0.1.0", [])]
+
+
 def refuse(item):
     raise pssf.InputError(f"item = {item}; allowed: none")
 

@@ -45,6 +45,13 @@ def test_what_is_compiled_or_left_by_an_editor_does_not_count(copied_code):
     assert code.code_digest() == before
 
 
+@pytest.mark.parametrize("name", sorted(code.TELLING))
+def test_what_only_tells_of_results_does_not_count(copied_code, name):
+    before = code.code_digest((".", "data", "io"))
+    change(copied_code / name)
+    assert code.code_digest((".", "data", "io")) == before
+
+
 def test_a_part_that_is_not_there_is_refused():
     with pytest.raises(pssf.InputError, match=r"part rays\.py of pssf is missing; allowed: a module or folder below"):
         code.code_digest(("rays.py",))

@@ -75,10 +75,13 @@ def meshes(
 ) -> None:
     """The solids of a knee as STL, PLY, GLB and 3MF, in mm."""
     from ..anatomy import build
-    from ..io.meshes import export_meshes
+    from ..io.atomic import folder
+    from ..io.meshes import export_meshes, require_export
 
     subject, name = knee_of(knee, grade, seed)
     formats = tuple(kinds.split(","))
+    require_export(formats, tolerance_mm)
+    folder(out)
     for path in export_meshes(build(subject).scene, out, formats=formats, stem=name, tolerance_mm=tolerance_mm):
         print(path)
 

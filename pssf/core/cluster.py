@@ -24,7 +24,8 @@ from .workers import WorkersLostError, one_thread
 _REACH_SECONDS = 10
 # Workers that have been killed are back only when they have loaded everything again.
 _WORKERS_SECONDS = 30
-_AGAIN_SECONDS = 0.2
+_AGAIN_SECONDS = 0.5
+_ASKED_TIMES = 10
 # A worker with several threads must not work on two knees at once: what limits threads is of the whole process.
 _ALONE = threading.Lock()
 
@@ -96,16 +97,16 @@ def _connected(address: str) -> Iterator[Client]:
 
 
 def _answers(client: Client, modules: tuple[str, ...]) -> list[Any]:
-    """What every worker says of itself; nothing when there has been none that answers for _WORKERS_SECONDS."""
-    ends = time.monotonic() + _WORKERS_SECONDS
-    while (left := ends - time.monotonic()) > 0:
+    """What every worker says of itself; nothing when there has been none that answers."""
+    for _ in range(_ASKED_TIMES):
         try:
-            client.wait_for_workers(1, timeout=left)
+            client.wait_for_workers(1, timeout=_WORKERS_SECONDS)
         except TimeoutError:
             break
         replies = client.run(_about, modules, on_error="return").values()
-        # One that dies as it is asked is seldom the last: whatever started it starts another.
-        answers = [reply for reply in replies if not isinstance(reply, CommClosedError)]
+        # One that dies as it is asked (its connection is lost, or for Dask's 30 s there is none) is seldom the last:
+        # whatever started it starts another.
+        answers = [reply for reply in replies if not isinstance(reply, OSError)]
         if answers:
             return answers
         time.sleep(_AGAIN_SECONDS)

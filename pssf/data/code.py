@@ -12,11 +12,13 @@ from ..core.checks import InputError
 ROOT = Path(__file__).resolve().parents[1]
 # What of the package is read by Python or by its modules; anything else there is not its own.
 SUFFIXES = (".py", ".toml", ".j2", ".html")
+# What only tells of results: nobody's cohort is made anew for a sentence of a README.
+TELLING = frozenset({"data/readme.toml", "data/readmes.py", "io/readme.py"})
 
 
 @cache
 def code_digest(parts: tuple[str, ...] = (".",)) -> dict[str, str]:
-    """part -> hash of the code and tables in it
+    """part -> hash of the code and tables in it, but for those of `TELLING`
 
     parts   modules or folders as they are called below pssf/, such as "simulate.py" or "data"; ".": all of them
     raises  InputError for a part that the package does not have
@@ -52,6 +54,7 @@ def _hash(path: Path) -> str:
         raise InputError(f"part {path.relative_to(ROOT)} of pssf is missing; allowed: a module or folder below {ROOT}")
     digest = hashlib.sha256()
     for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
-        if file.suffix in SUFFIXES:
-            digest.update(f"{file.relative_to(ROOT).as_posix()}\n".encode() + file.read_bytes())
+        name = file.relative_to(ROOT).as_posix()
+        if file.suffix in SUFFIXES and name not in TELLING:
+            digest.update(f"{name}\n".encode() + file.read_bytes())
     return digest.hexdigest()[:16]

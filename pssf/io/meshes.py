@@ -61,8 +61,7 @@ def export_meshes(
     returns       the files written
     raises        InputError for another format, a mesh that bounds no solid, or a disk that cannot be written
     """
-    for name in formats:
-        require_choice("format", name, FORMATS)
+    require_export(formats, tolerance_mm)
     scene = simplified(scene, tolerance_mm)
     directory = folder(Path(directory))
     written = []
@@ -72,6 +71,16 @@ def export_meshes(
             write_bytes(path, content)
             written.append(path)
     return written
+
+
+def require_export(formats: tuple[str, ...], tolerance_mm: float) -> None:
+    """Refuse what `export_meshes` would.
+
+    raises  InputError for another format, or a tolerance that is out of range
+    """
+    for name in formats:
+        require_choice("format", name, FORMATS)
+    require("tolerance_mm", tolerance_mm, 0, 10, "mm")
 
 
 def colour_of(material: str) -> Colour:
