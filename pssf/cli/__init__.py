@@ -1,8 +1,8 @@
-"""The command line: pssf simulate | meshes | cohort | study | accuracy | quality | protocols.
+"""The command line: pssf simulate | meshes | cohort | study | accuracy | quality | realism | protocols.
 
 options  what commands share
 make     simulate, meshes, cohort, study
-measure  accuracy, quality, protocols
+measure  accuracy, quality, realism, protocols
 
 Commands import what they need when they run, so that help does not wait for what computes.
 """
@@ -20,7 +20,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     help="Knee radiographs from physics, with labels that are true by construction, and the study they exist for.",
 )
-for command in (make.simulate, make.meshes, make.study, measure.accuracy, measure.quality, measure.protocols):
+for command in (make.simulate, make.meshes, make.study, measure.accuracy, measure.quality, measure.realism, measure.protocols):
     app.command()(command)
 app.add_typer(make.cohort_app, name="cohort")
 

@@ -1,11 +1,12 @@
-"""Commands that measure or tell: accuracy, quality, protocols."""
+"""Commands that measure or tell: accuracy, quality, realism, protocols."""
 
 import sys
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from .options import Out, ProtocolName, Readme, Workers, waiting
+from .options import Out, Processes, ProtocolName, Readme, Seed, Workers, waiting
 
 
 def accuracy(
@@ -54,6 +55,38 @@ def quality(*, out: Out, protocol: ProtocolName = "reference", readme: Readme = 
     paths = write_quality(measured, technique, out)
     for path in [*paths, *checkout.take({name: measured.rows}, paths)]:
         print(path)
+
+
+def realism(
+    *,
+    out: Out,
+    workers: Processes,
+    films: Annotated[
+        Path | None,
+        typer.Option(help="Folder of real films: folders 0 to 4 by grade, or a CSV; or folders of such, one a source."),
+    ] = None,
+    bones: Annotated[
+        Path | None, typer.Option(help="Real bones: an .npz, or folders femur, tibia, patella of meshes in mm.")
+    ] = None,
+    protocol: ProtocolName = "reference",
+    knees: Annotated[int, typer.Option(help="Knees that are drawn, the grades alike.")] = 200,
+    seed: Seed = 0,
+) -> None:
+    """Simulated knees beside real bones, contours and films: one page, and tables (CSV); goes on where a run stopped.
+
+    Each part is measured where its material is given; contours stand beside published ones always.
+    """
+    from ..core.execution import Execution
+    from ..core.progress import bar
+    from ..realism.run import measure
+    from ..study import require_extra
+
+    require_extra()
+    execution = Execution(workers=workers, bar=bar)
+    found = measure(out, execution, films=films, bones_folder=bones, protocol=protocol, knees=knees, seed=seed)
+    for line in found.lines:
+        print(line)
+    print(f"page      {found.page}")
 
 
 def protocols(

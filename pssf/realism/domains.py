@@ -1,0 +1,177 @@
+"""Real against simulated: are they told apart, does what is learnt carry over, do grades act alike."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from sklearn.impute import SimpleImputer
+from sklearn.linear_model import LogisticRegression
+from sklearn.model_selection import StratifiedGroupKFold
+from sklearn.pipeline import Pipeline, make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+from ..core.checks import Array
+from ..study.statistics.metrics import auc, percentiles
+
+Row = dict[str, Any]
+ALL = "all"
+FOLDS = 5
+_FEWEST = 10  # of either kind; with fewer, nothing is said
+_STRENGTH = 0.1  # of the inverse penalty: some hundred features, some hundred films
+_LEADING = 8
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Films:
+    """Films of one source, measured.
+
+    name      of the source
+    features  (films, features) table; columns are (group, feature)
+    grades    (films,) whole numbers, -1 where it is not known
+    subjects  (films,) text; both knees of a person have one
+    """
+
+    name: str
+    features: pd.DataFrame
+    grades: NDArray[np.int64]
+    subjects: NDArray[Any]
+
+    def of_grades(self, grades: Sequence[int]) -> "Films":
+        """Those of some grades."""
+        here = np.isin(self.grades, grades)
+        return Films(
+            name=self.name, features=self.features[here], grades=self.grades[here], subjects=self.subjects[here]
+        )
+
+
+def told_apart(first: Films, second: Films, *, replicates: int, seed: int) -> list[Row]:
+    """One row a group of features: AUC of one source against the other, by folds that share no subject.
+
+    low, high  95 per cent interval of a bootstrap of subjects; the models are held
+    leading    features that tell most by themselves, each with its AUC (0.5 or more)
+    """
+    table = pd.concat([first.features, second.features], ignore_index=True)
+    truth = np.repeat([False, True], [len(first.features), len(second.features)])
+    subjects = np.concatenate([np.char.add("a:", first.subjects.astype(str)), np.char.add("b:", second.subjects.astype(str))])
+    rows = []
+    for group, columns in groups_of(table).items():
+        row = {"first": first.name, "second": second.name, "group": group, "features": len(columns)}
+        row |= {"first_films": len(first.features), "second_films": len(second.features)}
+        if min(np.bincount(truth, minlength=2)) >= _FEWEST:
+            value = by_folds(table[columns], truth, subjects, seed)
+            row |= _with_interval(truth, value, subjects, replicates, seed)
+            row["leading"] = "; ".join(f"{name} {one:.2f}" for name, one in leading(table[columns], truth))
+        rows.append(row)
+    return rows
+
+
+def transferred(real: Films, simulated: Films, *, low: int, high: Sequence[int], replicates: int, seed: int) -> list[Row]:
+    """One row a group: AUC of grade `low` against `high` on real films, trained on simulated ones and on real ones.
+
+    Simulated films of the highest grades that are drawn stand for those that are not.
+    """
+    highest = [grade for grade in high if grade in simulated.grades] or [int(simulated.grades.max())]
+    here, there = real.of_grades([low, *high]), simulated.of_grades([low, *highest])
+    truth, known = here.grades != low, there.grades != low
+    rows = []
+    for group, columns in groups_of(real.features).items():
+        row = {
+            "source": real.name, "task": f"{low} v {'+'.join(map(str, high))}", "group": group,
+            "trained_on": f"{low} v {'+'.join(map(str, highest))}", "real": len(truth), "simulated": len(known),
+        }  # fmt: skip
+        if min(*np.bincount(truth, minlength=2), *np.bincount(known, minlength=2)) >= _FEWEST:
+            carried = model(seed).fit(there.features[columns].to_numpy(), known)
+            value = carried.predict_proba(here.features[columns].to_numpy())[:, 1]
+            own = by_folds(here.features[columns], truth, here.subjects, seed)
+            row |= _with_interval(truth, value, here.subjects, replicates, seed)
+            row |= {f"real_{name}": one for name, one in _with_interval(truth, own, here.subjects, replicates, seed).items()}
+        rows.append(row)
+    return rows
+
+
+def effects(real: Films, simulated: Films, *, low: int, high: Sequence[int]) -> tuple[list[Row], list[Row]]:
+    """Standardised difference of each feature between grades, real and simulated; and a row a group that sums them up."""
+    highest = [grade for grade in high if grade in simulated.grades] or [int(simulated.grades.max())]
+    table = pd.DataFrame({
+        "real": _standardised(real, low, high), "simulated": _standardised(simulated, low, highest),
+    })  # fmt: skip
+    task = f"{low} v {'+'.join(map(str, high))}"
+    rows = [
+        {"source": real.name, "task": task, "group": group, "feature": name, **values}
+        for (group, name), values in table.round(4).to_dict("index").items()
+    ]
+    summary = []
+    for group, columns in groups_of(real.features).items():
+        of_group = table.loc[columns].dropna()
+        both = of_group.to_numpy().T
+        spread = len(of_group) > 2 and both.std(axis=1).min() > 0
+        summary.append({
+            "source": real.name, "task": task, "group": group, "features": len(of_group),
+            "r": round(float(np.corrcoef(both)[0, 1]), 3) if spread else float("nan"),
+            "same_sign": round(float((np.sign(both[0]) == np.sign(both[1])).mean()), 3) if len(of_group) else float("nan"),
+        })  # fmt: skip
+    return rows, summary
+
+
+def groups_of(features: pd.DataFrame) -> dict[str, list[Any]]:
+    """Group -> its columns; last, all of them."""
+    names = dict.fromkeys(group for group, _ in features.columns)
+    groups = {group: [column for column in features.columns if column[0] == group] for group in names}
+    return {**groups, ALL: list(features.columns)}
+
+
+def model(seed: int) -> Pipeline:
+    """Logistic regression (L2) on standardised features."""
+    return make_pipeline(
+        SimpleImputer(strategy="median", keep_empty_features=True),
+        StandardScaler(),
+        LogisticRegression(C=_STRENGTH, max_iter=5000, random_state=seed, class_weight="balanced"),
+    )
+
+
+def by_folds(features: pd.DataFrame, truth: NDArray[np.bool_], subjects: NDArray[Any], seed: int) -> Array:
+    """(films,) probability that each film is what `truth` says, by a model that saw no film of its subject."""
+    values, probability = features.to_numpy(), np.empty(len(truth))
+    folds = StratifiedGroupKFold(FOLDS, shuffle=True, random_state=seed)
+    for training, testing in folds.split(values, truth, subjects):
+        probability[testing] = model(seed).fit(values[training], truth[training]).predict_proba(values[testing])[:, 1]
+    return probability
+
+
+def leading(features: pd.DataFrame, truth: NDArray[np.bool_]) -> list[tuple[str, float]]:
+    """The features that tell most by themselves, with their AUC, turned so that it is 0.5 or more."""
+    alone = {}
+    for column in features:
+        values = features[column].to_numpy()
+        value = auc(truth, np.nan_to_num(values, nan=np.nanmedian(values)))
+        alone[" ".join(column)] = max(value, 1 - value)
+    return sorted(alone.items(), key=lambda item: (-item[1], item[0]))[:_LEADING]
+
+
+def _with_interval(truth: NDArray[np.bool_], value: Array, subjects: NDArray[Any], replicates: int, seed: int) -> Mapping[str, float]:
+    low, high = percentiles(resampled_auc(truth, value, subjects, replicates=replicates, seed=seed))
+    return {"auc": round(auc(truth, value), 4), "low": round(low, 4), "high": round(high, 4)}
+
+
+def resampled_auc(truth: NDArray[np.bool_], value: Array, subjects: NDArray[Any], *, replicates: int, seed: int) -> Array:
+    """(replicates,) AUC on subjects drawn with replacement; those where one kind is missing are left out."""
+    rng = np.random.default_rng(seed)
+    _, of_film = np.unique(subjects, return_inverse=True)
+    people = of_film.max() + 1
+    found = []
+    for _ in range(replicates):
+        times = np.bincount(rng.integers(0, people, people), minlength=people)[of_film]
+        drawn = np.repeat(np.arange(len(truth)), times)
+        if 0 < truth[drawn].sum() < len(drawn):
+            found.append(auc(truth[drawn], value[drawn]))
+    return np.array(found)
+
+
+def _standardised(films: Films, low: int, high: Sequence[int]) -> pd.Series:
+    """Difference of the means of grades over the standard deviation within them."""
+    one, other = (films.of_grades(grades).features for grades in ([low], high))
+    spread = np.sqrt((one.var() + other.var()) / 2)
+    return (other.mean() - one.mean()) / spread.where(spread > 0)

@@ -1,0 +1,176 @@
+"""The part on films: what the records of real and simulated ones say, as tables and figures of the page."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from ..core.checks import Array
+from .domains import ALL, effects, told_apart, transferred
+from .films import FINE, TONE, Record, learnable
+from .form import Place, field_of, stretched
+from .page import Figure, Section, Table
+from .sheets import sheet
+
+Row = dict[str, Any]
+# A reading of a film in display values, bone bright; by source and file.
+Reading = Callable[[str, str], Array]
+SIMULATED = "simulated"
+# What is to be told apart: grade 0 from these.
+TASKS = ((2,), (3, 4))
+_A_SHEET = 6
+_TEXT = (
+    "Every film, real or simulated, is searched for its joint, turned into a right knee and brought to one pitch (0.46 mm), "
+    "one field (92 by 77 mm) and one histogram (8 bits between the 1st and 99th percentile); its contours are traced, and "
+    "groups of features measured. Models are logistic regressions (L2) on standardised features. Intervals are 95 per cent, "
+    "from a bootstrap of subjects with the models held: they hold the chance of which films were tested, and are wide "
+    "where films are few."
+)
+
+
+def films_section(
+    records: Mapping[str, Sequence[Record]], read: Reading, *, replicates: int = 1000, seed: int = 0
+) -> Section:
+    """What films say; the simulated ones are called SIMULATED, all others are real.
+
+    records  source -> one record a film, as `measure_films` gives them
+    """
+    measured = {name: learnable(name, of) for name, of in records.items() if _found(of)}
+    real = [films for name, films in measured.items() if name != SIMULATED]
+    simulated = measured.get(SIMULATED)
+    domains: list[Row] = []
+    transfer: list[Row] = []
+    of_features: list[Row] = []
+    of_groups: list[Row] = []
+    if simulated is not None:
+        for films in real:
+            domains += told_apart(films, simulated, replicates=replicates, seed=seed)
+            for high in TASKS:
+                if np.isin(films.grades, [0]).any() and np.isin(films.grades, high).any():
+                    transfer += transferred(films, simulated, low=0, high=high, replicates=replicates, seed=seed)
+                    rows, summary = effects(films, simulated, low=0, high=high)
+                    of_features, of_groups = of_features + rows, of_groups + summary
+    for index, films in enumerate(real):
+        for other in real[index + 1 :]:
+            domains += told_apart(films, other, replicates=replicates, seed=seed)
+    tables = (
+        Table(name="films_found", rows=found_rows(records), caption="Films of each source, and what became of them."),
+        Table(name="films_domains", rows=domains, caption=(
+            "(a) Real against simulated, and real against real as a control: 0.5 is indistinguishable, 1 told apart always."
+        )),
+        Table(name="films_transfer", rows=transfer, caption=(
+            "(b) Grades on real films, learnt from simulated ones, beside the same learnt from real ones by folds."
+        )),
+        Table(name="films_effects", rows=of_groups, caption=(
+            "(c) Standardised differences between grades, real against simulated, over the features of a group: "
+            "correlation and share of equal signs."
+        )),
+        Table(name="films_effects_of_features", rows=of_features, caption="(c) Of every feature.", shown=12),
+        Table(name="films_tone", rows=quantity_rows(records, TONE), caption=(
+            "(d) Tone, in the display's values: contrasts, and greys with soft tissue as 0 and the shaft's cortex as 1 "
+            "where a film holds the shaft."
+        )),
+        Table(name="films_texture", rows=quantity_rows(records, FINE), caption=(
+            "(d) Texture at the film's own pitch, where that is 0.25 mm or less."
+        )),
+        Table(name="films_form_texture", rows=quantity_rows(records, "texture"), caption=(
+            "(d) Texture in the standard form, 0.2 to 0.8 cycles/mm."
+        ), shown=40),
+    )  # fmt: skip
+    return Section(
+        name="Films",
+        line=summary_line(domains, transfer, of_groups),
+        text=_TEXT,
+        tables=tuple(table for table in tables if table.rows),
+        figures=contact_sheets(records, read),
+        facts={"domains": domains, "transfer": transfer, "effects": of_groups, "found": found_rows(records)},
+    )
+
+
+def found_rows(records: Mapping[str, Sequence[Record]]) -> list[Row]:
+    """One row a source: films, those found, those refused by reason, and where their pitch is from."""
+    rows = []
+    for name, of in records.items():
+        status = pd.Series([record["status"] for record in of]).value_counts()
+        row: Row = {"source": name, "films": len(of), "found": int(status.get("found", 0))}
+        row |= {reason: int(count) for reason, count in sorted(status.items()) if reason != "found"}
+        pitch = [record["pixel_mm"] for record in of if record["status"] == "found"]
+        row["pixel_mm_median"] = round(float(np.median(pitch)), 4) if pitch else None
+        row["pixel_estimated"] = sum(record.get("pixel_from") == "plateau" for record in of)
+        rows.append(row)
+    return rows
+
+
+def quantity_rows(records: Mapping[str, Sequence[Record]], group: str) -> list[Row]:
+    """One row a quantity of a group: median, 10th and 90th percentile and count in each source."""
+    tables = {name: pd.DataFrame([one for one in of if one["status"] == "found"]) for name, of in records.items()}
+    columns = dict.fromkeys(column for table in tables.values() for column in table if column.startswith(f"{group}|"))
+    rows = []
+    for column in columns:
+        row: Row = {"quantity": column.split("|")[1]}
+        for name, table in tables.items():
+            values = table[column].dropna().astype(float) if column in table else pd.Series(dtype=float)
+            if len(values):
+                low, median, high = np.percentile(values, [10, 50, 90])
+                row |= {f"{name}_median": float(median), f"{name}_p10": float(low), f"{name}_p90": float(high)}
+                row[f"{name}_films"] = len(values)
+        rows.append(row)
+    return rows
+
+
+def contact_sheets(records: Mapping[str, Sequence[Record]], read: Reading) -> tuple[Figure, ...]:
+    """One sheet a grade: a row of films of every source, spread over the list, at one scale."""
+    figures = []
+    grades = sorted({int(one["grade"]) for of in records.values() for one in of})
+    for grade in grades:
+        rows = []
+        for name, of in records.items():
+            chosen = _spread([one for one in of if one["status"] == "found" and int(one["grade"]) == grade])
+            if chosen:
+                rows.append((f"{name}, {_called(grade)}", [_form(read(name, one["file"]), one) for one in chosen]))
+        if rows:
+            figures.append(Figure(
+                name=f"sheet_{'unknown' if grade < 0 else grade}", png=sheet(rows),
+                alt=f"Real and simulated knees, {_called(grade)}, in rows",
+                caption=f"(e) {_called(grade).capitalize()}: a row a source, one scale, all as right knees (lateral on the left).",
+            ))  # fmt: skip
+    return tuple(figures)
+
+
+def summary_line(domains: Sequence[Row], transfer: Sequence[Row], of_groups: Sequence[Row]) -> str:
+    """What the part found, in one line."""
+    parts = []
+    for row in domains:
+        if row["group"] == ALL and "auc" in row and row["second"] == SIMULATED:
+            parts.append(f"{row['first']} told from simulated with AUC {row['auc']:.2f}")
+    for row in transfer:
+        if row["group"] == ALL and "auc" in row:
+            parts.append(f"{row['source']} {row['task']} learnt from simulated {row['auc']:.2f}, from real {row['real_auc']:.2f}")
+    parts += [f"{row['source']} {row['task']} effects r = {row['r']:+.2f}" for row in of_groups if row["group"] == ALL]
+    return "; ".join(parts) or "too few films to say anything"
+
+
+def _found(records: Sequence[Record]) -> bool:
+    return any(record["status"] == "found" for record in records)
+
+
+def _spread(records: Sequence[Record]) -> list[Record]:
+    """A few of a list, evenly spread over it."""
+    places = np.unique(np.linspace(0, len(records) - 1, min(_A_SHEET, len(records))).round().astype(int))
+    return [records[place] for place in places] if records else []
+
+
+def _form(film: Array, record: Record) -> NDArray[np.uint8]:
+    bright = film if record["polarity"] == "bone bright" else 1 - film
+    place = Place(
+        row=record["joint_row_px"], col=record["joint_col_px"], side=record["side"], pixel_mm=record["pixel_mm"]
+    )
+    return stretched(field_of(bright, place)).astype(np.uint8)
+
+
+def _called(grade: int) -> str:
+    return "grade unknown" if grade < 0 else f"grade {grade}"
+
+

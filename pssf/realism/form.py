@@ -1,0 +1,77 @@
+"""The one form that films are compared in: a right knee about its joint, one pitch, one field, one histogram."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter, map_coordinates
+
+from ..core.checks import Array, InputError, require, require_choice
+
+# A pitch and a field that fixed-flexion crops of 224 x 224 pixels hold; most films resolve no less.
+PITCH_MM = 0.46
+ABOVE_MM, BELOW_MM, HALF_MM = 43.0, 34.0, 46.0
+# Between these percentiles the greys are stretched over 8 bits: what is brighter or darker is marker or air.
+_STRETCH = (1.0, 99.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """Where on a film the middle of the joint is: on the joint line, half way between the edges of the plateau.
+
+    row, col  pixels
+    side      right | left, as the film shows it with columns to the right
+    pixel_mm  pitch of the film
+    raises    InputError for an unknown side, or a pitch out of range
+    """
+
+    row: float
+    col: float
+    side: str
+    pixel_mm: float
+
+    def __post_init__(self) -> None:
+        require_choice("side", self.side, ("right", "left"))
+        require("pixel_mm", self.pixel_mm, 0.01, 5, "mm")
+
+    def pixels_at(self, below_mm: Array, medial_mm: Array) -> tuple[Array, Array]:
+        """Rows and columns of places told in mm from the joint's middle, distally and medially."""
+        across = medial_mm if self.side == "right" else -medial_mm
+        return self.row + below_mm / self.pixel_mm, self.col + across / self.pixel_mm
+
+    def moved(self, rows: float, cols: float) -> "Place":
+        """So many pixels of the standard form farther down and towards medial."""
+        row, col = self.pixels_at(np.array(rows * PITCH_MM), np.array(cols * PITCH_MM))
+        return Place(row=float(row), col=float(col), side=self.side, pixel_mm=self.pixel_mm)
+
+
+def field_of(film: Array, place: Place) -> Array:
+    """(167, 201) the field about the middle of a joint, as of a right knee: columns run from lateral to medial.
+
+    What lies outside the film repeats its edge.
+
+    film  (rows, cols) display value, bone bright
+    """
+    below = np.arange(round(-ABOVE_MM / PITCH_MM), round(BELOW_MM / PITCH_MM) + 1) * PITCH_MM
+    half = round(HALF_MM / PITCH_MM)
+    rows, cols = place.pixels_at(below, np.arange(-half, half + 1) * PITCH_MM)
+    # What the pitch cannot hold would come back as false texture.
+    coarser = PITCH_MM / place.pixel_mm
+    smooth = gaussian_filter(film, 0.4 * coarser, mode="nearest") if coarser > 1.2 else film
+    return np.asarray(map_coordinates(smooth, np.meshgrid(rows, cols, indexing="ij"), order=1, mode="nearest"))
+
+
+def stretched(field: Array) -> Array:
+    """(rows, cols) greys between the 1st and 99th percentile spread over 0 to 255, in whole numbers.
+
+    field   (rows, cols)
+    raises  InputError for an image without contrast
+    """
+    low, high = np.percentile(field, _STRETCH)
+    if not high > low:
+        raise InputError(f"film: 98 % of its values lie between {low:g} and {high:g}; allowed: some contrast")
+    return np.asarray(np.round(np.clip((field - low) / (high - low), 0, 1) * 255))
+
+
+def joint_pixel() -> tuple[int, int]:
+    """Row and column of the joint's middle in a standard form."""
+    return round(ABOVE_MM / PITCH_MM), round(HALF_MM / PITCH_MM)

@@ -1,0 +1,111 @@
+"""Outlines of femur and tibia on a film in standard form: paths of steepest grey, found by dynamic programming."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, median_filter
+
+from ..core.checks import Array
+from .form import PITCH_MM, joint_pixel
+
+_BLUR_PX = 1.2
+# Contrast is taken relative to what it is within some 4 and 6 mm: films differ in tone from bone to bone.
+_COARSE_PX, _LOCAL_PX = 8.0, 12.0
+_STEEPEST = 3.0  # what is steeper counts no more
+_BEND = 0.02  # cost of a step of one row a column; it grows with the power 1.5 of the step
+_JOINT_STEPS, _SIDE_STEPS = 4, 2
+_REACH_MM = 36.0  # of the joint's contours to either side of its middle
+_SIDES_MM = (3.0, 24.0)  # heights below (tibia) and above (femur) the joint line at which the bones' sides are sought
+_MISSED_MM = 16.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Outline:
+    """Contours of a joint in pixels of the standard form; lateral is left.
+
+    columns        (n,)  columns of the two joint contours
+    femur, tibia   (n,)  rows of the femur's lower and the tibia's upper contour
+    tibia_rows     (m,)  rows at which the tibia's sides are known, from the joint downwards
+    tibia_sides    (m, 2)  columns of its lateral and medial side
+    femur_rows     (m,)  the same of the femur, from the joint upwards
+    femur_sides    (m, 2)
+    """
+
+    columns: Array
+    femur: Array
+    tibia: Array
+    tibia_rows: Array
+    tibia_sides: Array
+    femur_rows: Array
+    femur_sides: Array
+
+
+def trace_outline(film: Array) -> Outline:
+    """Contours of the bones of a film.
+
+    film  (rows, cols)  standard form
+    """
+    row, col = joint_pixel()
+    rise, across = _steepness(film)
+    reach = round(_REACH_MM / PITCH_MM)
+    columns = np.arange(col - reach, col + reach + 1)
+    rows = np.arange(len(film))[:, None]
+    # Downwards: darker where the femur ends, brighter where the tibia begins; far from the joint line neither is sought.
+    away = (rows - row) * PITCH_MM / _MISSED_MM
+    tibia = cheapest_path(-0.6 * np.clip(rise, 0, _STEEPEST)[:, columns] + 0.15 * away**2, _JOINT_STEPS - 1)
+    cost = -0.6 * np.clip(-rise, 0, _STEEPEST)[:, columns] + 0.1 * (away + 0.5) ** 2
+    cost[rows >= tibia] = 10.0
+    femur = cheapest_path(cost, _JOINT_STEPS)
+    below, tibia_sides = _sides(across, int(np.median(tibia)), +1)
+    above, femur_sides = _sides(across, int(np.median(femur)), -1)
+    return Outline(
+        columns=columns.astype(float), femur=femur.astype(float), tibia=tibia.astype(float),
+        tibia_rows=below, tibia_sides=tibia_sides, femur_rows=above, femur_sides=femur_sides,
+    )  # fmt: skip
+
+
+def cheapest_path(cost: Array, step: int) -> NDArray[np.int64]:
+    """(cols,) row in every column of the path of least cost from the first column to the last.
+
+    cost  (rows, cols)
+    step  rows that a path may move from one column to the next
+    """
+    rows, cols = cost.shape
+    moves = np.arange(-step, step + 1)
+    price = _BEND * np.abs(moves) ** 1.5
+    source = np.arange(rows) - moves[:, None]
+    outside = (source < 0) | (source >= rows)
+    source = source.clip(0, rows - 1)
+    total, origin = cost[:, 0], np.empty((cols, rows), np.int64)
+    for at in range(1, cols):
+        ways = np.where(outside, np.inf, total[source] + price[:, None])
+        best = ways.argmin(axis=0)
+        origin[at] = source[best, np.arange(rows)]
+        total = ways[best, np.arange(rows)] + cost[:, at]
+    path = np.empty(cols, np.int64)
+    path[-1] = total.argmin()
+    for at in range(cols - 1, 0, -1):
+        path[at - 1] = origin[at, path[at]]
+    return path
+
+
+def _steepness(film: Array) -> tuple[Array, Array]:
+    """(rows, cols) slope of the grey downwards and to the right, over the contrast about a pixel."""
+    detail = film - gaussian_filter(film, _COARSE_PX)
+    local = np.sqrt(gaussian_filter(detail**2, _LOCAL_PX)) + 0.25
+    down = gaussian_filter(film, _BLUR_PX, order=(1, 0)) / local
+    right = gaussian_filter(film, _BLUR_PX, order=(0, 1)) / local
+    return down, right
+
+
+def _sides(across: Array, row: int, way: int) -> tuple[Array, Array]:
+    """Rows, and the columns of a bone's lateral and medial side there; `way` +1 goes down from the joint, -1 up."""
+    near, far = (round(length / PITCH_MM) for length in _SIDES_MM)
+    rows = np.clip(row + way * np.arange(near, far + 1), 0, len(across) - 1)
+    _, middle = joint_pixel()
+    inner = round(20.0 / PITCH_MM)  # the shaft is wider than this
+    lateral = cheapest_path(-np.clip(across, 0, _STEEPEST)[rows, : middle - inner].T, _SIDE_STEPS)
+    medial = cheapest_path(-np.clip(-across, 0, _STEEPEST)[rows, middle + inner :].T, _SIDE_STEPS) + middle + inner
+    sides = median_filter(np.column_stack((lateral, medial)).astype(float), size=(3, 1))
+    return rows.astype(float), sides

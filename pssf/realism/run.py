@@ -1,0 +1,210 @@
+"""The meter: what is given is measured, and one page says how far simulated knees are from people's."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from ..cohort import make_cohort, plan_cohort, read_manifest
+from ..core.checks import Array, InputError, require_whole
+from ..core.execution import Execution
+from ..data.landmarks import landmark_reference
+from ..experiment import standard_templates
+from ..io import results
+from ..io.atomic import folder
+from ..io.bones import read_bones
+from ..io.films import Film, list_films, read_film
+from ..model.knee import GRADES, Knee
+from ..model.protocol import Protocol, load_protocol
+from . import bones, contours
+from .films import Record, Source, measure_films
+from .films_section import SIMULATED, films_section
+from .page import Figure, Section, Table, render
+
+# Read as text wherever films are listed.
+_TEXT = ("sha256", "key", "file", "source", "subject", "status", "side", "polarity", "pixel_from", "reason")
+_CONTOURS = (
+    "Sixteen contour landmarks, labels of every knee, beside those that people set on 748 fixed-flexion films (Tiulpin et al. "
+    "2019): in shares of the plateau's width, so that size is taken out. A mean is inside within half a standard deviation "
+    "of people's, a spread between 0.7 and 1.4 of theirs. Protocol and posture of the drawn knees are given above; films "
+    "were PA in fixed flexion."
+)
+_BONES = (
+    "Bones without osteophytes are laid onto one another by a similarity (rotation, translation, size), and distances "
+    "taken from surface to surface, both ways, at people's size; the flat cut of the shafts is left out. Spread is that of "
+    "each bone about its mean, by the same measure."
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Realism:
+    """What `measure` gave.
+
+    page   realism.html
+    lines  one a part
+    paths  of all files
+    """
+
+    page: Path
+    lines: tuple[str, ...]
+    paths: tuple[Path, ...]
+
+
+def measure(
+    out: str | Path,
+    execution: Execution,
+    *,
+    films: Path | None = None,
+    bones_folder: Path | None = None,
+    protocol: str = "reference",
+    knees: int = 200,
+    seed: int = 0,
+) -> Realism:
+    """Measure simulated knees beside what is given, into a folder; goes on where an earlier run stopped.
+
+    films         folder of real films, or of folders of them, one a source; see `io.films.list_films`
+    bones_folder  of real bones; see `io.bones.read_bones`
+    protocol      that simulated knees are seen under, by name or path
+    knees         that are drawn, the grades alike
+    raises        InputError for a folder that holds none, a number out of range, a disk that cannot be written
+    """
+    require_whole("knees", knees, 2 * len(GRADES), 100_000, "")
+    seen_under = load_protocol(protocol)
+    given = read_bones(bones_folder) if bones_folder is not None else None
+    sources = sources_of(films) if films is not None else ()
+    out = folder(Path(out))
+    sections = [_contours(seen_under, knees, seed, execution)]
+    if given is not None:
+        sections.append(_bones(given, knees, seed, execution))
+    if sources:
+        sections.append(_films(out, sources, protocol, knees, seed, execution))
+    facts = {"protocol": seen_under.name, "knees": knees, "seed": seed}
+    facts |= {f"films of {source.name}": len(source.films) for source in sources}
+    return _write(out, sections, facts)
+
+
+def sources_of(given: Path) -> tuple[Source, ...]:
+    """A folder of films as one source, or each of its folders with films as one.
+
+    raises  InputError for a folder without films
+    """
+    if not given.is_dir():
+        raise InputError(f"films = {given}; allowed: a folder of films, or of folders of them")
+    try:
+        return (Source(name=given.resolve().name, folder=given, films=list_films(given)),)
+    except InputError as error:
+        nothing = error
+    found = []
+    for below in sorted(path for path in given.iterdir() if path.is_dir()):
+        try:
+            found.append(Source(name=below.name, folder=below, films=list_films(below)))
+        except InputError:
+            continue
+    if not found:
+        raise nothing
+    if any(source.name == SIMULATED for source in found):
+        raise InputError(f"films = {given / SIMULATED}; allowed: any other name, which simulated films have here")
+    return tuple(found)
+
+
+def _contours(protocol: Protocol, knees: int, seed: int, execution: Execution) -> Section:
+    with execution.timer.stage("contours", "knees", knees):
+        sample = contours.drawn_landmarks(knees, seed, protocol, execution.workers)
+        found = contours.compare(sample, landmark_reference())
+    counts = [f"{row['outside']} of {row['of']} at grade {row['grade']}" for row in found.outside]
+    cosines = ", ".join(f"{row['cosine']:.2f}" for row in found.modes[:3])
+    return Section(
+        name="Contours",
+        line=f"heights and spreads outside people's: {'; '.join(counts)}; cosines of the first modes {cosines or 'none'}",
+        text=_CONTOURS,
+        tables=(
+            Table(name="contours_outside", rows=found.outside, caption="Heights of landmarks, and their spreads, outside."),
+            Table(name="contours_landmarks", rows=found.landmarks, caption="Each landmark, in shares of the width.", shown=32),
+            Table(name="contours_sizes", rows=found.sizes, caption="Width of the plateau, gaps (mm on the film), convergence."),
+            Table(name="contours_modes", rows=found.modes, caption="First modes of variation, grades 0 and 1."),
+        ),
+        figures=(Figure(
+            name="contours", png=found.figure, alt="Mean contours of drawn knees and of people with ellipses of one SD",
+            caption="Mean landmarks and ellipses of one standard deviation, drawn knees and people, by grade.",
+        ),),
+        facts={"outside": found.outside, "sizes": found.sizes, "modes": found.modes},
+    )  # fmt: skip
+
+
+def _bones(given: bones.Bones, knees: int, seed: int, execution: Execution) -> Section:
+    with execution.timer.stage("bones", "knees", knees):
+        drawn = bones.drawn_bones(min(knees, 50), seed)
+        found = bones.compare(given, bones.built_bones(Knee()), drawn, execution.workers)
+    line = "; ".join(f"{row['bone']} {row['what']} {row['rms_mm']:.2f} mm" for row in found.rows)
+    return Section(
+        name="Bones",
+        line=line,
+        text=_BONES,
+        tables=(Table(name="bones", rows=found.rows, caption="Distances, mm."),),
+        figures=(Figure(
+            name="bones", png=found.figure, alt="Built mean bones coloured by their distance from the mean of the given ones",
+            caption="The built mean bones; the colour is their distance from the mean of the given ones, red outside it.",
+        ),),
+        facts={"rows": found.rows},
+    )  # fmt: skip
+
+
+def _films(
+    out: Path, sources: Sequence[Source], protocol: str, knees: int, seed: int, execution: Execution
+) -> Section:
+    with execution.stage("templates", "knees", 1):
+        templates = standard_templates("scanline")
+    simulated = _simulated(out / "simulated", protocol, knees, seed, execution)
+    records = {}
+    for source in (*sources, simulated):
+        path = out / f"films_{source.name}.csv"
+        records[source.name] = measure_films(
+            source, templates, execution, known=_known(path), save=lambda rows, to=path: results.save_table(to, pd.DataFrame(rows))
+        )
+    with execution.stage("models", "parts", 1):
+        return films_section(records, partial(_read, {source.name: source.folder for source in (*sources, simulated)}), seed=seed)
+
+
+def _simulated(where: Path, protocol: str, knees: int, seed: int, execution: Execution) -> Source:
+    """A cohort of drawn knees under a protocol, the grades alike, as films."""
+    each = [knees // len(GRADES) + (index < knees % len(GRADES)) for index in range(len(GRADES))]
+    plan = plan_cohort("quick", seed=seed, overrides={"knees": each, "protocols": [protocol]})
+    with execution.stage("simulated films", "radiographs", sum(len(case.exposures) for case in plan.cases)) as stage:
+        manifest = read_manifest(make_cohort(
+            plan, where, workers=execution.workers, scheduler=execution.scheduler, progress=stage.advance, kept=stage.keep
+        ))  # fmt: skip
+    columns = ["file", "grade", "subject", "side", "pixel_mm", "sha256"]
+    films = (Film(**{**row, "subject": str(row["subject"])}) for row in manifest[columns].to_dict("records"))
+    return Source(name=SIMULATED, folder=where, films=tuple(films))
+
+
+def _known(path: Path) -> dict[str, Record]:
+    table = results.load_table(path, _TEXT)
+    if table is None or not {"sha256", "key"} <= set(table):
+        return {}
+    return {str(row["sha256"]): row for row in table.to_dict("records")}
+
+
+def _read(folders: Mapping[str, Path], source: str, file: str) -> Array:
+    return read_film(folders[source] / file).pixels
+
+
+def _write(out: Path, sections: Sequence[Section], facts: dict[str, Any]) -> Realism:
+    paths = []
+    for section in sections:
+        for table in section.tables:
+            paths.append(out / f"{table.name}.csv")
+            results.save_table(paths[-1], pd.DataFrame(list(table.rows)))
+        for figure in section.figures:
+            paths.append(out / "pictures" / f"{figure.name}.png")
+            results.save_bytes(paths[-1], figure.png)
+    page, machine = out / "realism.html", out / "realism.json"
+    results.save_text(page, render(sections, facts))
+    results.save_json(machine, facts | {section.name.lower(): section.facts for section in sections})
+    lines = tuple(f"{section.name}: {section.line}" for section in sections)
+    return Realism(page=page, lines=lines, paths=(*paths, machine, page))
+
+
