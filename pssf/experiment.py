@@ -22,11 +22,12 @@ from .study import StudyResult, StudySettings, measure, require_extra, run
 if TYPE_CHECKING:
     import pandas as pd
 
-    from .radiomics.region import Template
+    from .radiomics.patches import Template
 
 # What the READMEs show of a study.
 SHOWN = ("scores", "reliability", "claims", "cost")
-_TEMPLATES_JSW_MM = (5.0, 3.5, 2.0)  # from a healthy joint to one narrower than any of the grades'
+# Medial joint space and flexion, from a healthy joint to one narrower than any of the grades', straight and bent.
+_TEMPLATES = ((5.0, 0.0), (3.5, 0.0), (2.0, 0.0), (5.0, 15.0), (2.0, 15.0))
 
 
 @dataclass(frozen=True)
@@ -125,11 +126,11 @@ def _given(experiment: Experiment, execution: Execution) -> tuple[Any, ...]:
 
 
 def standard_templates(engine: str = "embree") -> "tuple[Template, ...]":
-    """The standard knee, and the same with narrower medial joint spaces, which regions are looked for with.
+    """The standard knee, and the same with narrower medial joint spaces and bent, which joints are looked for with.
 
     Without noise, under the protocol `reference`.
     """
-    from .radiomics.region import Template  # needs the extra `study`
+    from .radiomics.patches import Template
 
     protocol = load_protocol("reference")
 
@@ -137,9 +138,16 @@ def standard_templates(engine: str = "embree") -> "tuple[Template, ...]":
         radiograph = simulate(knee, protocol, engine=engine, keep=("noise_free",))
         assert radiograph.truth is not None
         row, col = radiograph.truth.medial_joint_line_px
-        return Template(pixels=radiograph.kept["noise_free"], row=row, col=col, pixel_mm=protocol.pixel_mm)
+        edges = [radiograph.truth.landmarks_px[f"{side}_plateau_edge"][1] for side in ("medial", "lateral")]
+        return Template(
+            pixels=radiograph.kept["noise_free"],
+            row=row,
+            col=col,
+            pixel_mm=protocol.pixel_mm,
+            plateau_mm=abs(edges[0] - edges[1]) * protocol.pixel_mm,
+        )
 
-    return tuple(template(Knee(jsw_medial_mm=jsw)) for jsw in _TEMPLATES_JSW_MM)
+    return tuple(template(Knee(jsw_medial_mm=jsw, flexion_deg=flexion)) for jsw, flexion in _TEMPLATES)
 
 
 def _made(plan: Plan, out: Path, name: str, engine: str, execution: Execution) -> "pd.DataFrame":

@@ -130,7 +130,7 @@ def test_a_knee_whose_joint_is_not_found_is_left_out_of_scores_and_reliability_a
     cohort.loc[lost, "status"] = "low score"
     cohort.loc[lost, NAMES] = np.nan
     tables = tables_of_features(cohort, cohort.head(0), NAMES, LIGHT)
-    assert tables["localisation"].iloc[-1]["low_score"] == 2
+    assert tables["localisation"].iloc[-1]["refused"] == 2
     assert (tables["reliability"]["knees"] == 17).all()
     found = one_split(0, table=cohort[~lost], names=NAMES, settings=LIGHT).predictions
     assert 5 not in set(found["knee"])

@@ -24,6 +24,6 @@ def test_errors_are_at_the_joint_plane_and_failures_are_counted():
         }
     )
     found = summarise(errors(table))
-    assert list(found["low_score"]) == [1, 0, 1]
+    assert list(found["refused"]) == [1, 0, 1]
     assert found["mean_px"].tolist() == [5.0, 0.0, 2.5]
     assert_allclose(found["mean_mm"], np.array([5.0, 0.0, 2.5]) * 0.15 / 1.2)

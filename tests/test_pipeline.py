@@ -102,7 +102,7 @@ def result(tmp_path_factory) -> study.StudyResult:
 def test_a_study_finds_the_regions_and_tells_the_grades_apart(result):
     everything = result.localisation.iloc[-1]
     assert everything["radiographs"] == 45
-    assert everything["low_score"] == everything["leaves_image"] == everything["gross"] == 0
+    assert everything["refused"] == everything["leaves_image"] == everything["gross"] == 0
     assert everything["mean_px"] < 2
     scores = result.scores
     within = scores[(scores["task"] == "0 vs 2") & (scores["scenario"] == "within")]
@@ -225,7 +225,7 @@ def test_refused_regions_are_counted_and_left_out(tmp_path):
         return cohort().load(file)
 
     found = study.run(manifest, load, [TEMPLATE], SMALL, tmp_path)
-    assert found.localisation.iloc[-1]["low_score"] == 3
+    assert found.localisation.iloc[-1]["refused"] == 3
     assert "14" not in set(pd.read_csv(found.tables["predictions"])["subject"].astype(str))
 
 

@@ -13,6 +13,7 @@ texture    trabeculae: integrals by step, and their look on radiographs beside r
 monte_carlo  the Monte Carlo of scatter beside an independent one
 scatter    the kernel of scatter beside the Monte Carlo (scatter_fit fits it once more)
 focal      blur of the focal spot against rays from points of it
+localisation  the joint found and refused: simulations right and wrong on purpose  (extra "study"; not among "all")
 ablation   run time of the study against what is left out of it  (extra "study"; not among "all")
 gvxr       the ray caster beside gVirtualXray           (group "peers"; not among "all")
 figure     error against run time, drawn                      (extra "study")
@@ -35,6 +36,7 @@ from .chain import chain_rows
 from .engines import Row, engine_rows, growth_rows, nested_rows
 from .focal import focal_rows
 from .gvxr import gvxr_rows
+from .localisation import limit_rows, localisation_rows
 from .monte_carlo import reference_rows
 from .morphometry import knee_rows
 from .physics import physics_rows
@@ -49,7 +51,7 @@ TABLES = (
     "monte_carlo", "scatter", "tessellation", "texture_steps", "texture", "builds", "knees",
 )  # fmt: skip
 # Only by name: minutes long and about the study rather than about a radiograph; and one that needs another package.
-BY_NAME = ("ablation", "gvxr")
+BY_NAME = ("localisation", "localisation_limits", "ablation", "gvxr")
 
 
 def measure(
@@ -114,6 +116,8 @@ def _jobs(engines: list[Row], knees: int, workers: int) -> dict[str, Callable[[]
         "texture": lambda: spread_rows(knees, workers),
         "builds": lambda: build_rows(knees, workers),
         "knees": lambda: knee_rows(knees, workers),
+        "localisation": lambda: localisation_rows(knees, workers),
+        "localisation_limits": lambda: limit_rows(knees, workers),
         "ablation": lambda: _ablation(workers),
         "gvxr": lambda: gvxr_rows(workers),
     }

@@ -54,7 +54,7 @@ def build_rows(count: int, workers: int) -> list[Row]:
 
 def _built(number: int) -> Row:
     rng = np.random.default_rng(np.random.SeedSequence(number, spawn_key=(1,)))
-    knee = draw_knee(grade=number // 2 % 3, rng=rng) if number % 2 else _wide(rng)
+    knee = draw_knee(grade=number // 2 % 3, rng=rng) if number % 2 else wide_knee(rng)
     start = perf_counter()
     try:
         built = build(knee)
@@ -76,7 +76,8 @@ def _least_path_mm(scene: Scene, protocol: str) -> float:
     return min(float(lengths.min()) for lengths in paths.path_mm.values())
 
 
-def _wide(rng: np.random.Generator) -> Knee:
+def wide_knee(rng: np.random.Generator) -> Knee:
+    """A knee from all over the ranges of an adult."""
     sites = rng.permutation(SITES)[: rng.integers(0, len(SITES) + 1)]
     fields: dict[str, Any] = {name: float(rng.uniform(*bounds)) for name, bounds in _RANGES.items()}
     beaks = tuple(Osteophyte(site=str(site), size_mm=float(rng.uniform(0.2, 3.0))) for site in sites)

@@ -179,9 +179,10 @@ def suffix_of(path: Path, allowed: tuple[str, ...]) -> str:
 
 
 @contextmanager
-def reading(path: str | Path, allowed: str) -> Iterator[None]:
+def reading(path: str | Path, allowed: str, fault: str = "damaged or not by pssf") -> Iterator[None]:
     """Whatever goes wrong in a reader becomes a refusal of one line that names the file.
 
+    fault   what a file is called that a reader cannot read
     raises  InputError
     """
     try:
@@ -192,7 +193,7 @@ def reading(path: str | Path, allowed: str) -> Iterator[None]:
         raise InputError(f"file {path}: {error.strerror or error}; allowed: {allowed}, readable") from None
     except Exception as error:  # a damaged file can fail anywhere in its reader
         reason = f"{type(error).__name__}: {error}".splitlines()[0]
-        raise InputError(f"file {path}: damaged or not by pssf ({reason}); allowed: {allowed}") from None
+        raise InputError(f"file {path}: {fault} ({reason}); allowed: {allowed}") from None
 
 
 def description(radiograph: Radiograph) -> dict[str, Any]:

@@ -1,7 +1,9 @@
 """From a radiograph to numbers; needs the extra `study`.
 
 families.family       feature               -> its family, one of FAMILIES
-region.find_joint     pixels, templates     -> where the medial joint line is, and how sure that is
+locate.find_joint     pixels, templates     -> medial joint line of a radiograph of known side and pitch, or why not
+locate.locate         film, templates       -> the same of any film, with side, way up, polarity and pitch
+search, patches, edges  correlation, what is looked for, and what both are seen as
 region.cut_region     pixels, row, col      -> region (size, size)
 bone.bone_mask        region                -> mask (size, size)
 features.extract      region, pixel_mm      -> feature name -> value

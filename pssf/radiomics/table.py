@@ -16,12 +16,15 @@ from ..core.parallel import ordered_map
 from ..data.code import code_digest, require_code
 from .families import FAMILIES
 from .features import extract
-from .region import Template, cut_region, find_joint
+from .locate import find_joint
+from .patches import Template
+from .region import cut_region
 
 Record = dict[str, Any]
 Load = Callable[[str], NDArray[np.uint16]]
 TEXT = ("radiograph", "sha256", "settings", "checksum", "status")
-NOT_FEATURES = (*TEXT, "row_px", "col_px", "score", "scale")
+SCORES = ("score", "narrow", "side_margin", "way_margin", "scale")
+NOT_FEATURES = (*TEXT, "row_px", "col_px", *SCORES)
 # What a record depends on beside the file, templates and `How`: code and tables of the package, what reads files too.
 _CODE = ("core", "data", "io", "radiomics")
 _LIBRARIES = ("numpy", "pyradiomics", "scikit-image", "scipy", "simpleitk")
@@ -45,7 +48,6 @@ class How:
 
     region_px: int = 512
     bins: int = 64
-    min_score: float = 0.5
     families: tuple[str, ...] = FAMILIES
 
 
@@ -116,9 +118,7 @@ def measure(
     require_code(code)
     began = perf_counter()
     pixels = load_pixels(job.file)
-    joint = find_joint(
-        pixels, templates, side=job.side, pixel_mm=job.pixel_mm, region_px=how.region_px, min_score=how.min_score
-    )
+    joint = find_joint(pixels, templates, side=job.side, pixel_mm=job.pixel_mm, region_px=how.region_px)
     located = perf_counter()
     record: Record = {
         "radiograph": job.radiograph,
@@ -126,8 +126,7 @@ def measure(
         "status": joint.status,
         "row_px": joint.row,
         "col_px": joint.col,
-        "score": joint.score,
-        "scale": joint.scale,
+        **{name: getattr(joint, name) for name in SCORES},
     }
     if joint.status == "found":
         record |= extract(cut_region(pixels, joint.row, joint.col, how.region_px), job.pixel_mm, how.bins, how.families)
@@ -136,7 +135,7 @@ def measure(
 
 def settings_key(templates: Sequence[Template], how: How) -> str:
     """Short text that changes with anything but the pixels that a record depends on, code and libraries included."""
-    at = [(template.row, template.col, template.pixel_mm) for template in templates]
+    at = [(t.row, t.col, t.pixel_mm, t.plateau_mm) for t in templates]
     facts = [vars(how), at, code_digest(_CODE), {name: version(name) for name in _LIBRARIES}]
     digest = hashlib.sha256(json.dumps(facts).encode())
     for template in templates:

@@ -51,7 +51,7 @@ from .settings import StudySettings
 if TYPE_CHECKING:
     import pandas as pd
 
-    from ..radiomics.region import Template
+    from ..radiomics.patches import Template
 
 __all__ = ["StudyResult", "StudySettings", "measure", "require_extra", "run"]
 

@@ -11,7 +11,7 @@ import pandas as pd
 from ..core.checks import InputError, require_choice
 from ..core.execution import Execution
 from ..io import results
-from ..radiomics.region import Template
+from ..radiomics.patches import Template
 from ..radiomics.table import NOT_FEATURES, TEXT, How, Job, Load, Record, extract_all
 from .learn.baselines import SOURCES
 from .learn.training import train
@@ -137,7 +137,7 @@ def measured(
         known = {row["sha256"]: row for row in earlier.to_dict("records")}
     columns = ("radiograph", "file", "sha256", "side", "pixel_mm")
     jobs = [Job(**{name: row[name] for name in columns}) for row in radiographs[list(columns)].to_dict("records")]
-    how = {name: getattr(settings, name) for name in ("region_px", "bins", "min_score", "families")}
+    how = {name: getattr(settings, name) for name in ("region_px", "bins", "families")}
     records, work = extract_all(
         jobs,
         load_pixels=run.load_pixels,

@@ -16,7 +16,6 @@ class StudySettings:
 
     region_px      side of the region about the medial joint line
     bins           of grey value, for texture
-    min_score      a template match below it is refused, and counted as a failure
     repeats        splits of the subjects
     rho            |Spearman's rho| above which the later of two features is left out
     most_features  that a selection may keep
@@ -30,7 +29,6 @@ class StudySettings:
 
     region_px: int = 512
     bins: int = 64
-    min_score: float = 0.5
     repeats: int = 10
     seed: int = 0
     rho: float = 0.9
@@ -44,7 +42,6 @@ class StudySettings:
     def __post_init__(self) -> None:
         require_whole("region_px", self.region_px, 16, 4096, "pixels")
         require_whole("bins", self.bins, 8, 256, "grey values")
-        require("min_score", self.min_score, -1, 1, "(correlation)")
         require_whole("repeats", self.repeats, 1, 1000, "splits")
         require_seed(self.seed)
         require("rho", self.rho, 0.1, 1, "(correlation)")

@@ -31,7 +31,7 @@ class PanelImage:
     located   row, column of the joint line where it was found
     known     row, column of the joint line as it is
     region    side of the region
-    status    found | low score | leaves image
+    status    one of `radiomics.locate.STATUSES`
     """
 
     display: NDArray[np.uint8]

@@ -40,7 +40,7 @@ def _row(part: pd.DataFrame) -> dict[str, float]:
     accepted = part[part["status"] == "found"]
     return {
         "radiographs": len(part),
-        "low_score": int((part["status"] == "low score").sum()),
+        "refused": int((~part["status"].isin(["found", "leaves image"])).sum()),
         "leaves_image": int((part["status"] == "leaves image").sum()),
         "mean_px": accepted["error_px"].mean(),
         "p95_px": accepted["error_px"].quantile(0.95),

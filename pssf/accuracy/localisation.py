@@ -1,0 +1,148 @@
+"""Finding the joint on simulations that are right, and on such that are wrong on purpose; limits drawn from these."""
+
+import dataclasses
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..anatomy import build
+from ..core.checks import InputError
+from ..core.parallel import ordered_map
+from ..data.localisation import localisation
+from ..experiment import standard_templates
+from ..geometry.scene import Scene
+from ..geometry.view import magnification, view_of
+from ..model.knee import Knee, draw_knee
+from ..model.protocol import Protocol, load_protocol
+from ..simulation import simulate
+from .builds import wide_knee
+from .engines import Row
+
+if TYPE_CHECKING:
+    from ..radiomics.locate import Located
+    from ..radiomics.patches import Template
+
+# Drawn knees under the study's protocols; every fourth from all over the ranges of an adult, under any protocol.
+_STUDY = ("reference", "low_dose", "geometry_shift")
+_OTHERS = ("long_distance", "caudal_beam", "scatter_grid", "high_kv", "gos_screen", "large_focus")
+_SIDE_PX, _REGION_PX = 512, 128
+_SOFT = ("skin", "adipose", "muscle")
+# Case -> the reason that it should be refused for, and the pitch that is said over the true one.
+_CASES = {
+    "right": ("found", 1.0),
+    "wrong side": ("wrong side", 1.0),
+    "upside down": ("upside down", 1.0),
+    "without bones": ("no knee", 1.0),
+    "pitch x 2": ("wrong scale", 2.0),
+    "pitch x 1.5": ("wrong scale", 1.5),
+    "pitch x 0.5": ("wrong scale", 0.5),
+}
+_MEASURES = ("score", "narrow", "side_margin", "way_margin", "scale", "apart_mm")
+
+
+def localisation_rows(count: int, workers: int) -> list[Row]:
+    """One row a case and kind of knee: how many were found and refused, and for the reason meant; error; scores.
+
+    count  knees, of which three quarters are drawn as a study's, the others from all over the ranges of an adult
+    """
+    return [
+        _row(case, kind, [one for one in located if one["case"] == case and one["kind"] == kind])
+        for located in [_located(count, workers)]
+        for kind in ("study", "adult")
+        for case in _CASES
+        if any(one["kind"] == kind for one in located)
+    ]
+
+
+def limit_rows(count: int, workers: int) -> list[Row]:
+    """One row a limit: what the simulations give for it, by which rule, and what is in force."""
+    located, limits = _located(count, workers), localisation().thresholds
+
+    def values(case: str, measure: str, kinds: tuple[str, ...] = ("study", "adult")) -> NDArray[np.float64]:
+        return np.array([one[measure] for one in located if one["case"] == case and one["kind"] in kinds])
+
+    right, enlarged = values("right", "scale", ("study",)), values("pitch x 1.5", "scale", ("study",))
+    rules = [
+        ("score", values("without bones", "score").max(), limits.score, "highest without bones"),
+        ("narrow", values("without bones", "narrow").max(), limits.narrow, "highest without bones"),
+        ("side", -np.quantile(values("wrong side", "side_margin"), 0.99), limits.side, "99 % of wrong sides"),
+        ("apart_mm", values("right", "apart_mm").max(), limits.apart_mm, "farthest of right ones"),
+        ("scale, least", np.sqrt(values("right", "scale").min() * values("pitch x 0.5", "scale").max()),
+         limits.scale[0], "between the least of right ones and the largest at half the pitch"),
+        ("scale, greatest", np.sqrt(right.max() * np.quantile(enlarged, 0.01)), limits.scale[1],
+         "between the greatest of the study's and 99 % of them at 1.5 times the pitch"),
+    ]  # fmt: skip
+    return [
+        {"limit": name, "simulations": round(float(value), 3), "in_force": in_force, "rule": rule, "knees": count}
+        for name, value, in_force, rule in rules
+    ]
+
+
+def _row(case: str, kind: str, located: list[Row]) -> Row:
+    meant = _CASES[case][0]
+    errors = np.array([one["error_mm"] for one in located if one["status"] == "found"])
+    row: Row = {
+        "case": case, "knees_of": kind, "radiographs": len(located),
+        "found": sum(one["status"] == "found" for one in located),
+        "as_meant": sum(one["status"] == meant for one in located), "meant": meant,
+        "mean_error_mm": round(float(errors.mean()), 2) if case == "right" and len(errors) else "",
+        "p95_error_mm": round(float(np.quantile(errors, 0.95)), 2) if case == "right" and len(errors) else "",
+    }  # fmt: skip
+    for name in _MEASURES:
+        values = [one[name] for one in located]
+        row |= {f"least_{name}": round(min(values), 3), f"most_{name}": round(max(values), 3)}
+    return row
+
+
+@lru_cache(maxsize=1)  # both tables are of the same simulations
+def _located(count: int, workers: int) -> list[Row]:
+    shared = {"templates": standard_templates("scanline")}
+    return [row for rows in ordered_map(_of_knee, list(range(count)), shared=shared, workers=workers) for row in rows]
+
+
+def _of_knee(number: int, *, templates: "tuple[Template, ...]") -> list[Row]:
+    """Every case of one knee; nothing where it cannot be built."""
+    rng = np.random.default_rng(np.random.SeedSequence(number, spawn_key=(2,)))
+    kind = "adult" if number % 4 == 3 else "study"
+    knee = wide_knee(rng) if kind == "adult" else draw_knee(grade=number % 3, rng=rng)
+    names = _OTHERS if kind == "adult" else _STUDY
+    protocol = _protocol(names[(number // 4 + number) % len(names)])
+    try:
+        built = build(knee)
+    except InputError:
+        return []
+    whole = simulate(built, protocol, seed=number, engine="scanline", workers=1)
+    soft = Scene([surface for surface in built.scene.surfaces if surface.name in _SOFT])
+    bare = simulate(soft, protocol, seed=number, engine="scanline", workers=1)
+    assert whole.truth is not None
+    rows = []
+    for case in _CASES:
+        found = _find(case, bare.pixels if case == "without bones" else whole.pixels, knee, protocol, templates)
+        away = np.subtract((found.row, found.col), whole.truth.medial_joint_line_px)
+        error_mm = float(np.hypot(*away)) * protocol.pixel_mm / magnification(view_of(protocol))
+        measures = {name: getattr(found, name) for name in _MEASURES}
+        rows.append({"case": case, "kind": kind, "status": found.status, "error_mm": error_mm, **measures})
+    return rows
+
+
+def _find(
+    case: str, pixels: NDArray[np.uint16], knee: Knee, protocol: Protocol, templates: "tuple[Template, ...]"
+) -> "Located":
+    from ..radiomics.locate import find_joint
+
+    side = knee.side
+    if case == "wrong side":
+        side = "left" if side == "right" else "right"
+    if case == "upside down":
+        pixels = pixels[::-1]
+    pixel_mm = protocol.pixel_mm * _CASES[case][1]
+    return find_joint(pixels, templates, side=side, pixel_mm=pixel_mm, region_px=_REGION_PX)
+
+
+def _protocol(name: str) -> Protocol:
+    """The same field on fewer pixels."""
+    protocol = load_protocol(name)
+    pixel_mm = protocol.pixel_mm * protocol.cols / _SIDE_PX
+    return dataclasses.replace(protocol, rows=_SIDE_PX, cols=_SIDE_PX, pixel_mm=pixel_mm)

@@ -1,0 +1,72 @@
+"""Localisation: how the joint is looked for and when it is refused, as `data/localisation.toml` has it."""
+
+from functools import cache
+
+from .records import Numbers, Pair, Record, record
+from .tables import data
+
+
+class PatchLaw(Record, frozen=True):
+    """What is cut out of a template about its medial joint line, and how; see the table."""
+
+    pitch_mm: float
+    up_mm: float
+    down_mm: float
+    lateral_mm: float
+    medial_mm: float
+    height_mm: float
+    turns_deg: Numbers
+    tile_mm: float
+
+
+class Search(Record, frozen=True):
+    """Sizes and places that are looked at; see the table."""
+
+    scale_step: float
+    known_scale: Pair
+    smaller_scale: float
+    plateau_share: Pair
+    narrow_scales: Numbers
+    reach_mm: float
+    least_seen: float
+    fine_mm: float
+
+
+class Plateau(Record, frozen=True):
+    """Width of a tibial plateau on films, mean and standard deviation."""
+
+    mean_mm: float
+    sd_mm: float
+
+
+class Thresholds(Record, frozen=True):
+    """When a match is refused; each is derived by `pssf accuracy --tables localisation`.
+
+    score     least wide score
+    narrow    least narrow score
+    side      how much better the mirrored knee may match than that of the side that is given
+    apart_mm  how far the narrow match may be from the wide one
+    scale     of a knee over the standard one
+    """
+
+    score: float
+    narrow: float
+    side: float
+    apart_mm: float
+    scale: Pair
+
+
+class Localisation(Record, frozen=True):
+    """All of the table."""
+
+    wide: PatchLaw
+    narrow: PatchLaw
+    search: Search
+    plateau: Plateau
+    thresholds: Thresholds
+
+
+@cache
+def localisation() -> Localisation:
+    """The package's table of localisation."""
+    return record(Localisation, data("localisation"), "localisation")

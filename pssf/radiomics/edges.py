@@ -1,0 +1,56 @@
+"""Edges of a radiograph by direction, apart from its tone: what templates are matched by."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from ..core.checks import Array
+
+# Blur of the gradient, in pixels of the working pitch, and the share of the image's mean edge that counts as none.
+_BLUR_PX, _FAINT = 1.0, 0.02
+
+
+def edge_field(density: Array, tile_px: float) -> NDArray[np.float32]:
+    """Gradient over the strength of the edges about it: 0 where there are none, at most 1.
+
+    Any monotone curve leaves directions alone and changes strengths by little within a tile, so that a film as
+    displayed compares with the logarithm of a signal.
+
+    density  (rows, cols)     bone bright
+    tile_px  standard deviation of the window in which edges are compared
+    returns  (2, rows, cols)  down, right
+    """
+    blurred = [ndimage.gaussian_filter(density, _BLUR_PX, order=order, mode="nearest") for order in ((1, 0), (0, 1))]
+    squared = blurred[0] ** 2 + blurred[1] ** 2
+    usual = ndimage.gaussian_filter(squared, tile_px, mode="nearest") + _FAINT * squared.mean()
+    strength = np.sqrt(squared + usual + np.finfo(np.float32).tiny)
+    return np.stack(blurred / strength).astype(np.float32)
+
+
+class Pyramid:
+    """An image that is asked for at one pitch after another.
+
+    density  (rows, cols)  of any pitch, which counts as 1
+    """
+
+    def __init__(self, density: Array) -> None:
+        self.levels = [np.asarray(density, np.float64)]
+
+    def at(self, zoom: float) -> Array:
+        """(rows, cols)  the image `zoom` times as large, without aliases; pixel i lies at (i + 0.5) / zoom - 0.5"""
+        level = max(0, int(np.floor(np.log2(1.0 / zoom) + 1e-9)))
+        while len(self.levels) <= level and min(self.levels[-1].shape) > 3:
+            self.levels.append(_halved(self.levels[-1]))
+        level = min(level, len(self.levels) - 1)
+        image, rest = self.levels[level], zoom * 2**level
+        shape = [max(1, round(length * zoom)) for length in self.levels[0].shape]
+        # What halving has left between 1 and 2 source pixels a target pixel.
+        soft = ndimage.gaussian_filter(image, 0.5 * np.sqrt(max(1.0 / rest**2 - 1.0, 0.0)), mode="nearest")
+        places = [(np.arange(length) + 0.5) / rest - 0.5 for length in shape]
+        return ndimage.map_coordinates(soft, np.meshgrid(*places, indexing="ij"), order=1, mode="nearest")
+
+
+def _halved(image: Array) -> Array:
+    rows, cols = (length // 2 * 2 for length in image.shape)
+    pairs = image[:rows:2, :cols] + image[1:rows:2, :cols]
+    return np.asarray((pairs[:, ::2] + pairs[:, 1::2]) / 4.0)

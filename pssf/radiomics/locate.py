@@ -1,0 +1,238 @@
+"""Where the joint is on any radiograph or film, which side and way up, and how large; or why it is not told."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.blocks import block_mean
+from ..core.checks import Array, InputError, require, require_choice
+from ..data.localisation import Localisation, localisation
+from .edges import Pyramid
+from .patches import SIDES, Template, density_of, poses
+from .region import region_fits
+from .search import Match, matches, score_maps, vertex
+
+STATUSES = ("found", "no knee", "upside down", "wrong scale", "wrong side", "low score", "leaves image")
+# Linear pixels are averaged up to about this pitch before they are looked at.
+_LINEAR_MM = 0.3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Located:
+    """What the search gave; of the best match even where it is refused.
+
+    row, col     medial joint line, pixels
+    status       one of STATUSES
+    score        correlation of edges with the whole joint's, -1 to 1
+    narrow       the same of the medial compartment alone
+    side         right | left: as it is given, else the one that matches better
+    side_margin  by how much that side's score is above the mirrored one's
+    way          upright | upside down
+    way_margin   by how much that way's score is above the other's
+    polarity     bone bright | bone dark
+    scale        size of the knee at the film over the standard knee's at its detector
+    pixel_mm     pitch: as it is given, else estimated from the size of the joint
+    pixel_from   given | plateau
+    apart_mm     how far the narrow match is from the wide one, mm of the standard knee
+    seen         share of the whole joint's patch within the film
+    """
+
+    row: float
+    col: float
+    status: str
+    score: float
+    narrow: float
+    side: str
+    side_margin: float
+    way: str
+    way_margin: float
+    polarity: str
+    scale: float
+    pixel_mm: float
+    pixel_from: str
+    apart_mm: float
+    seen: float
+
+
+def find_joint(
+    pixels: NDArray[np.integer | np.floating],
+    templates: Sequence[Template],
+    *,
+    side: str,
+    pixel_mm: float,
+    region_px: int = 512,
+) -> Located:
+    """`locate` on linear pixels of a radiograph of known side and pitch.
+
+    pixels  (rows, cols) linear; columns run to world +x, so medial is right in a right knee and left in a left one
+    raises  InputError as `locate`
+    """
+    step = max(1, int(_LINEAR_MM / pixel_mm))
+    found = locate(density_of(block_mean(pixels, step)), templates, side=side, pixel_mm=pixel_mm * step)
+    row, col = (at * step + (step - 1) / 2 for at in (found.row, found.col))
+    status = found.status
+    if status == "found" and not region_fits(pixels.shape, row, col, region_px):
+        status = "leaves image"
+    return replace(found, row=row, col=col, pixel_mm=pixel_mm, status=status)
+
+
+def locate(
+    density: Array,
+    templates: Sequence[Template],
+    *,
+    side: str | None = None,
+    pixel_mm: float | None = None,
+    region_px: int | None = None,
+) -> Located:
+    """Where the medial joint line is.
+
+    Directions of edges are correlated, relative to the strength of the edges about, so that any display's tone will do.
+    First the whole joint is looked for at a coarse pitch: over places, sizes, both sides, upright and upside down, bone
+    bright and dark. Then the medial compartment near that place: over templates, turns and sizes, to a fraction of a
+    pixel. What is given is checked against what is found.
+
+    density    (rows, cols) bone bright in any monotone scale: minus the logarithm of a signal, or a film as displayed;
+               row 0 proximal, and a right knee's fibula on the left
+    templates  standard knees: the first and the last are looked for whole, all in the medial compartment
+    side       right | left; None where it is not known
+    pixel_mm   pitch at the film; None where it is not known, and it is estimated
+    region_px  side of the region that must fit into the image around the joint line
+    raises     InputError for an unknown side, a pitch out of range, no template, or one without its plateau's
+               width where the pitch is not known
+    """
+    if side is not None:
+        require_choice("side", side, SIDES)
+    if not templates:
+        raise InputError("templates = none; allowed: one or more")
+    table, image = localisation(), Pyramid(density)
+    whole = poses(tuple(dict.fromkeys((templates[0], templates[-1]))), table.wide)
+    units = _units(density.shape, templates[0], pixel_mm, table)
+    found = list(matches(image, units, whole, table.wide, table.search.least_seen))
+    if not found:
+        raise InputError(f"image of {density.shape} pixels of {pixel_mm} mm; allowed: one that holds a knee joint")
+    best = max(found, key=lambda match: match.score)
+    if pixel_mm is not None and best.score < table.thresholds.score:
+        smaller = list(matches(image, _smaller(pixel_mm, table), whole, table.wide, table.search.least_seen))
+        found += smaller
+        best = max(found, key=lambda match: match.score)
+    mirrored = _best_of(found, way=best.way, side=SIDES[1 - SIDES.index(best.side)])
+    if side is not None and best.side != side:
+        best, mirrored = mirrored, best
+    best = _between_sizes(best, found)
+    flipped = max(match.score for match in found if match.way != best.way)
+    pitch_mm, pixel_from, scale = _size(best, templates[0], pixel_mm, table)
+    narrow = _refined(image, tuple(templates), best, table)
+    located = Located(
+        row=narrow.row,
+        col=narrow.col,
+        status="found",
+        score=best.score,
+        narrow=narrow.score,
+        side=best.side,
+        side_margin=best.score - mirrored.score,
+        way=best.way,
+        way_margin=best.score - flipped,
+        polarity=best.polarity,
+        seen=best.seen,
+        apart_mm=float(np.hypot(narrow.row - best.row, narrow.col - best.col)) * best.unit_mm,
+        pixel_mm=pitch_mm,
+        pixel_from=pixel_from,
+        scale=scale,
+    )
+    return replace(located, status=_status(located, density.shape, region_px, table))
+
+
+def _units(shape: tuple[int, ...], template: Template, pixel_mm: float | None, table: Localisation) -> list[float]:
+    """mm of the template a pixel of the image, of each size to look for."""
+    if pixel_mm is not None:
+        require("pixel_mm", pixel_mm, 0.001, 50, "mm")
+        smallest, largest = table.search.known_scale
+        return [pixel_mm / scale for scale in _steps(smallest, largest, table)]
+    plateau_mm = _plateau_mm(template)
+    return [plateau_mm / (share * shape[1]) for share in _steps(*table.search.plateau_share, table)]
+
+
+def _smaller(pixel_mm: float, table: Localisation) -> list[float]:
+    return [pixel_mm / scale for scale in _steps(table.search.smaller_scale, table.search.known_scale[0], table)]
+
+
+def _steps(low: float, high: float, table: Localisation) -> list[float]:
+    count = int(np.ceil(np.log(high / low) / np.log(table.search.scale_step))) + 1
+    return [float(value) for value in np.geomspace(low, high, count)]
+
+
+def _plateau_mm(template: Template) -> float:
+    if template.plateau_mm is None:
+        raise InputError("template plateau_mm = None; allowed: its width, mm, where the pitch of a film is not known")
+    return template.plateau_mm
+
+
+def _size(best: Match, template: Template, pixel_mm: float | None, table: Localisation) -> tuple[float, str, float]:
+    """Pitch, where it is from, and the size of the knee over the standard one."""
+    if pixel_mm is not None:
+        return pixel_mm, "given", pixel_mm / best.unit_mm
+    scale = table.plateau.mean_mm / _plateau_mm(template)
+    return best.unit_mm * scale, "plateau", scale
+
+
+def _best_of(found: Sequence[Match], *, way: str, side: str) -> Match:
+    return max((m for m in found if m.way == way and m.side == side), key=lambda match: match.score)
+
+
+def _between_sizes(best: Match, found: Sequence[Match]) -> Match:
+    """The match with the size at the vertex of the scores of its own and its neighbours'."""
+    alike = [m for m in found if (m.side, m.way, m.polarity) == (best.side, best.way, best.polarity)]
+    sizes = sorted(alike, key=lambda match: match.unit_mm)
+    at = sizes.index(best)
+    offset = vertex(np.array([match.score for match in sizes]), at)
+    if offset == 0.0:
+        return best
+    neighbour = sizes[at + (1 if offset > 0 else -1)].unit_mm
+    return replace(best, unit_mm=best.unit_mm * (neighbour / best.unit_mm) ** abs(offset))
+
+
+def _refined(image: Pyramid, templates: tuple[Template, ...], wide: Match, table: Localisation) -> Match:
+    """The best narrow match within reach of the wide one."""
+    law, best = table.narrow, replace(wide, score=-1.0)
+    ours = [pose for pose in poses(templates, law) if (pose.side, pose.way) == (wide.side, wide.way)]
+    extent_mm = max(law.up_mm, law.down_mm, law.lateral_mm, law.medial_mm) + table.search.reach_mm + 2 * law.tile_mm
+    top, left = (max(0, int(at - extent_mm / wide.unit_mm)) for at in (wide.row, wide.col))
+    ends = (int(at + extent_mm / wide.unit_mm) + 2 for at in (wide.row, wide.col))
+    near = Pyramid(image.levels[0][top : next(ends), left : next(ends)])
+    sign = 1.0 if wide.polarity == "bone bright" else -1.0
+    for scale in table.search.narrow_scales:
+        zoom = wide.unit_mm / scale / law.pitch_mm
+        at_pitch = near.at(zoom)
+        rows, cols = (
+            (np.arange(length) + 0.5) / zoom - 0.5 + start
+            for length, start in zip(at_pitch.shape, (top, left), strict=True)
+        )
+        away_mm = np.hypot(rows[:, None] - wide.row, cols - wide.col) * wide.unit_mm
+        for _, maps, _ in score_maps(at_pitch, ours, law):
+            allowed = np.where(away_mm <= table.search.reach_mm, sign * maps, -1.0)
+            patch, row, col = (int(at) for at in np.unravel_index(np.argmax(allowed), allowed.shape))
+            peak = allowed[patch]
+            if peak[row, col] > best.score:
+                best = replace(
+                    wide,
+                    score=float(peak[row, col]),
+                    row=float(rows[row] + vertex(peak[:, col], row) / zoom),
+                    col=float(cols[col] + vertex(peak[row], col) / zoom),
+                )
+    return best
+
+
+def _status(found: Located, shape: tuple[int, ...], region_px: int | None, table: Localisation) -> str:
+    """The first reason to refuse, or found."""
+    limit = table.thresholds
+    reasons = {
+        "no knee": found.score < limit.score,
+        "upside down": found.way != "upright",
+        "wrong scale": found.pixel_from == "given" and not limit.scale[0] <= found.scale <= limit.scale[1],
+        "wrong side": found.side_margin < -limit.side,
+        "low score": found.narrow < limit.narrow or found.apart_mm > limit.apart_mm,
+        "leaves image": not region_fits(shape, found.row, found.col, 1 if region_px is None else region_px),
+    }
+    return next((reason for reason, holds in reasons.items() if holds), "found")

@@ -1,0 +1,140 @@
+"""Edge patches cut out of templates, as they look in a right or left knee, upright or upside down."""
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, ndimage
+
+from ..core.checks import Array, require
+from ..data.localisation import PatchLaw
+from .edges import edge_field
+
+Field = NDArray[np.float32]
+SIDES = ("right", "left")
+# Tiles by which a template is cut out wider, so that its edges know what is beside the patch.
+_MARGIN_TILES = 2.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Template:
+    """A radiograph of a standard right knee without noise.
+
+    pixels      (rows, cols) linear in the signal
+    row, col    its medial joint line, pixels
+    pixel_mm    pitch of the detector
+    plateau_mm  of its tibial plateau, width at the detector; None where it is not known
+    raises      InputError for a joint line outside the image, or a pitch or width out of range
+    """
+
+    pixels: NDArray[np.generic]
+    row: float
+    col: float
+    pixel_mm: float
+    plateau_mm: float | None = None
+
+    def __post_init__(self) -> None:
+        require("template row", self.row, 0, self.pixels.shape[0] - 1, "px")
+        require("template col", self.col, 0, self.pixels.shape[1] - 1, "px")
+        require("template pixel_mm", self.pixel_mm, 0.001, 50, "mm")
+        if self.plateau_mm is not None:
+            require("template plateau_mm", self.plateau_mm, 10, 1000, "mm")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pose:
+    """Patches of all templates and turns for one side and one way up.
+
+    fields  (2, rows, cols) each, times the weight
+    power   sum of weight times squared field, of each
+    weight  (rows, cols)
+    anchor  row and column of the medial joint line in the patch
+    """
+
+    side: str
+    way: str
+    fields: tuple[Field, ...]
+    power: tuple[float, ...]
+    weight: Field
+    anchor: tuple[int, int]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Spectra:
+    """A pose's patches and weight, turned round and transformed, for correlation by a product."""
+
+    pose: Pose
+    fields: tuple[NDArray[Any], ...] = field(repr=False)
+    weight: NDArray[Any] = field(repr=False)
+
+
+def density_of(pixels: NDArray[np.generic]) -> Array:
+    """(rows, cols)  minus the logarithm of a linear signal: bone bright
+
+    pixels  (rows, cols)
+    """
+    return np.asarray(-np.log(np.maximum(pixels, 1.0)), np.float64)
+
+
+@lru_cache(maxsize=16)  # the same few serve a whole cohort
+def poses(templates: tuple[Template, ...], law: PatchLaw) -> tuple[Pose, ...]:
+    """Right and left, upright and upside down."""
+    up, down, lateral, medial = (
+        round(length / law.pitch_mm) for length in (law.up_mm, law.down_mm, law.lateral_mm, law.medial_mm)
+    )
+    plain = [
+        _field(template, law, turn, (up, down, lateral, medial)) for template in templates for turn in law.turns_deg
+    ]
+    height = np.exp(-0.5 * (np.arange(-up, down + 1) * law.pitch_mm / law.height_mm) ** 2)
+    weight = np.repeat(height[:, None], lateral + medial + 1, axis=1).astype(np.float32)
+    found = []
+    for side in SIDES:
+        for way in ("upright", "upside down"):
+            col = lateral if side == "right" else medial
+            row = up if way == "upright" else down
+            turned = tuple(_posed(one, side, way) for one in plain)
+            heavy = weight if way == "upright" else weight[::-1]
+            power = tuple(float((heavy * (one**2).sum(axis=0)).sum()) for one in turned)
+            weighted = tuple(one * heavy for one in turned)
+            found.append(Pose(side=side, way=way, fields=weighted, power=power, weight=heavy, anchor=(row, col)))
+    return tuple(found)
+
+
+@lru_cache(maxsize=128)  # of all sizes of one image
+def spectra(pose: Pose, shape: tuple[int, int]) -> Spectra:
+    """Transforms at a shape that holds image and patch beside each other."""
+    fields = tuple(fft.rfft2(one[:, ::-1, ::-1], shape) for one in pose.fields)
+    return Spectra(pose=pose, fields=fields, weight=fft.rfft2(pose.weight[::-1, ::-1], shape))
+
+
+def _field(template: Template, law: PatchLaw, turn_deg: float, sides: tuple[int, int, int, int]) -> Field:
+    """(2, rows, cols)  edges of a template about its joint line, turned"""
+    up, down, lateral, medial = sides
+    margin = int(np.ceil(_MARGIN_TILES * law.tile_mm / law.pitch_mm))
+    rows = np.arange(-up - margin, down + margin + 1) * law.pitch_mm / template.pixel_mm
+    cols = np.arange(-lateral - margin, medial + margin + 1) * law.pitch_mm / template.pixel_mm
+    down_px, right_px = np.meshgrid(rows, cols, indexing="ij")
+    cosine, sine = np.cos(np.deg2rad(turn_deg)), np.sin(np.deg2rad(turn_deg))
+    places = [
+        template.row + cosine * down_px - sine * right_px,
+        template.col + sine * down_px + cosine * right_px,
+    ]
+    soft = ndimage.gaussian_filter(_dense(template), 0.5 * law.pitch_mm / template.pixel_mm, mode="nearest")
+    cut = ndimage.map_coordinates(soft, places, order=1, mode="nearest")
+    return edge_field(cut, law.tile_mm / law.pitch_mm)[:, margin:-margin, margin:-margin]
+
+
+@lru_cache(maxsize=8)
+def _dense(template: Template) -> Array:
+    return density_of(template.pixels)
+
+
+def _posed(plain: Field, side: str, way: str) -> Field:
+    """A field in the mirror, or upside down: its vectors turn with it."""
+    if side == "left":
+        plain = plain[:, :, ::-1] * np.array([1, -1], np.float32)[:, None, None]
+    if way == "upside down":
+        plain = plain[:, ::-1] * np.array([-1, 1], np.float32)[:, None, None]
+    return plain
