@@ -11,11 +11,12 @@ from ..anatomy.bones import build_of, patella, stand_femur, stand_tibia
 from ..anatomy.femur import mean_femur
 from ..anatomy.solids import mesh_of
 from ..anatomy.tibia import mean_tibia
-from ..core.checks import InputError, require_whole
+from ..core.checks import Array, InputError, require_whole
 from ..core.parallel import ordered_map
 from ..data.bones import mean_shape
 from ..geometry.mesh import Mesh
 from ..model.knee import GRADES, Knee, draw_knee
+from . import bone_figure
 from .surfaces import MeasuredSurface, Similarity, fit_similarity, measured, surface_distance, trimmed
 
 Row = dict[str, Any]
@@ -25,9 +26,14 @@ BONES = ("femur", "tibia", "patella")
 _JOINT_END = {"femur": -1, "tibia": +1, "patella": 0}
 # Of a shaft this much is compared, and nothing so near its cut, whose plane is no part of the bone.
 _REACH_MM, _FROM_CUT_MM = 100.0, 5.0
-# Of a joint's end, by which a fit begins.
-_END_MM = 40.0
+# Of a joint's end, by which a fit begins; and of a shaft, what is kept at all, for bones of any size.
+_END_MM, _KEPT_MM = 40.0, 140.0
 _MEAN_ROUNDS = 3
+# Where the colours of the picture end.
+_MOST_MM = 6.0
+_COLUMNS = (
+    "bone", "what", "bones", "rms_mm", "p99_mm", "mean_mm", "scale", "rms_least_mm", "rms_most_mm", "scale_sd",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,21 +46,32 @@ class BoneFit:
     """
 
     placed: Mesh
-    off_mm: np.ndarray
+    off_mm: Array
     fit: Similarity
     heights_mm: tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Spread:
+    """Bones of several knees, and their means."""
+
+    bones: Bones
+    centres: Mapping[str, MeasuredSurface]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BoneComparison:
     """Built bones beside given ones.
 
-    rows  bone, what, bones, rms_mm, p99_mm, mean_mm (positive: the first stands out), scale; a row a figure
-    fits  bone -> how the built mean lies on the given one
+    rows    bone, what, bones, rms_mm, p99_mm, and then of means: mean_mm (positive: the built one stands out), scale
+            (given over built size); of spreads: least and most RMS of a bone, scale_sd (of sizes)
+    fits    bone -> how the built mean lies on the given one
+    figure  PNG: the built mean with its distance from the given one as colour
     """
 
     rows: list[Row]
     fits: dict[str, BoneFit]
+    figure: bytes
 
 
 def built_bones(knee: Knee) -> dict[str, Mesh]:
@@ -109,17 +126,22 @@ def compare(given: Bones, built: Mapping[str, Mesh], drawn: Bones, workers: int 
         raise InputError(f"bones = {', '.join(given) or 'none'}; allowed: some of {', '.join(BONES)}")
     means = {name: measured(mean_of(given[name], name)) for name in names}
     fits = {name: fit_bone(built[name], means[name], name) for name in names}
-    rows = []
+    sized = {name: measured(_sized(built[name], fits[name], name)) for name in names}
+    spreads = {
+        "given about their mean": _Spread(bones=given, centres=means),
+        "drawn about built mean": _Spread(bones=drawn, centres=sized),
+    }
+    tasks = [(what, name, bone) for what, of in spreads.items() for name in names for bone in of.bones[name]]
+    centres = {(what, name): of.centres[name] for what, of in spreads.items() for name in names}
+    found = ordered_map(_about, tasks, shared={"centres": centres}, workers=workers)
+    rows = list[Row]()
     for name in names:
-        both = surface_distance(measured(built[name]), means[name], fits[name].fit, fits[name].heights_mm)
-        row = {"bone": name, "what": "built mean from given mean", "bones": len(given[name]), "rms_mm": both.rms_mm}
-        rows.append(row | {"p99_mm": both.p99_mm, "mean_mm": both.mean_mm, "scale": fits[name].fit.scale})
-        centres = (("given about their mean", given[name], means[name]),)
-        centres += (("drawn about built mean", drawn[name], measured(_at_given_size(built[name], fits[name]))),)
-        for what, bones, centre in centres:
-            if len(bones) > 1:
-                rows.append({"bone": name, "what": what, "bones": len(bones)} | _spread(bones, centre, name, workers))
-    return BoneComparison(rows=rows, fits=fits)
+        rows.append(_mean_row(name, len(given[name]), sized[name], means[name], fits[name]))
+        for what in spreads:
+            about = [one for one, task in zip(found, tasks, strict=True) if task[:2] == (what, name)]
+            rows += [{"bone": name, "what": what} | _spread_row(np.array(about))] if len(about) > 1 else []
+    figure = bone_figure.draw({name: (fit.placed, fit.off_mm) for name, fit in fits.items()}, _MOST_MM)
+    return BoneComparison(rows=[dict.fromkeys(_COLUMNS, "") | row for row in rows], fits=fits, figure=figure)
 
 
 def fit_bone(bone: Mesh, onto: MeasuredSurface, name: str) -> BoneFit:
@@ -127,9 +149,9 @@ def fit_bone(bone: Mesh, onto: MeasuredSurface, name: str) -> BoneFit:
 
     name  femur | tibia | patella: which end is the joint
     """
-    heights = heights_mm(onto.mesh, name)
-    fit = fit_similarity(measured(bone), onto, start_of(bone, onto.mesh, name), heights)
-    placed = trimmed(Mesh(fit.apply(bone.vertices), bone.faces), *heights)
+    heights, near = heights_mm(onto.mesh, name), near_joint(bone, name)
+    fit = fit_similarity(measured(near), onto, start_of(near, onto.mesh, name), heights)
+    placed = trimmed(Mesh(fit.apply(near.vertices), near.faces), *heights)
     away, outward = onto.nearest(placed.vertices)
     off = np.linalg.norm(placed.vertices - away, axis=1)
     off *= np.where(((placed.vertices - away) * outward).sum(axis=1) < 0, -1.0, 1.0)
@@ -146,51 +168,70 @@ def heights_mm(bone: Mesh, name: str) -> tuple[float, float]:
     return (-np.inf, np.inf)
 
 
+def near_joint(bone: Mesh, name: str) -> Mesh:
+    """A bone without what of its shaft is farther than 140 mm from the joint, for the sake of time."""
+    low, high = bone.vertices[:, 2].min(), bone.vertices[:, 2].max()
+    if not _JOINT_END[name] or high - low <= _KEPT_MM:
+        return bone
+    return trimmed(bone, -np.inf, low + _KEPT_MM) if _JOINT_END[name] < 0 else trimmed(bone, high - _KEPT_MM, np.inf)
+
+
 def start_of(bone: Mesh, onto: Mesh, name: str) -> Similarity:
     """A first guess: as wide as the other near the joint, and there in the same place; turned as it is."""
-    boxes = [_end_box(mesh, name) for mesh in (bone, onto)]
-    (low, high), (low_onto, high_onto) = boxes
-    scale = float((high_onto[0] - low_onto[0]) / (high[0] - low[0]))
-    middle, middle_onto = (low + high) / 2, (low_onto + high_onto) / 2
+    box, box_onto = _end_box(bone, name), _end_box(onto, name)
+    scale = float(np.ptp(box_onto[:, 0]) / np.ptp(box[:, 0]))
+    middle, middle_onto = box.mean(axis=0), box_onto.mean(axis=0)
     if _JOINT_END[name]:
         end = 0 if _JOINT_END[name] < 0 else 1
-        middle[2], middle_onto[2] = boxes[0][end][2], boxes[1][end][2]
+        middle[2], middle_onto[2] = box[end, 2], box_onto[end, 2]
     return Similarity(rotation=np.eye(3), scale=scale, shift_mm=middle_onto - scale * middle)
 
 
-def _end_box(mesh: Mesh, name: str) -> tuple[np.ndarray, np.ndarray]:
+def _end_box(mesh: Mesh, name: str) -> Array:
+    """(2, 3)  corners of the box around a joint's end"""
     points, end = mesh.vertices, _JOINT_END[name]
     if end:
-        depth = end * ((points[:, 2] * end).max() * end - points[:, 2])
-        points = points[depth < _END_MM]
-    return points.min(axis=0), points.max(axis=0)
+        outward = points[:, 2] * end
+        points = points[outward > outward.max() - _END_MM]
+    return np.stack((points.min(axis=0), points.max(axis=0)))
 
 
-def _at_given_size(built: Mesh, fit: BoneFit) -> Mesh:
-    return Mesh(fit.fit.apply(built.vertices), built.faces)
+def _sized(built: Mesh, fit: BoneFit, name: str) -> Mesh:
+    near = near_joint(built, name)
+    return Mesh(fit.fit.apply(near.vertices), near.faces)
 
 
-def _spread(bones: Sequence[Mesh], centre: MeasuredSurface, name: str, workers: int) -> Row:
-    shared = {"centre": centre, "name": name, "heights": heights_mm(centre.mesh, name)}
-    found = np.array(ordered_map(_about, bones, shared=shared, workers=workers))
-    rms, p99, scale = found.T
+def _mean_row(name: str, count: int, built: MeasuredSurface, given: MeasuredSurface, fit: BoneFit) -> Row:
+    both = surface_distance(built, given, heights_mm=fit.heights_mm)
+    row = {"bone": name, "what": "built mean from given mean", "bones": count, "rms_mm": both.rms_mm}
+    return row | {"p99_mm": both.p99_mm, "mean_mm": both.mean_mm, "scale": fit.fit.scale}
+
+
+def _spread_row(about: Array) -> Row:
+    """Of RMS, 99th percentile and scale (n, 3) of bones about their mean."""
+    rms, p99, scale = about.T
     return {
+        "bones": len(about),
         "rms_mm": float(np.sqrt((rms**2).mean())),
-        "p99_mm": float(np.median(p99)),
+        "p99_mm": float(np.sqrt((p99**2).mean())),
         "rms_least_mm": float(rms.min()),
         "rms_most_mm": float(rms.max()),
-        "scale_sd": float(np.std(1 / scale, ddof=1)),
+        "scale_sd": float(np.std(1 / scale, ddof=1) / np.mean(1 / scale)),
     }
 
 
-def _about(bone: Mesh, centre: MeasuredSurface, name: str, heights: tuple[float, float]) -> tuple[float, float, float]:
-    surface = measured(bone)
-    fit = fit_similarity(surface, centre, start_of(bone, centre.mesh, name), heights)
+def _about(
+    task: tuple[str, str, Mesh], centres: Mapping[tuple[str, str], MeasuredSurface]
+) -> tuple[float, float, float]:
+    what, name, bone = task
+    centre, near = centres[what, name], near_joint(bone, name)
+    heights, surface = heights_mm(centre.mesh, name), measured(near)
+    fit = fit_similarity(surface, centre, start_of(near, centre.mesh, name), heights)
     distance = surface_distance(surface, centre, fit, heights)
     return distance.rms_mm, distance.p99_mm, fit.scale
 
 
-def _procrustes_mean(meshes: Sequence[Mesh]) -> np.ndarray:
+def _procrustes_mean(meshes: Sequence[Mesh]) -> Array:
     """(v, 3)  mean of vertices in correspondence"""
     mean = np.array(meshes[0].vertices, np.float64)
     for _ in range(_MEAN_ROUNDS):
@@ -203,7 +244,7 @@ def _procrustes_mean(meshes: Sequence[Mesh]) -> np.ndarray:
     return mean
 
 
-def _nearest_mean(meshes: Sequence[Mesh], bone: str) -> np.ndarray:
+def _nearest_mean(meshes: Sequence[Mesh], bone: str) -> Array:
     """(v, 3)  vertices of the first, each moved to the mean of the nearest places on all"""
     mean = np.array(meshes[0].vertices, np.float64)
     surfaces = [measured(mesh) for mesh in meshes]

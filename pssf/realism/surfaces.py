@@ -57,7 +57,6 @@ class MeasuredSurface:
 
     mesh       as it was given, mm
     points_mm  (n, 3)     spread evenly over it
-    normals    (n, 3)     there, outward
     corners    (m, 3, 3)  of its triangles, long ones cut up
     outward    (m, 3)     their normals
     tree       of their middles
@@ -65,7 +64,6 @@ class MeasuredSurface:
 
     mesh: Mesh
     points_mm: Array
-    normals: Array
     corners: Array
     outward: Array
     tree: cKDTree
@@ -129,7 +127,7 @@ def measured(mesh: Mesh, points: int = POINTS, seed: int = 0) -> MeasuredSurface
         raise InputError(f"surface: area = {whole.area:g} mm2; allowed: more than 0")
     # Slivers have no normal of their own, and nothing is nearest to them alone.
     whole.update_faces(whole.nondegenerate_faces(height=1e-8))
-    places, of = trimesh.sample.sample_surface(whole, points, seed=seed)
+    places, _ = trimesh.sample.sample_surface(whole, points, seed=seed)
     vertices, faces = trimesh.remesh.subdivide_to_size(whole.vertices, whole.faces, _LONGEST_MM, max_iter=20)
     corners = np.asarray(vertices[faces])
     outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -137,7 +135,6 @@ def measured(mesh: Mesh, points: int = POINTS, seed: int = 0) -> MeasuredSurface
     return MeasuredSurface(
         mesh=mesh,
         points_mm=np.asarray(places),
-        normals=np.asarray(whole.face_normals[of]),
         corners=corners,
         outward=outward,
         tree=cKDTree(corners.mean(axis=1)),
@@ -145,9 +142,19 @@ def measured(mesh: Mesh, points: int = POINTS, seed: int = 0) -> MeasuredSurface
 
 
 def trimmed(mesh: Mesh, low_mm: float, high_mm: float) -> Mesh:
-    """A mesh without the faces whose middle is below or above a height (z); open where it was cut."""
-    heights = mesh.vertices[mesh.faces, 2].mean(axis=1)
-    return Mesh(mesh.vertices, mesh.faces[(heights > low_mm) & (heights < high_mm)])
+    """A mesh between two heights (z); open where it was cut.
+
+    raises  InputError where nothing of it lies between them
+    """
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    for height, up in ((low_mm, 1.0), (high_mm, -1.0)):
+        if np.isfinite(height):
+            vertices, faces, _ = trimesh.intersections.slice_faces_plane(
+                vertices, faces, plane_normal=[0.0, 0.0, up], plane_origin=[0.0, 0.0, height]
+            )
+    if not len(faces):
+        raise InputError(f"surface: faces between {low_mm:g} and {high_mm:g} mm = 0; allowed: 1 or more")
+    return Mesh(vertices, faces)
 
 
 def fit_similarity(
@@ -165,8 +172,8 @@ def fit_similarity(
     raises      InputError where nothing of one lies between the heights
     """
     fit = start
-    chosen = np.flatnonzero(_between(onto.points_mm[:points], heights_mm))
-    target, target_normals = onto.points_mm[chosen], onto.normals[chosen]
+    target = onto.points_mm[:points]
+    target = target[_between(target, heights_mm)]
     for _ in range(_STEPS):
         placed = fit.apply(moving.points_mm[:points])
         placed = placed[_between(placed, heights_mm)]
