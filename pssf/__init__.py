@@ -18,6 +18,7 @@ study       features             -> models, statistics, report       (extra "stu
 experiment  a cohort, then its study
 quality     a protocol beside references
 accuracy    error against run time
+realism     knees beside people's bones and contours  (extra "study")
 cli         the command line
 
 A module imports from above it only. What users need is named in `__all__`, and loaded when it is first asked for.

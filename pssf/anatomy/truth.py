@@ -9,10 +9,11 @@ from ..geometry.scene import Scene
 from ..geometry.view import View, project
 from ..model.knee import Knee
 from ..model.radiograph import Truth
-from .contours import Gap, envelope, measure_gap
+from .contours import Gap, measure_gap
 from .femur import mean_femur
 from .implicit import project_solid
 from .joint import KneeAssembly
+from .landmarks import contour_landmarks
 from .osteophytes import BONE, OsteophyteShape
 from .solids import edges_of, mesh_of
 from .tibia import mean_tibia
@@ -21,7 +22,6 @@ from .tibia import mean_tibia
 FRACTIONS = (0.15, 0.2, 0.25, 0.3, 0.7, 0.75, 0.8, 0.85)
 # Height bands (mean man's size, in each bone's frame) in which the bones' edges are looked for.
 _CONDYLES, _EPICONDYLES, _PLATEAU = (1.0, 12.0), (22.0, 42.0), (-9.0, 1.0)
-_SPINES_MM = 13.0
 # Farther out than this from the bare bone is osteophyte.
 _OUT_MM = 0.05
 
@@ -39,7 +39,7 @@ def labels(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> Trut
         jsw_lateral_mm=knee.jsw_lateral_mm,
         jsw_at_mm=_jsw_at_mm(knee, assembly, of_reference),
         grade=knee.grade,
-        landmarks_px=_joint_lines(gaps) | _landmarks(knee, assembly, view),
+        landmarks_px=_joint_lines(gaps) | _widest(knee, assembly, view) | _on_contours(knee, scene, view),
     )
 
 
@@ -84,10 +84,21 @@ def _around(added: Manifold, beak: OsteophyteShape, beaks: tuple[OsteophyteShape
 
 def _gaps(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> tuple[Gap, Gap]:
     """The medial and the lateral joint space as a detector sees them."""
-    meshes = {s.name: s.arrays for s in scene.surfaces if s.name in ("femur", "tibia")}
-    femur, tibia = ((m.vertices, edges_of(m.faces)) for m in (meshes["femur"], meshes["tibia"]))
+    femur, tibia = ((mesh.vertices, edges_of(mesh.faces)) for mesh in _outer(scene))
     medial, half = _medial(knee), assembly.build.half_ml_mm
     return measure_gap(femur, tibia, view, medial, half), measure_gap(femur, tibia, view, -medial, half)
+
+
+def _outer(scene: Scene) -> tuple[Mesh, Mesh]:
+    """Outer surfaces of femur and tibia."""
+    meshes = {s.name: s.arrays for s in scene.surfaces if s.name in ("femur", "tibia")}
+    return meshes["femur"], meshes["tibia"]
+
+
+def _on_contours(knee: Knee, scene: Scene, view: View) -> dict[str, tuple[float, float]]:
+    """The sixteen contour landmarks; the top of the notch goes by its older name too."""
+    spots = contour_landmarks(*_outer(scene), view, _medial(knee))
+    return {**spots, "notch": spots["notch_top"]}
 
 
 def _joint_lines(gaps: tuple[Gap, Gap]) -> dict[str, tuple[float, float]]:
@@ -108,11 +119,10 @@ def _jsw_at_mm(knee: Knee, assembly: KneeAssembly, gaps: tuple[Gap, Gap]) -> dic
     return spaces
 
 
-def _landmarks(knee: Knee, assembly: KneeAssembly, view: View) -> dict[str, tuple[float, float]]:
-    """Edges of the bones without their osteophytes, tips of the spines with them, and the notch's highest point."""
+def _widest(knee: Knee, assembly: KneeAssembly, view: View) -> dict[str, tuple[float, float]]:
+    """Where the bones are widest, without their osteophytes."""
     shape, medial = assembly.build.shape, _medial(knee)
-    solids = (mean_femur(shape.femur).outer, mean_tibia(shape.tibia).outer, assembly.tibia.outer)
-    femur, tibia, grown = map(mesh_of, solids)
+    femur, tibia = (mesh_of(bone.outer) for bone in (mean_femur(shape.femur), mean_tibia(shape.tibia)))
     spots: dict[str, tuple[float, float]] = {}
     for side, sign in (("medial", +1), ("lateral", -1)):
         for name, mesh, band, move in (
@@ -124,17 +134,7 @@ def _landmarks(knee: Knee, assembly: KneeAssembly, view: View) -> dict[str, tupl
             near = (points[:, 2] > band[0]) & (points[:, 2] < band[1]) & (points[:, 0] * sign > 0)
             seen = project(_mirrored(move(points[near]), knee), view)
             spots[f"{side}_{name}"] = _place(seen, (seen[:, 1] * sign * medial).argmax())
-        points = grown.vertices
-        near = (points[:, 0] * sign > 1.0) & (points[:, 0] * sign < _SPINES_MM)
-        seen = project(_mirrored(assembly.tibia_mm(points[near]), knee), view)
-        spots[f"{side}_spine"] = _place(seen, seen[:, 0].argmin())
-    seen = project(_mirrored(assembly.femur_mm(femur.vertices), knee), view)
-    centre = (spots["medial_condyle_edge"][1] + spots["lateral_condyle_edge"][1]) / 2
-    reach = abs(spots["medial_condyle_edge"][1] - spots["lateral_condyle_edge"][1]) / 8
-    columns = np.arange(np.ceil(centre - reach), centre + reach)
-    rows = envelope(seen, edges_of(femur.faces), int(columns[0]), len(columns), 1.0)
-    top = rows.argmin()
-    return {**spots, "notch": (float(rows[top]), float(columns[top]))}
+    return spots
 
 
 def _place(seen: Array, which: np.intp) -> tuple[float, float]:

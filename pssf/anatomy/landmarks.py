@@ -1,0 +1,175 @@
+"""The sixteen contour landmarks of a knee film, placed on the projected cortical contours as an annotator places them.
+
+Order and names are those of the annotations of Tiulpin et al. 2019 (KNEEL, arXiv 1907.12237): along the tibia's upper
+contour and along the femur's lower one, each from lateral to medial. Osteophytes belong to the contour, as they do on a
+person's film. All is measured on the detector in millimetres from its centre, so that size and number of pixels, and
+the side of the knee, change nothing.
+
+edges           where a line at 45 degrees to the horizontal touches the tibia from above, or the femur from below
+spines          the contour's highest places on either side of the plateau's middle
+between_spines  the lowest place between them
+1, 2            on the plateau's floor, at the shares of the way from edge to spine at which annotators put them
+notch_top       the highest place of the femur's lower contour within the middle quarter of its width
+notch           (femur_*_notch) where the contour has risen three eighths of the way from condyle to notch top
+condyle         on the contour, half way across from edge to notch
+
+The floor is the lowest place of the middle half of the plateau's depth, front to back. Along the outline stand the rims
+of the dished medial plateau, some 4 mm higher on people's bones (Clouthier et al. 2019) than annotators put the points.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..core.checks import Array
+from ..geometry.mesh import Indices, Mesh
+from ..geometry.view import View, project
+from .contours import envelope
+
+TIBIAL = (
+    "tibia_lateral_edge", "tibia_lateral_1", "tibia_lateral_2", "lateral_spine", "between_spines",
+    "medial_spine", "tibia_medial_2", "tibia_medial_1", "tibia_medial_edge",
+)  # fmt: skip
+FEMORAL = (
+    "femur_lateral_edge", "femur_lateral_condyle", "femur_lateral_notch", "notch_top",
+    "femur_medial_notch", "femur_medial_condyle", "femur_medial_edge",
+)  # fmt: skip
+CONTOUR_LANDMARKS = TIBIAL + FEMORAL
+# Share of the way from edge to spine, along x, at which 150 knees of KL 0 have points 1 and 2 (means of the
+# annotations of Tiulpin et al. 2019).
+_WAY_TO_SPINE = {"lateral": (0.356, 0.709), "medial": (0.392, 0.779)}
+# Spines are looked for within this share of the plateau's width from its middle.
+_SPINES = 0.22
+_NOTCH_REACH, _NOTCH_RISE = 0.125, 0.375
+_EDGE_DEG = 45.0
+# Of the plateau's depth: what stands above a line so far, in shares of its width, under that of the edges.
+_PLATEAU_UNDER, _MIDDLE = 0.04, (0.25, 0.75)
+# Along x on the detector, and along the beam in a section; the contour is exact at each of its places.
+_STEP_MM = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class _Contour:
+    """An outline of a bone on the detector: x towards medial and y proximal, mm from the detector's centre.
+
+    x_mm, y_mm  (n,)  places along it, evenly in x
+    """
+
+    x_mm: Array
+    y_mm: Array
+
+    def at(self, x_mm: float) -> tuple[float, float]:
+        """The place nearest in x."""
+        return self._place(int(np.abs(self.x_mm - x_mm).argmin()))
+
+    def between(self, first_mm: float, last_mm: float) -> "_Contour":
+        """The part between two places in x, whichever is the first."""
+        low, high = sorted((first_mm, last_mm))
+        part = (self.x_mm >= low) & (self.x_mm <= high)
+        return _Contour(self.x_mm[part], self.y_mm[part])
+
+    def highest(self) -> tuple[float, float]:
+        return self._place(int(self.y_mm.argmax()))
+
+    def lowest(self) -> tuple[float, float]:
+        return self._place(int(self.y_mm.argmin()))
+
+    def _place(self, index: int) -> tuple[float, float]:
+        return float(self.x_mm[index]), float(self.y_mm[index])
+
+
+def contour_landmarks(femur: Mesh, tibia: Mesh, view: View, medial: int) -> dict[str, tuple[float, float]]:
+    """Name -> (row, column) of the sixteen contour landmarks.
+
+    femur, tibia  in the knee frame, mm
+    medial        +1 where medial is towards greater x (a right knee), -1 otherwise
+    """
+    tibial = _on_tibia(_seen(tibia.vertices, view, medial), tibia)
+    femoral = _on_femur(_seen(femur.vertices, view, medial), _sides(femur))
+    rows, cols = (view.rows - 1) / 2, (view.cols - 1) / 2
+    return {
+        name: (rows - y / view.pixel_mm, cols + medial * x / view.pixel_mm)
+        for name, (x, y) in zip(CONTOUR_LANDMARKS, tibial + femoral, strict=True)
+    }
+
+
+def _seen(vertices: Array, view: View, medial: int) -> Array:
+    """(n, 2)  where vertices are seen: x towards medial and y proximal, mm from the detector's centre"""
+    seen = project(vertices, view)
+    x = (seen[:, 1] - (view.cols - 1) / 2) * view.pixel_mm * medial
+    return np.column_stack((x, ((view.rows - 1) / 2 - seen[:, 0]) * view.pixel_mm))
+
+
+def _sides(mesh: Mesh) -> Indices:
+    """(3 m, 2)  sides of all triangles; most come twice, which costs less than to find out which."""
+    return mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+
+
+def _contour(seen: Array, sides: Indices, ends_mm: tuple[float, float], lowest: float) -> _Contour:
+    """The lower (+1) or upper (-1) outline between two places in x."""
+    first, last = np.ceil(ends_mm[0] / _STEP_MM), np.floor(ends_mm[1] / _STEP_MM)
+    places = np.arange(first, last + 1)
+    rows = envelope(seen[:, ::-1] / (-_STEP_MM, _STEP_MM), sides, int(first), len(places), lowest)
+    return _Contour(places * _STEP_MM, -rows * _STEP_MM)
+
+
+def _edges(seen: Array, up: float) -> list[tuple[float, float]]:
+    """Lateral and medial places that a line at an angle touches first, from above (up = 1) or below (-1)."""
+    turn = np.deg2rad(_EDGE_DEG)
+    touched = [(seen @ (out * np.sin(turn), up * np.cos(turn))).argmax() for out in (-1.0, 1.0)]
+    return [(float(seen[k, 0]), float(seen[k, 1])) for k in touched]
+
+
+def _on_tibia(seen: Array, tibia: Mesh) -> list[tuple[float, float]]:
+    """Places of the tibia's landmarks in their order."""
+    lateral, medial = _edges(seen, +1.0)
+    contour = _contour(seen, _sides(tibia), (lateral[0], medial[0]), -1.0)
+    middle, width = (lateral[0] + medial[0]) / 2, medial[0] - lateral[0]
+    spines = [contour.between(middle, middle + out * _SPINES * width).highest() for out in (-1.0, 1.0)]
+    floors = []
+    for side, edge, spine in (("lateral", lateral, spines[0]), ("medial", medial, spines[1])):
+        for share in _WAY_TO_SPINE[side]:
+            x = edge[0] + share * (spine[0] - edge[0])
+            line = lateral[1] + (x - lateral[0]) / width * (medial[1] - lateral[1])
+            section = _section(seen, tibia, x)
+            floors.append((x, _floor(section, line - _PLATEAU_UNDER * width)))
+    valley = contour.between(spines[0][0], spines[1][0]).lowest()
+    return [lateral, *floors[:2], spines[0], valley, spines[1], floors[3], floors[2], medial]
+
+
+def _section(seen: Array, tibia: Mesh, x_mm: float) -> _Contour:
+    """The upper outline of the part of the tibia that is seen at a place in x: depth along the beam, and height."""
+    beyond = seen[:, 0] >= x_mm
+    cut = tibia.faces[np.ptp(beyond[tibia.faces].astype(np.int8), axis=1) > 0]
+    starts, ends = cut, np.roll(cut, -1, axis=1)
+    crossing = beyond[starts] != beyond[ends]
+    starts, ends = starts[crossing], ends[crossing]
+    share = (x_mm - seen[starts, 0]) / (seen[ends, 0] - seen[starts, 0])
+    both = np.column_stack((tibia.vertices[:, 1], seen[:, 1]))
+    points = both[starts] + share[:, None] * (both[ends] - both[starts])
+    # Two sides of each triangle cross, and what lies between them is of the outline.
+    return _contour(points, np.arange(len(points)).reshape(-1, 2), (points[:, 0].min(), points[:, 0].max()), -1.0)
+
+
+def _floor(section: _Contour, above_mm: float) -> float:
+    """Height of the lowest place of the middle half of what stands above a height."""
+    depths = section.x_mm[section.y_mm > above_mm]
+    low, high = (depths.min() + share * np.ptp(depths) for share in _MIDDLE)
+    return section.between(low, high).lowest()[1]
+
+
+def _on_femur(seen: Array, sides: Indices) -> list[tuple[float, float]]:
+    """Places of the femur's landmarks in their order."""
+    lateral, medial = _edges(seen, -1.0)
+    contour = _contour(seen, sides, (lateral[0], medial[0]), +1.0)
+    middle, reach = (lateral[0] + medial[0]) / 2, _NOTCH_REACH * (medial[0] - lateral[0])
+    top = contour.between(middle - reach, middle + reach).highest()
+    found = []
+    for edge in (lateral, medial):
+        low = contour.between(edge[0], top[0]).lowest()
+        wall = contour.between(low[0], top[0])
+        risen = wall.x_mm[wall.y_mm >= low[1] + _NOTCH_RISE * (top[1] - low[1])]
+        # The first place on the way from the condyle inwards.
+        notch = wall.at(risen[np.abs(risen - edge[0]).argmin()])
+        found.append([edge, contour.at((edge[0] + notch[0]) / 2), notch])
+    return [*found[0], top, *found[1][::-1]]
