@@ -10,13 +10,11 @@ from ..core.blocks import block_mean
 from ..core.checks import Array, InputError, require, require_choice
 from ..data.localisation import Localisation, localisation
 from .edges import Pyramid
-from .patches import SIDES, Template, density_of, poses
+from .patches import LINEAR_MM, SIDES, Template, density_of, poses
 from .region import region_fits
 from .search import Match, matches, score_maps, vertex
 
 STATUSES = ("found", "no knee", "upside down", "wrong scale", "wrong side", "low score", "leaves image")
-# Linear pixels are averaged up to about this pitch before they are looked at.
-_LINEAR_MM = 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +33,7 @@ class Located:
     scale        size of the knee at the film over the standard knee's at its detector
     pixel_mm     pitch: as it is given, else estimated from the size of the joint
     pixel_from   given | plateau
-    apart_mm     how far the narrow match is from the wide one, mm of the standard knee
+    apart_mm     how far above or below the wide match the narrow one is, mm of the standard knee
     seen         share of the whole joint's patch within the film
     """
 
@@ -55,6 +53,14 @@ class Located:
     apart_mm: float
     seen: float
 
+    @property
+    def side_evidence(self) -> float:
+        """The side's margin over what the better of both sides leaves unexplained; below 0 where that is the other.
+
+        Where a knee's shape is not the templates', both sides match it worse and their difference tells less.
+        """
+        return self.side_margin / max(1.0 - max(self.score, self.score - self.side_margin), 1e-6)
+
 
 def find_joint(
     pixels: NDArray[np.integer | np.floating],
@@ -69,7 +75,7 @@ def find_joint(
     pixels  (rows, cols) linear; columns run to world +x, so medial is right in a right knee and left in a left one
     raises  InputError as `locate`
     """
-    step = max(1, int(_LINEAR_MM / pixel_mm))
+    step = max(1, int(LINEAR_MM / pixel_mm))
     found = locate(density_of(block_mean(pixels, step)), templates, side=side, pixel_mm=pixel_mm * step)
     row, col = (at * step + (step - 1) / 2 for at in (found.row, found.col))
     status = found.status
@@ -136,7 +142,7 @@ def locate(
         way_margin=best.score - flipped,
         polarity=best.polarity,
         seen=best.seen,
-        apart_mm=float(np.hypot(narrow.row - best.row, narrow.col - best.col)) * best.unit_mm,
+        apart_mm=abs(narrow.row - best.row) * best.unit_mm,
         pixel_mm=pitch_mm,
         pixel_from=pixel_from,
         scale=scale,
@@ -231,7 +237,7 @@ def _status(found: Located, shape: tuple[int, ...], region_px: int | None, table
         "no knee": found.score < limit.score,
         "upside down": found.way != "upright",
         "wrong scale": found.pixel_from == "given" and not limit.scale[0] <= found.scale <= limit.scale[1],
-        "wrong side": found.side_margin < -limit.side,
+        "wrong side": found.side_evidence < -limit.side,
         "low score": found.narrow < limit.narrow or found.apart_mm > limit.apart_mm,
         "leaves image": not region_fits(shape, found.row, found.col, 1 if region_px is None else region_px),
     }
