@@ -39,7 +39,7 @@ _CASES = {
     "pitch x 1.5": ("wrong scale", 1.5),
     "pitch x 0.5": ("wrong scale", 0.5),
 }
-_MEASURES = ("score", "narrow", "side_margin", "side_evidence", "way_margin", "scale", "apart_mm")
+_MEASURES = ("score", "narrow", "side_margin", "side_evidence", "way_margin", "way_evidence", "scale", "apart_mm")
 
 
 def localisation_rows(count: int, workers: int) -> list[Row]:
@@ -68,6 +68,7 @@ def limit_rows(count: int, workers: int) -> list[Row]:
         ("score", values("without bones", "score").max(), limits.score, "highest without bones"),
         ("narrow", values("without bones", "narrow").max(), limits.narrow, "highest without bones"),
         ("side", -np.quantile(values("wrong side", "side_evidence"), 0.99), limits.side, "99 % of wrong sides"),
+        ("way", np.abs(values("without bones", "way_evidence")).max(), limits.way, "highest without bones"),
         ("apart_mm", values("right", "apart_mm").max(), limits.apart_mm, "farthest of right ones"),
         ("scale, least", np.sqrt(values("right", "scale").min() * values("pitch x 0.5", "scale").max()),
          limits.scale[0], "between the least of right ones and the largest at half the pitch"),

@@ -44,6 +44,7 @@ class Thresholds(Record, frozen=True):
     score     least wide score
     narrow    least narrow score
     side      greatest evidence for the other side than the one that is given, see `Located.side_evidence`
+    way       evidence for upside down that is chance, see `Located.way_evidence`
     apart_mm  how far above or below the wide match the narrow one may be
     scale     of a knee over the standard one
     """
@@ -51,6 +52,7 @@ class Thresholds(Record, frozen=True):
     score: float
     narrow: float
     side: float
+    way: float
     apart_mm: float
     scale: Pair
 

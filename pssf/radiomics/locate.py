@@ -10,7 +10,7 @@ from ..core.blocks import block_mean
 from ..core.checks import Array, InputError, require, require_choice
 from ..data.localisation import Localisation, localisation
 from .edges import Pyramid
-from .patches import LINEAR_MM, SIDES, Template, density_of, poses
+from .patches import LINEAR_MM, SIDES, WAYS, Template, density_of, poses
 from .region import region_fits
 from .search import Match, matches, score_maps, vertex
 
@@ -59,7 +59,12 @@ class Located:
 
         Where a knee's shape is not the templates', both sides match it worse and their difference tells less.
         """
-        return self.side_margin / max(1.0 - max(self.score, self.score - self.side_margin), 1e-6)
+        return _evidence(self.score, self.score - self.side_margin)
+
+    @property
+    def way_evidence(self) -> float:
+        """The same of upright against upside down."""
+        return _evidence(self.score, self.score - self.way_margin)
 
 
 def find_joint(
@@ -118,11 +123,11 @@ def locate(
     found = list(matches(image, units, whole, table.wide, table.search.least_seen))
     if not found:
         raise InputError(f"image of {density.shape} pixels of {pixel_mm} mm; allowed: one that holds a knee joint")
-    best = max(found, key=lambda match: match.score)
+    best = _best(found, table)
     if pixel_mm is not None and best.score < table.thresholds.score:
         smaller = list(matches(image, _smaller(pixel_mm, table), whole, table.wide, table.search.least_seen))
         found += smaller
-        best = max(found, key=lambda match: match.score)
+        best = _best(found, table)
     mirrored = _best_of(found, way=best.way, side=SIDES[1 - SIDES.index(best.side)])
     if side is not None and best.side != side:
         best, mirrored = mirrored, best
@@ -183,6 +188,18 @@ def _size(best: Match, template: Template, pixel_mm: float | None, table: Locali
     return best.unit_mm * scale, "plateau", scale
 
 
+def _evidence(score: float, other: float) -> float:
+    return (score - other) / max(1.0 - max(score, other), 1e-6)
+
+
+def _best(found: Sequence[Match], table: Localisation) -> Match:
+    """The best upright match, unless one upside down is better by more than chance."""
+    upright, turned = (
+        max((match for match in found if match.way == way), key=lambda match: match.score) for way in WAYS
+    )
+    return turned if _evidence(turned.score, upright.score) > table.thresholds.way else upright
+
+
 def _best_of(found: Sequence[Match], *, way: str, side: str) -> Match:
     return max((m for m in found if m.way == way and m.side == side), key=lambda match: match.score)
 
@@ -235,7 +252,7 @@ def _status(found: Located, shape: tuple[int, ...], region_px: int | None, table
     limit = table.thresholds
     reasons = {
         "no knee": found.score < limit.score,
-        "upside down": found.way != "upright",
+        "upside down": found.way != WAYS[0],
         "wrong scale": found.pixel_from == "given" and not limit.scale[0] <= found.scale <= limit.scale[1],
         "wrong side": found.side_evidence < -limit.side,
         "low score": found.narrow < limit.narrow or found.apart_mm > limit.apart_mm,

@@ -15,6 +15,7 @@ from .edges import edge_field
 
 Field = NDArray[np.float32]
 SIDES = ("right", "left")
+WAYS = ("upright", "upside down")
 # Linear pixels are averaged up to about this pitch before they are looked at.
 LINEAR_MM = 0.3
 # Tiles by which a template is cut out wider, so that its edges know what is beside the patch.
@@ -94,7 +95,7 @@ def poses(templates: tuple[Template, ...], law: PatchLaw) -> tuple[Pose, ...]:
     weight = np.repeat(height[:, None], lateral + medial + 1, axis=1).astype(np.float32)
     found = []
     for side in SIDES:
-        for way in ("upright", "upside down"):
+        for way in WAYS:
             col = lateral if side == "right" else medial
             row = up if way == "upright" else down
             turned = tuple(_posed(one, side, way) for one in plain)
