@@ -1,6 +1,7 @@
 import csv
 import dataclasses
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from pssf.accuracy import (
     chain,
     engines,
     figure,
+    localisation,
     morphometry,
     solids,
     stages,
@@ -235,3 +237,41 @@ def test_times_of_what_is_left_out_are_shares_of_the_whole(monkeypatch):
     rows = ablation.ablation_rows(2, ablation.CASES[:3])
     assert [row["share"] for row in rows] == [1.0, 0.5, 0.25, 0.05]
     assert [name for name, _ in asked] == ["warm", "0", "1", "2", "0"]
+
+
+def located(case, status, kind="study", **measures):
+    usual = dict.fromkeys(localisation._MEASURES, 0.9) | {"scale": 1.0, "apart_mm": 1.0}
+    return {"case": case, "kind": kind, "status": status, "error_mm": 0.5, **usual, **measures}
+
+
+def test_limits_of_localisation_lie_between_what_is_right_and_what_is_wrong_on_purpose(monkeypatch):
+    made = [located("right", "found", scale=scale) for scale in (0.8, 1.0)]
+    made += [located("without bones", "no knee", score=score, narrow=0.2, way_evidence=-0.1) for score in (0.3, 0.4)]
+    made += [located("wrong side", "wrong side", side_evidence=-0.08)]
+    made += [located("pitch x 1.5", "wrong scale", scale=1.44), located("pitch x 0.5", "wrong scale", scale=0.2)]
+    monkeypatch.setattr(localisation, "_located", lambda count, workers: made)
+    limits = {row["limit"]: row["simulations"] for row in localisation.limit_rows(2, 1)}
+    assert limits == {
+        "score": 0.4, "narrow": 0.2, "side": 0.08, "way": 0.1, "apart_mm": 1.0,
+        "scale, least": 0.4, "scale, greatest": 1.2,
+    }  # fmt: skip
+    rows = {row["case"]: row for row in localisation.localisation_rows(2, 1)}
+    assert (rows["right"]["found"], rows["right"]["mean_error_mm"]) == (2, 0.5)
+    assert (rows["without bones"]["found"], rows["without bones"]["as_meant"]) == (0, 2)
+    assert (rows["without bones"]["least_score"], rows["without bones"]["most_score"]) == (0.3, 0.4)
+
+
+def test_a_knee_is_located_in_every_case(monkeypatch):
+    seen = []
+
+    def find(case, pixels, knee, protocol, templates):
+        seen.append((case, pixels.mean()))
+        return SimpleNamespace(row=0.0, col=0.0, status="found", **dict.fromkeys(localisation._MEASURES, 0.0))
+
+    monkeypatch.setattr(localisation, "_find", find)
+    monkeypatch.setattr(localisation, "_SIDE_PX", 64)
+    rows = localisation._of_knee(0, templates=())
+    assert [row["case"] for row in rows] == list(localisation._CASES)
+    means = dict(seen)
+    assert means["without bones"] > means["right"]
+    assert rows[0]["error_mm"] > 100

@@ -9,6 +9,7 @@ from conftest import change
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from phantoms import PIXEL_MM, TEMPLATE, phantom
 from radiomics.featureextractor import RadiomicsFeatureExtractor
 from scipy.ndimage import gaussian_filter
 
@@ -17,92 +18,15 @@ from pssf.core.execution import Execution
 from pssf.radiomics.bone import bone_mask
 from pssf.radiomics.families import family
 from pssf.radiomics.features import extract
-from pssf.radiomics.region import Template, cut_region, find_joint
+from pssf.radiomics.patches import Template
+from pssf.radiomics.region import cut_region
 from pssf.radiomics.table import How, Job, extract_all, measure, settings_key
-
-PIXEL_MM = 0.5
-SHAPE = (320, 320)
-
-
-def phantom(row, col, side="right", scale=1.0, noise=0.0, seed=0, tibia_mm=2.5):
-    """(320, 320) uint16: two blocks of bone, the medial one's gap at (row, col), in a limb with air beside it.
-
-    The femur begins 2.5 mm above that row, the tibia `tibia_mm` below.
-    """
-    rows, cols = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
-    medial = (cols - col) * (1 if side == "right" else -1) * PIXEL_MM / scale  # mm, 0 in the medial gap
-    up = (row - rows) * PIXEL_MM / scale
-    limb = np.clip(1 - ((medial + 20) / 62) ** 2, 0, None)
-    width = 17 - 0.12 * np.abs(up)
-    bone = (np.abs(medial + 20) < 20 + width) & (np.abs(up) > np.where(up > 0, 2.5, tibia_mm) + 0.08 * np.abs(medial))
-    notch = (np.abs(medial + 20) < 7) & (up > 0) & (up < 16)
-    fibula = (np.abs(medial + 58) < 6) & (up < -12)
-    path = 2.2 * limb + 0.7 * gaussian_filter((bone & ~notch).astype(float), 0.8) + 0.4 * fibula
-    signal = 30000 * np.exp(-path)
-    signal += noise * np.sqrt(signal) * np.random.default_rng(seed).standard_normal(SHAPE)
-    return np.clip(np.rint(signal), 1, 65535).astype(np.uint16)
 
 
 def texture(size: int, seed: int, smooth: float = 1.5):
     """(size, size) uint16 with every value far below 65535 / 3."""
     field = gaussian_filter(np.random.default_rng(seed).standard_normal((size, size)), smooth)
     return np.rint(8000 + 2000 * field / field.std()).clip(1, 20000).astype(np.uint16)
-
-
-TEMPLATE = Template(pixels=phantom(160, 180), row=160, col=180, pixel_mm=PIXEL_MM)
-
-
-@settings(max_examples=12)
-@given(
-    row=st.integers(130, 190),
-    col=st.integers(150, 175),
-    side=st.sampled_from(["right", "left"]),
-    noise=st.sampled_from([0.0, 1.0]),
-)
-def test_a_shifted_joint_is_found_to_within_a_pixel_on_either_side(row, col, side, noise):
-    joint = find_joint(phantom(row, col, side, noise=noise), [TEMPLATE], side=side, pixel_mm=PIXEL_MM, region_px=64)
-    assert joint.status == "found"
-    assert abs(joint.row - row) < 1
-    assert abs(joint.col - col) < 1
-
-
-@pytest.mark.parametrize("scale", [0.85, 1.1])
-def test_a_larger_or_smaller_knee_is_found(scale):
-    joint = find_joint(phantom(150, 170, scale=scale), [TEMPLATE], side="right", pixel_mm=PIXEL_MM, region_px=64)
-    assert np.hypot(joint.row - 150, joint.col - 170) < 3
-    assert abs(joint.scale - scale) < 0.06
-
-
-def test_the_middle_of_a_narrow_joint_space_is_found_by_the_template_of_one():
-    tibia_mm = 0.0
-    narrow = phantom(160, 180, tibia_mm=tibia_mm)
-    middle = 160 + (tibia_mm - 2.5) / 2 / PIXEL_MM
-    narrow_template = Template(pixels=narrow, row=middle, col=180, pixel_mm=PIXEL_MM)
-    image = phantom(150, 170, noise=1.0, tibia_mm=tibia_mm)
-    by_one, by_two = (
-        find_joint(image, templates, side="right", pixel_mm=PIXEL_MM, region_px=64)
-        for templates in ([TEMPLATE], [TEMPLATE, narrow_template])
-    )
-    assert abs(by_two.row - (middle - 10)) < 0.3
-    assert abs(by_one.row - (middle - 10)) > 0.6
-    wide = find_joint(phantom(150, 170), [TEMPLATE, narrow_template], side="right", pixel_mm=PIXEL_MM, region_px=64)
-    assert abs(wide.row - 150) < 0.3
-
-
-def test_a_match_against_noise_is_refused_and_so_is_a_region_that_leaves_the_image():
-    noise = np.random.default_rng(0).integers(1000, 2000, SHAPE).astype(np.uint16)
-    assert find_joint(noise, [TEMPLATE], side="right", pixel_mm=PIXEL_MM, region_px=64).status == "low score"
-    image = phantom(160, 170)
-    assert find_joint(image, [TEMPLATE], side="right", pixel_mm=PIXEL_MM, region_px=400).status == "leaves image"
-
-
-def test_an_image_too_small_for_a_knee_an_unknown_side_and_no_template_are_refused():
-    with pytest.raises(InputError, match="holds a knee joint"):
-        find_joint(np.ones((20, 20), np.uint16), [TEMPLATE], side="right", pixel_mm=PIXEL_MM)
-    with pytest.raises(InputError, match="side"):
-        find_joint(phantom(160, 180), [TEMPLATE], side="up", pixel_mm=PIXEL_MM)
-    with pytest.raises(InputError, match="templates = none; allowed: one or more"):
-        find_joint(phantom(160, 180), [], side="right", pixel_mm=PIXEL_MM)
 
 
 @given(row=st.floats(8, 24), col=st.floats(8, 24))

@@ -29,7 +29,6 @@ class Search(Record, frozen=True):
     narrow_scales: Numbers
     reach_mm: float
     least_seen: float
-    fine_mm: float
 
 
 class Plateau(Record, frozen=True):
@@ -44,14 +43,16 @@ class Thresholds(Record, frozen=True):
 
     score     least wide score
     narrow    least narrow score
-    side      how much better the mirrored knee may match than that of the side that is given
-    apart_mm  how far the narrow match may be from the wide one
+    side      greatest evidence for the other side than the one that is given, see `Located.side_evidence`
+    way       evidence for upside down that is chance, see `Located.way_evidence`
+    apart_mm  how far above or below the wide match the narrow one may be
     scale     of a knee over the standard one
     """
 
     score: float
     narrow: float
     side: float
+    way: float
     apart_mm: float
     scale: Pair
 

@@ -109,8 +109,8 @@ def subject_and_side(stem: str) -> tuple[str, str | None]:
 def _of_table(path: Path) -> Iterator[Film]:
     with reading(path, "a CSV of films", "damaged"), open(path, newline="", encoding="utf-8-sig") as handle:
         table = csv.DictReader(handle, restkey="?", restval="")
-        rows = list(table)
-    names = list(table.fieldnames or []) + ["?"] * any("?" in row for row in rows)
+        names, rows = list(table.fieldnames or []), list(table)
+    names += ["?"] * any("?" in row for row in rows)
     if "file" not in names:
         raise InputError(f"file {path}: columns = {', '.join(names) or 'none'}; required: file")
     for name in names:
@@ -194,7 +194,7 @@ def _rendered(path: Path) -> FilmImage:
 
 def _picture(path: Path) -> FilmImage:
     """A PNG, JPEG or TIFF."""
-    with Image.open(path) as image:
+    with _opened(path) as image:
         frames = getattr(image, "n_frames", 1)
         if frames > 1:
             raise InputError(f"file {path}: frames = {frames}; allowed: 1")
@@ -207,6 +207,21 @@ def _picture(path: Path) -> FilmImage:
         if image.mode != "L" and getattr(image, "tag_v2", {}).get(_PHOTOMETRIC) == _WHITE_IS_ZERO:
             pixels = 1.0 - pixels
     return FilmImage(pixels=pixels, **said)
+
+
+def _opened(path: Path) -> Image.Image:
+    """The picture with its pixels."""
+    image = None
+    try:
+        image = Image.open(path)
+        image.load()
+        return image
+    except OSError as error:  # Pillow's own, as if the disk were at fault, for what is no picture or not whole
+        if image is not None:
+            image.close()
+        if error.errno is not None:
+            raise
+        raise InputError(f"file {path}: damaged, or no picture; allowed: a readable film of 8 to 16 bit") from None
 
 
 def _said_by_pssf(path: Path) -> dict[str, Any]:

@@ -10,13 +10,11 @@ from ..core.blocks import block_mean
 from ..core.checks import Array, InputError, require, require_choice
 from ..data.localisation import Localisation, localisation
 from .edges import Pyramid
-from .patches import SIDES, Template, density_of, poses
+from .patches import LINEAR_MM, SIDES, WAYS, Template, density_of, poses
 from .region import region_fits
 from .search import Match, matches, score_maps, vertex
 
 STATUSES = ("found", "no knee", "upside down", "wrong scale", "wrong side", "low score", "leaves image")
-# Linear pixels are averaged up to about this pitch before they are looked at.
-_LINEAR_MM = 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +33,7 @@ class Located:
     scale        size of the knee at the film over the standard knee's at its detector
     pixel_mm     pitch: as it is given, else estimated from the size of the joint
     pixel_from   given | plateau
-    apart_mm     how far the narrow match is from the wide one, mm of the standard knee
+    apart_mm     how far above or below the wide match the narrow one is, mm of the standard knee
     seen         share of the whole joint's patch within the film
     """
 
@@ -55,6 +53,19 @@ class Located:
     apart_mm: float
     seen: float
 
+    @property
+    def side_evidence(self) -> float:
+        """The side's margin over what the better of both sides leaves unexplained; below 0 where that is the other.
+
+        Where a knee's shape is not the templates', both sides match it worse and their difference tells less.
+        """
+        return _evidence(self.score, self.score - self.side_margin)
+
+    @property
+    def way_evidence(self) -> float:
+        """The same of upright against upside down."""
+        return _evidence(self.score, self.score - self.way_margin)
+
 
 def find_joint(
     pixels: NDArray[np.integer | np.floating],
@@ -69,7 +80,7 @@ def find_joint(
     pixels  (rows, cols) linear; columns run to world +x, so medial is right in a right knee and left in a left one
     raises  InputError as `locate`
     """
-    step = max(1, int(_LINEAR_MM / pixel_mm))
+    step = max(1, int(LINEAR_MM / pixel_mm))
     found = locate(density_of(block_mean(pixels, step)), templates, side=side, pixel_mm=pixel_mm * step)
     row, col = (at * step + (step - 1) / 2 for at in (found.row, found.col))
     status = found.status
@@ -112,11 +123,11 @@ def locate(
     found = list(matches(image, units, whole, table.wide, table.search.least_seen))
     if not found:
         raise InputError(f"image of {density.shape} pixels of {pixel_mm} mm; allowed: one that holds a knee joint")
-    best = max(found, key=lambda match: match.score)
+    best = _best(found, table)
     if pixel_mm is not None and best.score < table.thresholds.score:
         smaller = list(matches(image, _smaller(pixel_mm, table), whole, table.wide, table.search.least_seen))
         found += smaller
-        best = max(found, key=lambda match: match.score)
+        best = _best(found, table)
     mirrored = _best_of(found, way=best.way, side=SIDES[1 - SIDES.index(best.side)])
     if side is not None and best.side != side:
         best, mirrored = mirrored, best
@@ -136,7 +147,7 @@ def locate(
         way_margin=best.score - flipped,
         polarity=best.polarity,
         seen=best.seen,
-        apart_mm=float(np.hypot(narrow.row - best.row, narrow.col - best.col)) * best.unit_mm,
+        apart_mm=abs(narrow.row - best.row) * best.unit_mm,
         pixel_mm=pitch_mm,
         pixel_from=pixel_from,
         scale=scale,
@@ -175,6 +186,18 @@ def _size(best: Match, template: Template, pixel_mm: float | None, table: Locali
         return pixel_mm, "given", pixel_mm / best.unit_mm
     scale = table.plateau.mean_mm / _plateau_mm(template)
     return best.unit_mm * scale, "plateau", scale
+
+
+def _evidence(score: float, other: float) -> float:
+    return (score - other) / max(1.0 - max(score, other), 1e-6)
+
+
+def _best(found: Sequence[Match], table: Localisation) -> Match:
+    """The best upright match, unless one upside down is better by more than chance."""
+    upright, turned = (
+        max((match for match in found if match.way == way), key=lambda match: match.score) for way in WAYS
+    )
+    return turned if _evidence(turned.score, upright.score) > table.thresholds.way else upright
 
 
 def _best_of(found: Sequence[Match], *, way: str, side: str) -> Match:
@@ -229,9 +252,9 @@ def _status(found: Located, shape: tuple[int, ...], region_px: int | None, table
     limit = table.thresholds
     reasons = {
         "no knee": found.score < limit.score,
-        "upside down": found.way != "upright",
+        "upside down": found.way != WAYS[0],
         "wrong scale": found.pixel_from == "given" and not limit.scale[0] <= found.scale <= limit.scale[1],
-        "wrong side": found.side_margin < -limit.side,
+        "wrong side": found.side_evidence < -limit.side,
         "low score": found.narrow < limit.narrow or found.apart_mm > limit.apart_mm,
         "leaves image": not region_fits(shape, found.row, found.col, 1 if region_px is None else region_px),
     }

@@ -8,12 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage
 
+from ..core.blocks import block_mean
 from ..core.checks import Array, require
 from ..data.localisation import PatchLaw
 from .edges import edge_field
 
 Field = NDArray[np.float32]
 SIDES = ("right", "left")
+WAYS = ("upright", "upside down")
+# Linear pixels are averaged up to about this pitch before they are looked at.
+LINEAR_MM = 0.3
 # Tiles by which a template is cut out wider, so that its edges know what is beside the patch.
 _MARGIN_TILES = 2.0
 
@@ -29,7 +33,7 @@ class Template:
     raises      InputError for a joint line outside the image, or a pitch or width out of range
     """
 
-    pixels: NDArray[np.generic]
+    pixels: NDArray[np.integer | np.floating]
     row: float
     col: float
     pixel_mm: float
@@ -91,7 +95,7 @@ def poses(templates: tuple[Template, ...], law: PatchLaw) -> tuple[Pose, ...]:
     weight = np.repeat(height[:, None], lateral + medial + 1, axis=1).astype(np.float32)
     found = []
     for side in SIDES:
-        for way in ("upright", "upside down"):
+        for way in WAYS:
             col = lateral if side == "right" else medial
             row = up if way == "upright" else down
             turned = tuple(_posed(one, side, way) for one in plain)
@@ -113,22 +117,24 @@ def _field(template: Template, law: PatchLaw, turn_deg: float, sides: tuple[int,
     """(2, rows, cols)  edges of a template about its joint line, turned"""
     up, down, lateral, medial = sides
     margin = int(np.ceil(_MARGIN_TILES * law.tile_mm / law.pitch_mm))
-    rows = np.arange(-up - margin, down + margin + 1) * law.pitch_mm / template.pixel_mm
-    cols = np.arange(-lateral - margin, medial + margin + 1) * law.pitch_mm / template.pixel_mm
+    density, row, col, pixel_mm = _dense(template)
+    rows = np.arange(-up - margin, down + margin + 1) * law.pitch_mm / pixel_mm
+    cols = np.arange(-lateral - margin, medial + margin + 1) * law.pitch_mm / pixel_mm
     down_px, right_px = np.meshgrid(rows, cols, indexing="ij")
     cosine, sine = np.cos(np.deg2rad(turn_deg)), np.sin(np.deg2rad(turn_deg))
-    places = [
-        template.row + cosine * down_px - sine * right_px,
-        template.col + sine * down_px + cosine * right_px,
-    ]
-    soft = ndimage.gaussian_filter(_dense(template), 0.5 * law.pitch_mm / template.pixel_mm, mode="nearest")
+    places = [row + cosine * down_px - sine * right_px, col + sine * down_px + cosine * right_px]
+    soft = ndimage.gaussian_filter(density, 0.5 * law.pitch_mm / pixel_mm, mode="nearest")
     cut = ndimage.map_coordinates(soft, places, order=1, mode="nearest")
     return edge_field(cut, law.tile_mm / law.pitch_mm)[:, margin:-margin, margin:-margin]
 
 
 @lru_cache(maxsize=8)
-def _dense(template: Template) -> Array:
-    return density_of(template.pixels)
+def _dense(template: Template) -> tuple[Array, float, float, float]:
+    """Density (rows, cols) of a template at a pitch that is fine enough, its joint line there, and that pitch."""
+    step = max(1, int(LINEAR_MM / template.pixel_mm))
+    density = density_of(block_mean(template.pixels, step))
+    row, col = ((at - (step - 1) / 2) / step for at in (template.row, template.col))
+    return density, row, col, template.pixel_mm * step
 
 
 def _posed(plain: Field, side: str, way: str) -> Field:

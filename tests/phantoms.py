@@ -1,0 +1,31 @@
+"""A knee of blocks, drawn in no time: what is looked for and what is found in tests of localisation and features."""
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from pssf.radiomics.patches import Template
+
+PIXEL_MM = 0.5
+SHAPE = (320, 320)
+
+
+def phantom(row, col, side="right", scale=1.0, noise=0.0, seed=0, tibia_mm=2.5, bones=1.0):
+    """(320, 320) uint16: two blocks of bone, the medial one's gap at (row, col), in a limb with air beside it.
+
+    The femur begins 2.5 mm above that row, the tibia `tibia_mm` below.
+    """
+    rows, cols = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    medial = (cols - col) * (1 if side == "right" else -1) * PIXEL_MM / scale  # mm, 0 in the medial gap
+    up = (row - rows) * PIXEL_MM / scale
+    limb = np.clip(1 - ((medial + 20) / 62) ** 2, 0, None)
+    width = 17 - 0.12 * np.abs(up)
+    bone = (np.abs(medial + 20) < 20 + width) & (np.abs(up) > np.where(up > 0, 2.5, tibia_mm) + 0.08 * np.abs(medial))
+    notch = (np.abs(medial + 20) < 7) & (up > 0) & (up < 16)
+    fibula = (np.abs(medial + 58) < 6) & (up < -12)
+    path = 2.2 * limb + bones * (0.7 * gaussian_filter((bone & ~notch).astype(float), 0.8) + 0.4 * fibula)
+    signal = 30000 * np.exp(-path)
+    signal += noise * np.sqrt(signal) * np.random.default_rng(seed).standard_normal(SHAPE)
+    return np.clip(np.rint(signal), 1, 65535).astype(np.uint16)
+
+
+TEMPLATE = Template(pixels=phantom(160, 180), row=160, col=180, pixel_mm=PIXEL_MM, plateau_mm=74.0)

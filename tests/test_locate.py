@@ -1,0 +1,187 @@
+"""Finding the joint, and refusing what is none, is turned, mirrored or of another size."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from phantoms import PIXEL_MM, SHAPE, TEMPLATE, phantom
+
+import pssf
+from pssf.core.checks import InputError
+from pssf.data.localisation import localisation
+from pssf.radiomics.edges import Pyramid, edge_field
+from pssf.radiomics.locate import _status, find_joint, locate
+from pssf.radiomics.patches import Template, density_of
+
+
+def joint_of(pixels, side="right", pixel_mm=PIXEL_MM, region_px=64, templates=(TEMPLATE,)):
+    return find_joint(pixels, templates, side=side, pixel_mm=pixel_mm, region_px=region_px)
+
+
+@settings(max_examples=8)
+@given(
+    row=st.integers(130, 190),
+    col=st.integers(150, 175),
+    side=st.sampled_from(["right", "left"]),
+    noise=st.sampled_from([0.0, 1.0]),
+)
+def test_a_shifted_joint_is_found_to_within_a_pixel_on_either_side(row, col, side, noise):
+    col = col if side == "right" else SHAPE[1] - 1 - col
+    joint = joint_of(phantom(row, col, side, noise=noise), side)
+    assert joint.status == "found"
+    assert abs(joint.row - row) < 1
+    assert abs(joint.col - col) < 1
+    assert joint.side_margin > 0
+    assert joint.way_margin > 0.1
+
+
+@pytest.mark.parametrize("scale", [0.85, 1.1])
+def test_a_larger_or_smaller_knee_is_found(scale):
+    joint = joint_of(phantom(150, 170, scale=scale))
+    assert np.hypot(joint.row - 150, joint.col - 170) < 2
+    assert abs(joint.scale - scale) < 0.04
+
+
+def test_the_middle_of_a_narrow_joint_space_is_found_by_the_template_of_one():
+    tibia_mm = 0.0
+    middle = 160 + (tibia_mm - 2.5) / 2 / PIXEL_MM
+    pixels = phantom(160, 180, tibia_mm=tibia_mm)
+    narrow = Template(pixels=pixels, row=middle, col=180, pixel_mm=PIXEL_MM)
+    image = phantom(150, 170, noise=1.0, tibia_mm=tibia_mm)
+    by_one, by_two = joint_of(image), joint_of(image, templates=(TEMPLATE, narrow))
+    assert abs(by_two.row - (middle - 10)) < 0.4
+    assert abs(by_one.row - (middle - 10)) > 0.6
+    assert abs(joint_of(phantom(150, 170), templates=(TEMPLATE, narrow)).row - 150) < 0.4
+
+
+@pytest.mark.parametrize("curve", [lambda x: x**3, np.sqrt, lambda x: np.clip(2.5 * x - 0.9, 0, 1)])
+def test_the_tone_of_a_film_does_not_matter_and_neither_does_its_polarity(curve):
+    density = density_of(phantom(150, 170, noise=1.0))
+    shown = curve((density - density.min()) / np.ptp(density))
+    bright, dark = (locate(film, [TEMPLATE], side="right", pixel_mm=PIXEL_MM) for film in (shown, 1.0 - shown))
+    for joint in (bright, dark):
+        assert joint.status == "found"
+        assert np.hypot(joint.row - 150, joint.col - 170) < 2
+    assert (bright.polarity, dark.polarity) == ("bone bright", "bone dark")
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_side_and_pitch_that_are_not_known_are_found(side):
+    film = density_of(phantom(150, 165, side, noise=1.0))
+    joint = locate(film, [TEMPLATE])
+    assert (joint.status, joint.side, joint.pixel_from) == ("found", side, "plateau")
+    assert np.hypot(joint.row - 150, joint.col - 165) < 2
+    # The phantom's plateau is taken for one of the usual width.
+    usual = PIXEL_MM * localisation().plateau.mean_mm / TEMPLATE.plateau_mm
+    assert abs(joint.pixel_mm / usual - 1) < 0.04
+    smaller = locate(film.reshape(160, 2, 160, 2).mean(axis=(1, 3)), [TEMPLATE])
+    assert abs(smaller.pixel_mm / joint.pixel_mm / 2 - 1) < 0.04
+
+
+def test_a_crop_whose_patch_leaves_it_is_found():
+    film = density_of(phantom(150, 165, noise=1.0))[90:210, 40:220]
+    joint = locate(film, [TEMPLATE], side="right", pixel_mm=PIXEL_MM)
+    assert joint.status == "found"
+    assert np.hypot(joint.row - 60, joint.col - 125) < 2
+    assert joint.seen < 1
+
+
+@pytest.fixture(scope="module")
+def simulated(built, small):
+    """A knee's radiograph on 256 x 256 pixels, the same leg without bones, and the standard knee to look for."""
+    soft = pssf.Scene([s for s in built.scene.surfaces if s.name in ("skin", "adipose", "muscle")])
+    whole, bare = (pssf.simulate(what, small, seed=1, engine="scanline") for what in (built, soft))
+    standard = pssf.simulate(pssf.Knee(), small, engine="scanline", keep=("noise_free",))
+    row, col = standard.truth.medial_joint_line_px
+    template = Template(pixels=standard.kept["noise_free"], row=row, col=col, pixel_mm=small.pixel_mm, plateau_mm=94.0)
+    return whole, bare.pixels, [template]
+
+
+def test_a_simulated_joint_is_found_with_side_and_pitch_or_without(simulated):
+    whole, _, templates = simulated
+    row, col = whole.truth.medial_joint_line_px
+    given = find_joint(whole.pixels, templates, side="right", pixel_mm=1.2, region_px=64)
+    alone = locate(density_of(whole.pixels), templates)
+    for joint in (given, alone):
+        assert (joint.status, joint.side) == ("found", "right")
+        assert np.hypot(joint.row - row, joint.col - col) * 1.2 < 2.5
+
+
+def test_a_leg_without_bones_holds_no_knee_and_neither_does_noise(simulated):
+    _, bare, templates = simulated
+    assert find_joint(bare, templates, side="right", pixel_mm=1.2).status == "no knee"
+    noise = np.random.default_rng(0).integers(1000, 2000, bare.shape).astype(np.uint16)
+    assert find_joint(noise, templates, side="right", pixel_mm=1.2).status == "no knee"
+
+
+def test_the_wrong_side_is_refused(simulated):
+    whole, _, templates = simulated
+    joint = find_joint(whole.pixels, templates, side="left", pixel_mm=1.2)
+    assert joint.status == "wrong side"
+    assert joint.side_evidence < -localisation().thresholds.side
+
+
+@pytest.mark.parametrize("turned", [np.flipud, lambda image: np.rot90(image, 2)])
+def test_what_is_upside_down_is_refused(simulated, turned):
+    whole, _, templates = simulated
+    joint = locate(density_of(turned(whole.pixels)), templates, pixel_mm=1.2)
+    assert joint.status == joint.way == "upside down"
+
+
+@pytest.mark.parametrize("factor", [2.0, 1.5, 0.5])
+def test_a_wrong_pitch_is_refused(simulated, factor):
+    whole, _, templates = simulated
+    joint = find_joint(whole.pixels, templates, side="right", pixel_mm=1.2 * factor, region_px=64)
+    assert joint.status == "wrong scale"
+
+
+@pytest.mark.parametrize("weak", ["narrow", "apart_mm"])
+def test_a_compartment_that_matches_badly_or_elsewhere_has_too_low_a_score(weak):
+    limits, joint = localisation().thresholds, joint_of(phantom(150, 165))
+    beyond = {"narrow": limits.narrow - 0.01, "apart_mm": limits.apart_mm + 0.1}[weak]
+    assert _status(joint, SHAPE, None, localisation()) == "found"
+    assert _status(replace(joint, **{weak: beyond}), SHAPE, None, localisation()) == "low score"
+
+
+def test_a_region_that_leaves_the_image_is_refused():
+    assert joint_of(phantom(160, 170), region_px=400).status == "leaves image"
+    film = density_of(phantom(160, 170))
+    assert locate(film, [TEMPLATE], side="right", pixel_mm=PIXEL_MM, region_px=330).status == "leaves image"
+
+
+def test_arguments_that_cannot_be_used_are_refused():
+    film = density_of(phantom(160, 180))
+    with pytest.raises(InputError, match="holds a knee joint"):
+        joint_of(np.ones((10, 10), np.uint16))
+    with pytest.raises(InputError, match="side"):
+        locate(film, [TEMPLATE], side="up")
+    with pytest.raises(InputError, match="pixel_mm"):
+        locate(film, [TEMPLATE], pixel_mm=0.0)
+    with pytest.raises(InputError, match="templates = none; allowed: one or more"):
+        locate(film, [])
+    with pytest.raises(InputError, match="plateau_mm = None"):
+        locate(film, [Template(pixels=TEMPLATE.pixels, row=160, col=180, pixel_mm=PIXEL_MM)])
+    with pytest.raises(InputError, match="template plateau_mm"):
+        Template(pixels=TEMPLATE.pixels, row=160, col=180, pixel_mm=PIXEL_MM, plateau_mm=-1.0)
+
+
+def test_edges_point_up_the_density_and_are_nowhere_longer_than_one():
+    ramp = np.add.outer(np.arange(40.0), 3 * np.arange(50.0))
+    down, right = edge_field(ramp, 6.0)[:, 5:-5, 5:-5]
+    np.testing.assert_allclose(right / down, 3.0, rtol=1e-4)
+    field = edge_field(np.random.default_rng(0).standard_normal((40, 40)), 6.0)
+    assert np.hypot(*field).max() <= 1
+    assert not edge_field(np.ones((20, 20)), 6.0).any()
+
+
+@given(zoomed=st.floats(0.05, 2.0))
+@settings(max_examples=12)
+def test_an_image_at_another_pitch_lies_where_it_should(zoomed):
+    rows, cols = np.mgrid[:90, :120].astype(float)
+    image = Pyramid(rows + 2 * cols).at(zoomed)
+    row, col = ((np.arange(length) + 0.5) / zoomed - 0.5 for length in image.shape)
+    inside = [slice(length // 4, -(length // 4) or None) for length in image.shape]
+    wanted = np.add.outer(row, 2 * col)
+    np.testing.assert_allclose(image[tuple(inside)], wanted[tuple(inside)], atol=0.6 / zoomed)
