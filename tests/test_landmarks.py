@@ -120,3 +120,12 @@ def test_the_notch_is_taken_three_eighths_of_the_way_up():
     assert_allclose(spots["femur_lateral_notch"][0], low + 0.375 * (top - low), atol=0.3)
     half_way = (spots["femur_lateral_edge"][1] + spots["femur_lateral_notch"][1]) / 2
     assert_allclose(spots["femur_lateral_condyle"][1], half_way, atol=0.06)
+
+
+def test_edges_are_where_lines_at_45_degrees_touch_the_bones(built, spots, knee):
+    medial = 1 if knee.side == "right" else -1
+    for bone, up in (("tibia", -1), ("femur", 1)):
+        rows, cols = project(surface(built, bone).vertices, view_of(REFERENCE)).T
+        for side, out in (("medial", medial), ("lateral", -medial)):
+            row, col = spots[f"{bone}_{side}_edge"]
+            assert_allclose(up * row + out * col, (up * rows + out * cols).max(), atol=1e-6)
