@@ -8,6 +8,7 @@ soft         skin, fat, muscle                                  planes       fat
 cartilage    cartilage and menisci                              tissues      all of these, carved clear of each other
 trabeculae   density of the spongy bone within                  solids       lofts, hulls, height fields, checks
 contours     projected outlines and the gap between them        truth        labels and landmarks
+landmarks    sixteen places on the contours, as on people's films
 """
 
 from .built import BuiltKnee, build

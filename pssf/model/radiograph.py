@@ -18,8 +18,9 @@ class Truth:
     jsw_medial_mm, jsw_lateral_mm
                        smallest vertical gap of the projected cortical contours under `reference`, joint plane
     jsw_at_mm          the same gap at fractions of the plateau's width from its medial edge (JSW(x))
-    landmarks_px       name -> (row, column): joint_centre, notch; medial_ and lateral_ joint_line, condyle_edge,
-                       epicondyle, plateau_edge (osteophytes aside) and spine
+    landmarks_px       name -> (row, column): joint_centre; medial_ and lateral_ joint_line; where bones are widest,
+                       osteophytes aside: medial_ and lateral_ condyle_edge, epicondyle, plateau_edge; and the sixteen
+                       contour landmarks of `anatomy.landmarks`, osteophytes and all (notch is notch_top)
     masks              if asked for: name -> (rows, cols) bool, where a bone or an osteophyte is seen
     """
 

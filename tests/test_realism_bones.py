@@ -1,0 +1,254 @@
+import dataclasses
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.spatial.transform import Rotation
+
+import pssf
+from pssf.geometry.mesh import Mesh
+from pssf.io.bones import read_bones
+from pssf.realism import bones
+from pssf.realism.surfaces import Similarity, fit_similarity, measured, surface_distance, trimmed
+
+
+def pebble(bump_mm=0.0, detail=4):
+    """A closed body without any symmetry, some 50 mm long, with a bump on one side."""
+    ball = trimesh.creation.icosphere(detail)
+    x, y, z = ball.vertices.T
+    radius = 20 + 4 * x * y + 3 * z**3 + 2.5 * x**2 - 2 * np.sin(3 * y) + bump_mm * np.exp(-4 * ((x - 1) ** 2 + z**2))
+    return Mesh(ball.vertices * radius[:, None] * [1.2, 0.8, 1.0], np.asarray(ball.faces))
+
+
+def moved(mesh, degrees=0.0, scale=1.0, shift=(0.0, 0.0, 0.0)):
+    turn = Rotation.from_rotvec(np.deg2rad(degrees) * np.array([0.6, -0.48, 0.64])).as_matrix()
+    return Mesh(Similarity(rotation=turn, scale=scale, shift_mm=np.array(shift)).apply(mesh.vertices), mesh.faces)
+
+
+def ball(radius_mm):
+    made = trimesh.creation.icosphere(5, radius=radius_mm)
+    return Mesh(np.asarray(made.vertices), np.asarray(made.faces))
+
+
+def shaft(top_mm):
+    """A bone with a joint end below, of a pebble's shape, and a shaft that is cut flat at a height."""
+    made = trimesh.creation.cylinder(9.0, segment=([0, 0, 0], [0, 0, top_mm]), sections=48)
+    both = trimesh.boolean.union([pebble().as_trimesh(), made], engine="manifold")
+    return Mesh(np.asarray(both.vertices), np.asarray(both.faces))
+
+
+def test_a_copy_that_is_turned_scaled_and_moved_is_at_distance_0():
+    copy = measured(moved(pebble(), 7.0, 1.25, (6.0, -4.0, 3.0)), seed=1)
+    fit = fit_similarity(copy, measured(pebble()))
+    assert_allclose(fit.scale, 1 / 1.25, rtol=1e-4)
+    distance = surface_distance(copy, measured(pebble()), fit)
+    assert distance.rms_mm < 0.003
+    assert surface_distance(copy, measured(pebble())).rms_mm > 3.0
+
+
+def test_places_that_are_moved_and_moved_back_are_where_they_were():
+    fit = fit_similarity(measured(moved(pebble(), 5.0, 1.1)), measured(pebble()))
+    assert_allclose(fit.undo(fit.apply(pebble().vertices)), pebble().vertices, atol=1e-9)
+    assert_allclose(fit.rotation @ fit.rotation.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(fit.rotation) > 0
+
+
+def test_a_ball_in_a_smaller_one_stands_out_by_what_its_radius_is_more():
+    outer = surface_distance(measured(ball(21.5)), measured(ball(20.0)))
+    for found in (outer.mean_mm, outer.rms_mm, outer.p99_mm):
+        assert_allclose(found, 1.5, atol=0.02)
+    inner = surface_distance(measured(ball(20.0)), measured(ball(21.5)))
+    assert_allclose(inner.mean_mm, -1.5, atol=0.02)
+    assert (inner.back_mm < 0).all()
+
+
+def test_size_is_taken_out_by_the_fit():
+    big, small = measured(ball(21.5)), measured(ball(20.0))
+    fit = fit_similarity(big, small)
+    assert_allclose(fit.scale, 20 / 21.5, rtol=1e-3)
+    assert surface_distance(big, small, fit).rms_mm < 0.02
+
+
+def test_the_nearest_place_is_the_nearest_on_all_triangles():
+    # Long triangles beside short ones: the nearest middle is not that of the nearest triangle.
+    surface = measured(shaft(60.0))
+    asked = np.random.default_rng(0).normal([0.0, 0.0, 20.0], 25.0, size=(300, 3))
+    found, _ = surface.nearest(asked)
+    corners = surface.mesh.vertices[surface.mesh.faces]
+    least = []
+    for point in asked:
+        every = trimesh.triangles.closest_point(corners, np.tile(point, (len(corners), 1)))
+        least.append(np.linalg.norm(every - point, axis=1).min())
+    more = np.linalg.norm(found - asked, axis=1) - least
+    assert (more > -1e-9).all()
+    # Where slivers crowd, the middles of eight others may be nearer.
+    assert more.max() < 0.02
+    assert (more < 1e-6).mean() > 0.95
+
+
+def test_a_cut_at_another_height_is_no_distance_between_the_heights():
+    long, short = measured(shaft(95.0)), measured(shaft(70.0))
+    heights = bones.heights_mm(short.mesh, "femur")
+    assert_allclose(heights[1], 65.0)
+    assert surface_distance(long, short, heights_mm=heights).rms_mm < 0.02
+    assert surface_distance(long, short).rms_mm > 3.0
+    assert bones.heights_mm(moved(short.mesh, 0.0, -1.0), "tibia")[0] == pytest.approx(-65.0)
+    assert bones.heights_mm(short.mesh, "patella") == (-np.inf, np.inf)
+
+
+def test_a_trimmed_mesh_ends_at_the_heights_and_a_distant_one_is_refused():
+    part = trimmed(shaft(95.0), -5.0, 60.0)
+    used = part.vertices[np.unique(part.faces)]
+    assert_allclose((used[:, 2].min(), used[:, 2].max()), (-5.0, 60.0), atol=1e-9)
+    with pytest.raises(pssf.InputError, match="faces between 200 and inf mm = 0"):
+        trimmed(shaft(95.0), 200.0, np.inf)
+    with pytest.raises(pssf.InputError, match="points within"):
+        fit_similarity(measured(ball(20.0)), measured(ball(20.0)), heights_mm=(30.0, 40.0))
+    with pytest.raises(pssf.InputError, match="area = 0 mm2"):
+        measured(Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]])))
+
+
+@pytest.mark.parametrize("other_faces", [False, True])
+def test_the_mean_of_bones_has_their_mean_shape_and_size(other_faces):
+    meshes = [moved(pebble(bump), 3 * bump, scale, (bump, 0, 1)) for bump, scale in ((-2.0, 0.9), (2.0, 1.1))]
+    if other_faces:
+        refined = trimesh.remesh.subdivide(*meshes[1])
+        meshes[1] = Mesh(np.asarray(refined[0]), np.asarray(refined[1]))
+    mean = measured(bones.mean_of(meshes, "patella"))
+    fit = fit_similarity(measured(pebble()), mean)
+    assert_allclose(fit.scale, np.sqrt(0.9 * 1.1), rtol=0.01)
+    assert surface_distance(measured(pebble()), mean, fit).rms_mm < 0.06
+    apart = fit_similarity(measured(meshes[0]), mean)
+    assert surface_distance(measured(meshes[0]), mean, apart).rms_mm > 0.2
+
+
+def test_no_bone_has_no_mean():
+    with pytest.raises(pssf.InputError, match="patella: bones = 0"):
+        bones.mean_of([], "patella")
+
+
+def varied(amplitude_mm, seed):
+    """Pebbles of several sizes and places whose bump varies, with the mean bump 0."""
+    rng = np.random.default_rng(seed)
+    sizes = amplitude_mm * np.array([-1.5, -0.5, 0.5, 1.5])
+    return [moved(pebble(bump), rng.normal(scale=3), rng.uniform(0.85, 1.15), rng.normal(size=3)) for bump in sizes]
+
+
+@pytest.fixture(scope="module")
+def comparison():
+    given, drawn = varied(3.0, 1), varied(1.0, 2)
+    return bones.compare({"patella": given}, {"patella": moved(pebble(), 4.0, 0.8)}, {"patella": drawn})
+
+
+def test_spreads_of_given_and_drawn_bones_are_told_by_one_measure(comparison):
+    mean, given, drawn = comparison.rows
+    assert [row["what"] for row in comparison.rows] == [
+        "built mean from given mean", "given about their mean", "drawn about built mean",
+    ]  # fmt: skip
+    assert mean["rms_mm"] < 0.05
+    assert given["bones"] == drawn["bones"] == 4
+    assert_allclose(given["rms_mm"] / drawn["rms_mm"], 3.0, rtol=0.1)
+    assert given["rms_least_mm"] < given["rms_mm"] < given["rms_most_mm"] < given["p99_mm"]
+    assert 0.03 < drawn["scale_sd"] < 0.3
+
+
+def test_the_distance_of_the_built_mean_is_found_where_it_is():
+    given = [pebble()]
+    found = bones.compare({"patella": given}, {"patella": pebble(4.0)}, {"patella": given})
+    assert len(found.rows) == 1
+    fit = found.fits["patella"]
+    place = fit.placed.vertices[fit.off_mm.argmax()]
+    assert 1.5 < fit.off_mm.max() < 4.0
+    assert place[0] > 20
+    assert abs(place[2]) < 6
+    assert_allclose(found.rows[0]["p99_mm"], np.percentile(np.abs(fit.off_mm), 99), atol=0.5)
+
+
+def test_the_same_bones_give_the_same_rows_and_picture(comparison):
+    given, drawn = varied(3.0, 1), varied(1.0, 2)
+    again = bones.compare({"patella": given}, {"patella": moved(pebble(), 4.0, 0.8)}, {"patella": drawn})
+    assert again.rows == comparison.rows
+    assert again.figure == comparison.figure
+    assert again.figure.startswith(b"\x89PNG")
+
+
+def test_bones_of_another_name_are_refused():
+    with pytest.raises(pssf.InputError, match="bones = ulna; allowed: some of femur, tibia, patella"):
+        bones.compare({"ulna": [pebble()]}, {}, {})
+
+
+def test_built_bones_are_closed_and_differ_by_what_is_drawn():
+    drawn = bones.drawn_bones(2, seed=4)
+    for name, mesh in bones.built_bones(pssf.Knee()).items():
+        assert mesh.as_trimesh().is_watertight
+        assert len(drawn[name]) == 2
+        assert abs(np.ptp(drawn[name][0].vertices[:, 0]) - np.ptp(drawn[name][1].vertices[:, 0])) > 0.01
+    for name, mesh in bones.drawn_bones(3, seed=4).items():
+        assert_array_equal(mesh[1].vertices, drawn[name][1].vertices)
+    tilted = bones.built_bones(dataclasses.replace(pssf.Knee(), tibial_slope_deg=9.0))["tibia"]
+    plain = bones.built_bones(pssf.Knee())["tibia"]
+    near = [measured(bones.near_joint(mesh, "tibia")) for mesh in (tilted, plain)]
+    heights = bones.heights_mm(near[1].mesh, "tibia")
+    assert 0.2 < surface_distance(*near, fit_similarity(*near, heights_mm=heights), heights).rms_mm < 1.5
+
+
+def archive(folder, **arrays):
+    mesh = pebble(detail=2)
+    held = {"femur_mm": np.stack([mesh.vertices] * 2).astype(np.float32), "femur_faces": mesh.faces.astype(np.uint16)}
+    np.savez(folder / "knees.npz", **{name: value for name, value in (held | arrays).items() if value is not None})
+    return folder
+
+
+def test_bones_in_correspondence_are_read_from_an_archive(tmp_path):
+    for path in (archive(tmp_path), tmp_path / "knees.npz"):
+        found = read_bones(path)
+        assert list(found) == ["femur"]
+        assert len(found["femur"]) == 2
+        assert_allclose(found["femur"][1].vertices, pebble(detail=2).vertices, atol=1e-5)
+
+
+@pytest.mark.parametrize("suffix", ["stl", "ply", "obj"])
+def test_bones_are_read_from_mesh_files_by_folder(tmp_path, suffix):
+    for kind, scale in (("tibia", 1.0), ("patella", 0.5)):
+        (tmp_path / kind).mkdir()
+        moved(pebble(detail=2), 0.0, scale).as_trimesh().export(tmp_path / kind / f"one.{suffix}")
+    (tmp_path / "tibia" / "notes.txt").write_text("not a mesh")
+    found = read_bones(tmp_path)
+    assert set(found) == {"tibia", "patella"}
+    assert_allclose(
+        np.ptp(found["patella"][0].vertices, axis=0), np.ptp(pebble(detail=2).vertices, axis=0) / 2, rtol=1e-4
+    )
+
+
+@pytest.mark.parametrize(
+    ("arrays", "why"),
+    [
+        ({"femur_mm": np.zeros((4, 3))}, r"femur_mm: shape = \(4, 3\), float64; allowed: \(bones, vertices, 3\)"),
+        ({"femur_mm": np.full((1, 200, 3), np.nan)}, "femur_mm: 600 values = not finite"),
+        ({"femur_faces": None}, "femur_faces = none; allowed"),
+        ({"femur_faces": np.array([[0, 1, 999]])}, "femur_faces: vertices = 0 to 999; allowed: 0 to 161"),
+        ({"femur_faces": np.zeros((1, 3))}, r"femur_faces: shape = \(1, 3\), float64; allowed: \(faces, 3\)"),
+        ({"femur_mm": None}, "bones = none; allowed"),
+    ],
+)
+def test_arrays_that_are_no_bones_are_refused(tmp_path, arrays, why):
+    with pytest.raises(pssf.InputError, match=why):
+        read_bones(archive(tmp_path, **arrays))
+
+
+def test_a_folder_without_bones_and_damaged_files_are_refused(tmp_path):
+    with pytest.raises(pssf.InputError, match="bones = none"):
+        read_bones(tmp_path)
+    with pytest.raises(pssf.InputError, match="No such file"):
+        read_bones(tmp_path / "none.npz")
+    (tmp_path / "femur").mkdir()
+    (tmp_path / "femur" / "a.stl").write_bytes(b"nothing")
+    with pytest.raises(pssf.InputError, match=r"a\.stl"):
+        read_bones(tmp_path)
+    (tmp_path / "a.npz").write_bytes(b"nothing")
+    with pytest.raises(pssf.InputError, match="no arrays"):
+        read_bones(tmp_path)
+    archive(tmp_path)
+    with pytest.raises(pssf.InputError, match="npz files = 2"):
+        read_bones(tmp_path)

@@ -1,0 +1,138 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import pssf
+from pssf.anatomy.landmarks import CONTOUR_LANDMARKS
+from pssf.data.landmarks import landmark_reference
+from pssf.realism import contours
+
+REFERENCE = landmark_reference()
+
+
+def made_up(grade=0, count=600, width_mm=77.0, seed=0):
+    """Landmarks that scatter as people's do, each by itself."""
+    known = REFERENCE.grade[str(grade)]
+    noise = np.random.default_rng(seed).standard_normal((count, 16, 2))
+    shares = np.array(known.mean_share) + noise * np.array(known.sd_share)
+    return contours.LandmarkSample(places_mm=shares * width_mm, grades=np.full(count, grade))
+
+
+def turned(places_mm, degrees, scale=1.0, shift=(0.0, 0.0)):
+    angle = np.deg2rad(degrees)
+    return scale * places_mm @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]) + shift
+
+
+def test_landmarks_that_scatter_as_peoples_do_are_inside():
+    found = contours.compare(made_up(), REFERENCE)
+    assert found.outside == [{"grade": 0, "knees": 600, "outside": 0, "of": 24}]
+    assert len(found.landmarks) == 28
+    assert all(row["mean_inside"] and row["spread_inside"] for row in found.landmarks)
+
+
+def test_a_landmark_that_is_moved_is_found_outside_and_no_other_is():
+    sample = made_up()
+    moved = sample.places_mm.copy()
+    moved[:, CONTOUR_LANDMARKS.index("femur_medial_condyle"), 1] += 77.0 * 0.0135 * 4
+    found = contours.compare(dataclasses.replace(sample, places_mm=moved), REFERENCE)
+    off = [(row["landmark"], row["axis"]) for row in found.landmarks if not row["mean_inside"]]
+    assert off == [("femur_medial_condyle", "y")]
+    assert found.outside[0]["outside"] == 1
+    row = next(row for row in found.landmarks if not row["mean_inside"])
+    assert_allclose(row["off_sd"], 4.0, atol=0.15)
+
+
+@pytest.mark.parametrize(("stretch", "inside"), [(0.5, False), (0.8, True), (1.3, True), (1.6, False)])
+def test_a_spread_is_inside_from_0_7_to_1_4_of_peoples(stretch, inside):
+    sample = made_up()
+    mean = sample.places_mm.mean(axis=0)
+    place = CONTOUR_LANDMARKS.index("medial_spine")
+    spread = sample.places_mm.copy()
+    spread[:, place] = mean[place] + stretch * (spread[:, place] - mean[place])
+    found = contours.compare(dataclasses.replace(sample, places_mm=spread), REFERENCE)
+    rows = {(row["landmark"], row["axis"]): row for row in found.landmarks}
+    assert rows["medial_spine", "y"]["spread_inside"] is inside
+    assert_allclose(rows["medial_spine", "y"]["spread_ratio"], stretch, rtol=0.1)
+
+
+def test_turning_moving_and_enlarging_a_knee_leaves_its_shares():
+    sample = made_up(count=5)
+    shares, width = contours.plateau_frame(sample.places_mm)
+    after, wide = contours.plateau_frame(turned(sample.places_mm, 12.0, 1.3, (40.0, -7.0)))
+    assert_allclose(after, shares, atol=1e-12)
+    assert_allclose(wide, 1.3 * width)
+    edges = [CONTOUR_LANDMARKS.index(f"tibia_{side}_edge") for side in ("lateral", "medial")]
+    assert_allclose(shares[:, edges], np.tile([[-0.5, 0.0], [0.5, 0.0]], (5, 1, 1)), atol=1e-12)
+
+
+@pytest.mark.parametrize("grade", range(5))
+def test_sizes_of_peoples_mean_contour_are_peoples_mean_sizes(grade):
+    # A gap between mean lines is near the mean gap, since the lines are nearly straight there; a least one is no less.
+    known = REFERENCE.grade[str(grade)]
+    sizes = contours.joint_sizes(np.array(known.mean_share)[None] * known.plateau_width_mm[0])
+    for at in ("0150", "0200", "0250", "0300"):
+        assert_allclose(sizes[f"medial_gap_at_{at}_mm"], getattr(known, f"medial_gap_at_{at}_mm")[0], atol=0.15)
+    assert_allclose(sizes["lines_converge_deg"], known.lines_converge_deg[0], atol=0.1)
+    for side in ("medial", "lateral"):
+        least = getattr(known, f"{side}_gap_least_mm")[0]
+        assert least - 0.05 < sizes[f"{side}_gap_least_mm"][0] < least + 0.9
+
+
+def test_knees_that_vary_along_peoples_modes_have_these_modes():
+    known = REFERENCE.modes
+    weights = np.random.default_rng(1).standard_normal((4000, len(known.vectors))) * known.sd[: len(known.vectors)]
+    shares = np.array(REFERENCE.grade["0"].mean_share).ravel() + weights @ np.array(known.vectors)
+    sample = contours.LandmarkSample(places_mm=shares.reshape(-1, 16, 2) * 77.0, grades=np.zeros(4000, int))
+    rows = contours.compare(sample, REFERENCE).modes
+    assert [row["mode"] for row in rows] == list(range(1, 9))
+    for row in rows[:3]:
+        assert row["nearest"] == row["mode"]
+        assert row["cosine"] > 0.95
+        assert_allclose(row["sd_along"], row["reference_sd"], rtol=0.05)
+    still = dataclasses.replace(sample, places_mm=made_up(count=4000).places_mm)
+    assert contours.compare(still, REFERENCE).modes[0]["cosine"] < 0.9
+
+
+def test_every_grade_is_held_against_its_own_reference():
+    both = [made_up(grade=grade, seed=grade) for grade in (0, 4)]
+    sample = contours.LandmarkSample(
+        places_mm=np.concatenate([one.places_mm for one in both]), grades=np.repeat([0, 4], 600)
+    )
+    found = contours.compare(sample, REFERENCE)
+    assert [row["outside"] for row in found.outside] == [0, 0]
+    assert {row["grade"] for row in found.sizes} == {0, 4}
+    swapped = contours.compare(dataclasses.replace(sample, grades=np.repeat([4, 0], 600)), REFERENCE)
+    assert all(row["outside"] > 3 for row in swapped.outside)
+
+
+def test_a_single_knee_or_an_unknown_grade_is_refused():
+    with pytest.raises(pssf.InputError, match="grade 0: knees = 1"):
+        contours.compare(made_up(count=1), REFERENCE)
+    with pytest.raises(pssf.InputError, match="grades = 7; allowed: some of 0, 1, 2, 3, 4"):
+        contours.compare(dataclasses.replace(made_up(count=3), grades=np.full(3, 7)), REFERENCE)
+    with pytest.raises(pssf.InputError, match="plateau width = 0 mm"):
+        contours.plateau_frame(np.zeros((1, 16, 2)))
+
+
+def test_drawn_landmarks_are_the_labels_of_the_knee_that_is_built():
+    protocol = pssf.load_protocol("caudal_beam")
+    sample = contours.drawn_landmarks(1, seed=3, protocol=protocol, grades=(0,))
+    rng = np.random.default_rng(np.random.SeedSequence(3, spawn_key=(0,)))
+    knee = pssf.draw_knee(grade=0, rng=rng, side="left")
+    labels = pssf.build(knee).truth(protocol).landmarks_px
+    of_left = contours.film_mm(labels, "left", protocol.pixel_mm)
+    assert_allclose(*(contours.plateau_frame(one[None])[0] for one in (of_left, sample.places_mm[0])), atol=1e-6)
+
+
+def test_a_drawn_knee_is_the_same_in_any_number():
+    few, more = (contours.drawn_landmarks(count, seed=5, grades=(0,)) for count in (1, 3))
+    assert_array_equal(few.places_mm[0], more.places_mm[0])
+    assert np.abs(more.places_mm[1] - more.places_mm[0]).max() > 0.1
+
+
+def test_the_picture_is_a_png_and_the_same_again():
+    one, other = (contours.compare(made_up(count=9), REFERENCE).figure for _ in range(2))
+    assert one == other
+    assert one.startswith(b"\x89PNG")
