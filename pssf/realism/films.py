@@ -3,14 +3,14 @@
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from ..core.checks import InputError
+from ..core.checks import Array, InputError
 from ..core.execution import Execution
 from ..core.parallel import ordered_map
 from ..data.code import code_digest, require_code
@@ -18,7 +18,7 @@ from ..io.films import Film, read_film
 from ..radiomics.locate import locate
 from ..radiomics.patches import Template
 from .domains import Films
-from .form import Place, field_of, joint_pixel, stretched
+from .form import PITCH_MM, PLATEAU_MM, Place, field_of, joint_pixel, stretched
 from .grey_features import grey_groups
 from .outline import trace_outline
 from .shape_features import plateau_edges, shape_groups
@@ -31,6 +31,9 @@ CODE = ("anatomy/truth.py", "core", "data", "detector", "io", "radiomics", "real
 TONE, FINE = "tone", "fine texture"
 _BETWEEN = "|"
 _TO_MIDDLE = 0.25  # of the plateau's width, from the medial joint line
+# How much wider a field the joint is centred in, turn by turn; and by how much a turn, or all, may change its size.
+_ZOOMS = (0.8, 0.9, 1.0)
+_RESIZED = 1.25
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,32 +111,56 @@ def measure_film(film: Film, *, folder: Path, templates: Sequence[Template], cod
     }  # fmt: skip
     if found.status != "found":
         return record
-    film_bright = image.pixels if found.polarity == "bone bright" else 1 - image.pixels
+    bright = image.pixels if found.polarity == "bone bright" else 1 - image.pixels
+    plateau_mm = _plateau_mm(templates) * found.scale
     lateral = -1 if found.side == "right" else 1
-    width_px = templates[0].plateau_mm * found.scale / found.pixel_mm
-    middle = found.col + lateral * _TO_MIDDLE * width_px
-    place = Place(row=found.row, col=middle, side=found.side, pixel_mm=found.pixel_mm)
-    return record | measured(film_bright, place)
+    middle = found.col + lateral * _TO_MIDDLE * plateau_mm / found.pixel_mm
+    pitch_mm = found.pixel_mm * PLATEAU_MM / plateau_mm
+    place = Place(row=found.row, col=middle, side=found.side, pitch_mm=pitch_mm)
+    return record | measured(bright, place, found.pixel_mm)
 
 
-def measured(film: np.ndarray, place: Place) -> Record:
-    """group|feature -> value of a film, bone bright, about a place that is near the joint's middle."""
-    place = centred(film, place)
+def measured(film: Array, near: Place, pixel_mm: float) -> Record:
+    """group|feature -> value of a film about its joint.
+
+    film      (rows, cols) display value, bone bright
+    near      about where the joint's middle is
+    pixel_mm  pitch of the film
+    """
+    place = centred(film, near)
     field = field_of(film, place)
     form = stretched(field)
     outline = trace_outline(form)
     groups = shape_groups(outline) | grey_groups(form, outline)
-    groups |= {TONE: tone(film, field, outline, place), FINE: fine_texture(film, outline, place)}
-    values: Record = {"joint_row_px": place.row, "joint_col_px": place.col}
+    groups |= {TONE: tone(film, field, outline, place), FINE: fine_texture(film, outline, place, pixel_mm)}
+    values: Record = {"joint_row_px": place.row, "joint_col_px": place.col, "pitch_mm": place.pitch_mm}
     return values | {f"{group}{_BETWEEN}{name}": value for group, of in groups.items() for name, value in of.items()}
 
 
-def centred(film: np.ndarray, place: Place) -> Place:
-    """The place moved to the middle between the plateau's edges and onto the joint line, by the film's own outline."""
-    row, col = joint_pixel()
-    outline = trace_outline(stretched(field_of(film, place)))
-    middle = float(np.mean([np.median(outline.tibia), np.median(outline.femur)]))
-    return place.moved(middle - row, float(np.mean(plateau_edges(outline))) - col)
+def centred(film: Array, near: Place) -> Place:
+    """The place and pitch that the film's own outline gives: its plateau PLATEAU_MM wide, its joint in the middle.
+
+    Sought first in a wider field, in which both edges are sure to lie.
+    """
+    place = near
+    for zoom in _ZOOMS:
+        wide = replace(place, pitch_mm=place.pitch_mm * zoom)
+        row, col = joint_pixel()
+        outline = trace_outline(stretched(field_of(film, wide)))
+        lateral, medial = plateau_edges(outline)
+        middle = float(np.mean([np.median(outline.tibia), np.median(outline.femur)]))
+        moved = wide.moved(middle - row, (lateral + medial) / 2 - col)
+        size = np.clip(PLATEAU_MM / ((medial - lateral) * PITCH_MM), 1 / _RESIZED, _RESIZED)
+        pitch_mm = float(np.clip(wide.pitch_mm * size, near.pitch_mm / _RESIZED, near.pitch_mm * _RESIZED))
+        place = replace(moved, pitch_mm=pitch_mm)
+    return place
+
+
+def _plateau_mm(templates: Sequence[Template]) -> float:
+    width = templates[0].plateau_mm
+    if width is None:
+        raise InputError("template plateau_mm = None; allowed: the width of its plateau at the detector, mm")
+    return width
 
 
 def learnable(name: str, records: Sequence[Record]) -> Films:

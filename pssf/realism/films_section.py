@@ -165,7 +165,7 @@ def _spread(records: Sequence[Record]) -> list[Record]:
 def _form(film: Array, record: Record) -> NDArray[np.uint8]:
     bright = film if record["polarity"] == "bone bright" else 1 - film
     place = Place(
-        row=record["joint_row_px"], col=record["joint_col_px"], side=record["side"], pixel_mm=record["pixel_mm"]
+        row=record["joint_row_px"], col=record["joint_col_px"], side=record["side"], pitch_mm=record["pitch_mm"]
     )
     return stretched(field_of(bright, place)).astype(np.uint8)
 

@@ -1,4 +1,8 @@
-"""The one form that films are compared in: a right knee about its joint, one pitch, one field, one histogram."""
+"""The one form that films are compared in: a right knee about its joint, one size, one field, one histogram.
+
+Films differ in magnification, which is seldom known, and crops are resized. So millimetres here are those of a knee whose
+plateau is PLATEAU_MM wide, edge to edge.
+"""
 
 from dataclasses import dataclass
 
@@ -7,6 +11,8 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from ..core.checks import Array, InputError, require, require_choice
 
+# Mean of people on films (Tiulpin et al. 2019, see `data/landmarks.toml`).
+PLATEAU_MM = 78.0
 # A pitch and a field that fixed-flexion crops of 224 x 224 pixels hold; most films resolve no less.
 PITCH_MM = 0.46
 ABOVE_MM, BELOW_MM, HALF_MM = 43.0, 34.0, 46.0
@@ -20,32 +26,32 @@ class Place:
 
     row, col  pixels
     side      right | left, as the film shows it with columns to the right
-    pixel_mm  pitch of the film
+    pitch_mm  of the film, at the standard size
     raises    InputError for an unknown side, or a pitch out of range
     """
 
     row: float
     col: float
     side: str
-    pixel_mm: float
+    pitch_mm: float
 
     def __post_init__(self) -> None:
         require_choice("side", self.side, ("right", "left"))
-        require("pixel_mm", self.pixel_mm, 0.01, 5, "mm")
+        require("pitch_mm", self.pitch_mm, 0.005, 10, "mm")
 
     def pixels_at(self, below_mm: Array, medial_mm: Array) -> tuple[Array, Array]:
         """Rows and columns of places told in mm from the joint's middle, distally and medially."""
         across = medial_mm if self.side == "right" else -medial_mm
-        return self.row + below_mm / self.pixel_mm, self.col + across / self.pixel_mm
+        return self.row + below_mm / self.pitch_mm, self.col + across / self.pitch_mm
 
     def moved(self, rows: float, cols: float) -> "Place":
         """So many pixels of the standard form farther down and towards medial."""
         row, col = self.pixels_at(np.array(rows * PITCH_MM), np.array(cols * PITCH_MM))
-        return Place(row=float(row), col=float(col), side=self.side, pixel_mm=self.pixel_mm)
+        return Place(row=float(row), col=float(col), side=self.side, pitch_mm=self.pitch_mm)
 
 
 def field_of(film: Array, place: Place) -> Array:
-    """(167, 201) the field about the middle of a joint, as of a right knee: columns run from lateral to medial.
+    """(168, 201) the field about the middle of a joint, as of a right knee: columns run from lateral to medial.
 
     What lies outside the film repeats its edge.
 
@@ -55,9 +61,20 @@ def field_of(film: Array, place: Place) -> Array:
     half = round(HALF_MM / PITCH_MM)
     rows, cols = place.pixels_at(below, np.arange(-half, half + 1) * PITCH_MM)
     # What the pitch cannot hold would come back as false texture.
-    coarser = PITCH_MM / place.pixel_mm
-    smooth = gaussian_filter(film, 0.4 * coarser, mode="nearest") if coarser > 1.2 else film
-    return np.asarray(map_coordinates(smooth, np.meshgrid(rows, cols, indexing="ij"), order=1, mode="nearest"))
+    coarser = PITCH_MM / place.pitch_mm
+    blur = 0.4 * coarser if coarser > 1.2 else 0.0
+    near, top, left = _about(film, rows, cols, round(5 * blur) + 1)
+    smooth = gaussian_filter(near, blur, mode="nearest") if blur else near
+    return np.asarray(map_coordinates(smooth, np.meshgrid(rows - top, cols - left, indexing="ij"), order=1, mode="nearest"))
+
+
+def _about(film: Array, rows: Array, cols: Array, margin: int) -> tuple[Array, int, int]:
+    """The part of a film that holds some rows and columns and a margin, and its first row and column."""
+    starts, ends = [], []
+    for places, length in ((rows, film.shape[0]), (cols, film.shape[1])):
+        starts.append(int(np.clip(np.floor(places.min()) - margin, 0, length - 1)))
+        ends.append(int(np.clip(np.ceil(places.max()) + margin + 1, starts[-1] + 1, length)))
+    return film[starts[0] : ends[0], starts[1] : ends[1]], starts[0], starts[1]
 
 
 def stretched(field: Array) -> Array:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from ..cohort import make_cohort, plan_cohort, read_manifest
+from ..cohort import make_cohort, plan_cohort
 from ..core.checks import Array, InputError, require_whole
 from ..core.execution import Execution
 from ..data.landmarks import landmark_reference
@@ -17,6 +17,7 @@ from ..io import results
 from ..io.atomic import folder
 from ..io.bones import read_bones
 from ..io.films import Film, list_films, read_film
+from ..io.records import read_manifest
 from ..model.knee import GRADES, Knee
 from ..model.protocol import Protocol, load_protocol
 from . import bones, contours

@@ -34,12 +34,16 @@ def tone(film: Array, field: Array, outline: Outline, place: Place) -> Features:
     return values
 
 
-def fine_texture(film: Array, outline: Outline, place: Place) -> Features:
-    """`texture` of three regions at the film's own pitch; nothing where that does not resolve 2 cycles/mm."""
-    if place.pixel_mm > _FINE_MM:
+def fine_texture(film: Array, outline: Outline, place: Place, pixel_mm: float) -> Features:
+    """`texture` of three regions at the film's own pitch; nothing where that does not resolve 2 cycles/mm.
+
+    film      (rows, cols) display value
+    pixel_mm  pitch of the film
+    """
+    if pixel_mm > _FINE_MM:
         return {}
     left, right = plateau_edges(outline)
-    side = np.arange(round(_PATCH_MM / place.pixel_mm)) * place.pixel_mm
+    side = np.arange(round(_PATCH_MM / place.pitch_mm)) * place.pitch_mm
     values = {}
     for name, (bone, share, above_mm) in PATCHES.items():
         contour = outline.femur if bone == "femur" else outline.tibia
@@ -53,7 +57,7 @@ def fine_texture(film: Array, outline: Outline, place: Place) -> Features:
             continue
         patch = map_coordinates(film, np.meshgrid(rows, cols, indexing="ij"), order=1)
         if patch.mean() > 0 and np.ptp(patch) > 0:
-            values |= {f"{name}_{key}": value for key, value in texture(patch, place.pixel_mm).items()}
+            values |= {f"{name}_{key}": value for key, value in texture(patch, pixel_mm).items()}
     return values
 
 
