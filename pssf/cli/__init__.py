@@ -20,7 +20,15 @@ app = typer.Typer(
     rich_markup_mode=None,
     help="Knee radiographs from physics, with labels that are true by construction, and the study they exist for.",
 )
-for command in (make.simulate, make.meshes, make.study, measure.accuracy, measure.quality, measure.realism, measure.protocols):
+for command in (
+    make.simulate,
+    make.meshes,
+    make.study,
+    measure.accuracy,
+    measure.quality,
+    measure.realism,
+    measure.protocols,
+):
     app.command()(command)
 app.add_typer(make.cohort_app, name="cohort")
 

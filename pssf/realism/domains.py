@@ -55,7 +55,9 @@ def told_apart(first: Films, second: Films, *, replicates: int, seed: int) -> li
     """
     table = pd.concat([first.features, second.features], ignore_index=True)
     truth = np.repeat([False, True], [len(first.features), len(second.features)])
-    subjects = np.concatenate([np.char.add("a:", first.subjects.astype(str)), np.char.add("b:", second.subjects.astype(str))])
+    subjects = np.concatenate(
+        [np.char.add("a:", first.subjects.astype(str)), np.char.add("b:", second.subjects.astype(str))]
+    )
     rows = []
     for group, columns in groups_of(table).items():
         row = {"first": first.name, "second": second.name, "group": group, "features": len(columns)}
@@ -68,7 +70,9 @@ def told_apart(first: Films, second: Films, *, replicates: int, seed: int) -> li
     return rows
 
 
-def transferred(real: Films, simulated: Films, *, low: int, high: Sequence[int], replicates: int, seed: int) -> list[Row]:
+def transferred(
+    real: Films, simulated: Films, *, low: int, high: Sequence[int], replicates: int, seed: int
+) -> list[Row]:
     """One row a group: AUC of grade `low` against `high` on real films, trained on simulated ones and on real ones.
 
     Simulated films of the highest grades that are drawn stand for those that are not.
@@ -87,13 +91,15 @@ def transferred(real: Films, simulated: Films, *, low: int, high: Sequence[int],
             value = carried.predict_proba(here.features[columns].to_numpy())[:, 1]
             own = by_folds(here.features[columns], truth, here.subjects, seed)
             row |= _with_interval(truth, value, here.subjects, replicates, seed)
-            row |= {f"real_{name}": one for name, one in _with_interval(truth, own, here.subjects, replicates, seed).items()}
+            row |= {
+                f"real_{name}": one for name, one in _with_interval(truth, own, here.subjects, replicates, seed).items()
+            }
         rows.append(row)
     return rows
 
 
 def effects(real: Films, simulated: Films, *, low: int, high: Sequence[int]) -> tuple[list[Row], list[Row]]:
-    """Standardised difference of each feature between grades, real and simulated; and a row a group that sums them up."""
+    """Standardised difference of each feature between grades, real and simulated; and a row a group to sum them up."""
     highest = [grade for grade in high if grade in simulated.grades] or [int(simulated.grades.max())]
     table = pd.DataFrame({
         "real": _standardised(real, low, high), "simulated": _standardised(simulated, low, highest),
@@ -107,11 +113,12 @@ def effects(real: Films, simulated: Films, *, low: int, high: Sequence[int]) -> 
     for group, columns in groups_of(real.features).items():
         of_group = table.loc[columns].dropna()
         both = of_group.to_numpy().T
+        alike = np.sign(both[0]) == np.sign(both[1])
         spread = len(of_group) > 2 and both.std(axis=1).min() > 0
         summary.append({
             "source": real.name, "task": task, "group": group, "features": len(of_group),
             "r": round(float(np.corrcoef(both)[0, 1]), 3) if spread else float("nan"),
-            "same_sign": round(float((np.sign(both[0]) == np.sign(both[1])).mean()), 3) if len(of_group) else float("nan"),
+            "same_sign": round(float(alike.mean()), 3) if len(of_group) else float("nan"),
         })  # fmt: skip
     return rows, summary
 
@@ -151,12 +158,16 @@ def leading(features: pd.DataFrame, truth: NDArray[np.bool_]) -> list[tuple[str,
     return sorted(alone.items(), key=lambda item: (-item[1], item[0]))[:_LEADING]
 
 
-def _with_interval(truth: NDArray[np.bool_], value: Array, subjects: NDArray[Any], replicates: int, seed: int) -> Mapping[str, float]:
+def _with_interval(
+    truth: NDArray[np.bool_], value: Array, subjects: NDArray[Any], replicates: int, seed: int
+) -> Mapping[str, float]:
     low, high = percentiles(resampled_auc(truth, value, subjects, replicates=replicates, seed=seed))
     return {"auc": round(auc(truth, value), 4), "low": round(low, 4), "high": round(high, 4)}
 
 
-def resampled_auc(truth: NDArray[np.bool_], value: Array, subjects: NDArray[Any], *, replicates: int, seed: int) -> Array:
+def resampled_auc(
+    truth: NDArray[np.bool_], value: Array, subjects: NDArray[Any], *, replicates: int, seed: int
+) -> Array:
     """(replicates,) AUC on subjects drawn with replacement; those where one kind is missing are left out."""
     rng = np.random.default_rng(seed)
     _, of_film = np.unique(subjects, return_inverse=True)

@@ -85,7 +85,9 @@ def measure_films(
             scheduler=execution.scheduler,
             arrived=arrived,
         )
-    done = [{**record, **_said(film, source.name)} for film, record in zip(source.films, records, strict=True) if record]
+    done = [
+        {**record, **_said(film, source.name)} for film, record in zip(source.films, records, strict=True) if record
+    ]
     save(done)
     return done
 

@@ -22,11 +22,11 @@ SIMULATED = "simulated"
 TASKS = ((2,), (3, 4))
 _A_SHEET = 6
 _TEXT = (
-    "Every film, real or simulated, is searched for its joint, turned into a right knee and brought to one pitch (0.46 mm), "
-    "one field (92 by 77 mm) and one histogram (8 bits between the 1st and 99th percentile); its contours are traced, and "
-    "groups of features measured. Models are logistic regressions (L2) on standardised features. Intervals are 95 per cent, "
-    "from a bootstrap of subjects with the models held: they hold the chance of which films were tested, and are wide "
-    "where films are few."
+    "Every film, real or simulated, is searched for its joint, turned into a right knee and brought to one size of the "
+    "plateau (78 mm), one pitch (0.46 mm), one field (92 by 77 mm) and one histogram (8 bits between the 1st and 99th "
+    "percentile); its contours are traced, and groups of features measured. Models are logistic regressions (L2) on "
+    "standardised features. Intervals are 95 per cent, from a bootstrap of subjects with the models held: they hold the "
+    "chance of which films were tested, and are wide where films are few."
 )
 
 
@@ -58,7 +58,7 @@ def films_section(
     tables = (
         Table(name="films_found", rows=found_rows(records), caption="Films of each source, and what became of them."),
         Table(name="films_domains", rows=domains, caption=(
-            "(a) Real against simulated, and real against real as a control: 0.5 is indistinguishable, 1 told apart always."
+            "(a) Real against simulated, and real against real as a control: 0.5 is alike, 1 told apart always."
         )),
         Table(name="films_transfer", rows=transfer, caption=(
             "(b) Grades on real films, learnt from simulated ones, beside the same learnt from real ones by folds."
@@ -134,7 +134,7 @@ def contact_sheets(records: Mapping[str, Sequence[Record]], read: Reading) -> tu
             figures.append(Figure(
                 name=f"sheet_{'unknown' if grade < 0 else grade}", png=sheet(rows),
                 alt=f"Real and simulated knees, {_called(grade)}, in rows",
-                caption=f"(e) {_called(grade).capitalize()}: a row a source, one scale, all as right knees (lateral on the left).",
+                caption=f"(e) {_called(grade).capitalize()}: a row a source, one scale, all as right knees.",
             ))  # fmt: skip
     return tuple(figures)
 
@@ -147,7 +147,9 @@ def summary_line(domains: Sequence[Row], transfer: Sequence[Row], of_groups: Seq
             parts.append(f"{row['first']} told from simulated with AUC {row['auc']:.2f}")
     for row in transfer:
         if row["group"] == ALL and "auc" in row:
-            parts.append(f"{row['source']} {row['task']} learnt from simulated {row['auc']:.2f}, from real {row['real_auc']:.2f}")
+            parts.append(
+                f"{row['source']} {row['task']} learnt from simulated {row['auc']:.2f}, from real {row['real_auc']:.2f}"
+            )
     parts += [f"{row['source']} {row['task']} effects r = {row['r']:+.2f}" for row in of_groups if row["group"] == ALL]
     return "; ".join(parts) or "too few films to say anything"
 
@@ -172,5 +174,3 @@ def _form(film: Array, record: Record) -> NDArray[np.uint8]:
 
 def _called(grade: int) -> str:
     return "grade unknown" if grade < 0 else f"grade {grade}"
-
-

@@ -1,7 +1,7 @@
 """The one form that films are compared in: a right knee about its joint, one size, one field, one histogram.
 
-Films differ in magnification, which is seldom known, and crops are resized. So millimetres here are those of a knee whose
-plateau is PLATEAU_MM wide, edge to edge.
+Films differ in magnification, which is seldom known, and crops are resized. So millimetres here are those of a knee
+whose plateau is PLATEAU_MM wide, edge to edge.
 """
 
 from dataclasses import dataclass
@@ -57,15 +57,18 @@ def field_of(film: Array, place: Place) -> Array:
 
     film  (rows, cols) display value, bone bright
     """
-    below = np.arange(round(-ABOVE_MM / PITCH_MM), round(BELOW_MM / PITCH_MM) + 1) * PITCH_MM
+    below: Array = np.arange(round(-ABOVE_MM / PITCH_MM), round(BELOW_MM / PITCH_MM) + 1, dtype=np.float64) * PITCH_MM
     half = round(HALF_MM / PITCH_MM)
-    rows, cols = place.pixels_at(below, np.arange(-half, half + 1) * PITCH_MM)
+    across: Array = np.arange(-half, half + 1, dtype=np.float64) * PITCH_MM
+    rows, cols = place.pixels_at(below, across)
     # What the pitch cannot hold would come back as false texture.
     coarser = PITCH_MM / place.pitch_mm
     blur = 0.4 * coarser if coarser > 1.2 else 0.0
     near, top, left = _about(film, rows, cols, round(5 * blur) + 1)
     smooth = gaussian_filter(near, blur, mode="nearest") if blur else near
-    return np.asarray(map_coordinates(smooth, np.meshgrid(rows - top, cols - left, indexing="ij"), order=1, mode="nearest"))
+    return np.asarray(
+        map_coordinates(smooth, np.meshgrid(rows - top, cols - left, indexing="ij"), order=1, mode="nearest")
+    )
 
 
 def _about(film: Array, rows: Array, cols: Array, margin: int) -> tuple[Array, int, int]:

@@ -11,7 +11,7 @@ from .outline import Outline
 from .shape_features import Features, plateau_edges
 
 _PATCH_MM = 16.0
-# Middle of each patch: shares of the plateau's width from its middle (medial positive), mm above the contour it hangs on.
+# Middle of each patch: shares of the plateau's width from its middle (medial positive), mm above its bone's contour.
 PATCHES = {
     "medial_subchondral": ("tibia", 0.25, -11.0),
     "metaphysis": ("tibia", 0.0, -22.0),
@@ -32,7 +32,9 @@ def grey_groups(film: Array, outline: Outline) -> dict[str, Features]:
     return {
         "plate": _plate(film, outline),
         "first order": _first_order(film, patches),
-        "texture": {f"{name}_{key}": value for name, patch in patches.items() for key, value in _texture(patch).items()},
+        "texture": {
+            f"{name}_{key}": value for name, patch in patches.items() for key, value in _texture(patch).items()
+        },
     }
 
 
@@ -51,7 +53,7 @@ def patch_of(film: Array, outline: Outline, bone: str, share: float, above_mm: f
 
 def _plate(film: Array, outline: Outline) -> Features:
     """Height, depth and width of the bright band under each contour, over the grey deep in the bone."""
-    values = {}
+    values: Features = {}
     left, right = plateau_edges(outline)
     for bone, contour, way in (("tibia", outline.tibia, 1), ("femur", outline.femur, -1)):
         for name, (low, high) in (("medial", (0.12, 0.38)), ("lateral", (-0.38, -0.12))):
@@ -81,7 +83,7 @@ def _first_order(film: Array, patches: dict[str, Array]) -> Features:
 
 
 def _texture(patch: Array) -> Features:
-    """Spectrum and grey-level co-occurrence of a patch; the latter of what is left without its trend, in its own range."""
+    """Spectrum and grey-level co-occurrence of a patch; the latter of its ranks, so that tone does not count."""
     spectral = texture(patch, PITCH_MM)
     values = {name: spectral[name] for name in _KEPT}
     ranks = np.searchsorted(np.quantile(patch, np.linspace(0, 1, _GREYS + 1)[1:-1]), patch).astype(np.uint8)

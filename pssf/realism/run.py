@@ -28,15 +28,15 @@ from .page import Figure, Section, Table, render
 # Read as text wherever films are listed.
 _TEXT = ("sha256", "key", "file", "source", "subject", "status", "side", "polarity", "pixel_from", "reason")
 _CONTOURS = (
-    "Sixteen contour landmarks, labels of every knee, beside those that people set on 748 fixed-flexion films (Tiulpin et al. "
-    "2019): in shares of the plateau's width, so that size is taken out. A mean is inside within half a standard deviation "
-    "of people's, a spread between 0.7 and 1.4 of theirs. Protocol and posture of the drawn knees are given above; films "
-    "were PA in fixed flexion."
+    "Sixteen contour landmarks, labels of every knee, beside those that people set on 748 fixed-flexion films (Tiulpin "
+    "et al. 2019): in shares of the plateau's width, so that size is taken out. A mean is inside within half a "
+    "standard deviation of people's, a spread between 0.7 and 1.4 of theirs. The protocol of the drawn knees is given above; "
+    "people's films were PA in fixed flexion."
 )
 _BONES = (
     "Bones without osteophytes are laid onto one another by a similarity (rotation, translation, size), and distances "
-    "taken from surface to surface, both ways, at people's size; the flat cut of the shafts is left out. Spread is that of "
-    "each bone about its mean, by the same measure."
+    "taken from surface to surface, both ways, at people's size; the flat cut of the shafts is left out. Spread is "
+    "that of each bone about its mean, by the same measure."
 )
 
 
@@ -119,12 +119,12 @@ def _contours(protocol: Protocol, knees: int, seed: int, execution: Execution) -
     cosines = ", ".join(f"{row['cosine']:.2f}" for row in found.modes[:3])
     return Section(
         name="Contours",
-        line=f"heights and spreads outside people's: {'; '.join(counts)}; cosines of the first modes {cosines or 'none'}",
+        line=f"heights and spreads outside people's: {'; '.join(counts)}; cosines of first modes {cosines or 'none'}",
         text=_CONTOURS,
         tables=(
-            Table(name="contours_outside", rows=found.outside, caption="Heights of landmarks, and their spreads, outside."),
-            Table(name="contours_landmarks", rows=found.landmarks, caption="Each landmark, in shares of the width.", shown=32),
-            Table(name="contours_sizes", rows=found.sizes, caption="Width of the plateau, gaps (mm on the film), convergence."),
+            Table(name="contours_outside", rows=found.outside, caption="Heights and their spreads outside."),
+            Table(name="contours_landmarks", rows=found.landmarks, caption="In shares of the width.", shown=32),
+            Table(name="contours_sizes", rows=found.sizes, caption="Plateau, gaps (mm on the film), convergence."),
             Table(name="contours_modes", rows=found.modes, caption="First modes of variation, grades 0 and 1."),
         ),
         figures=(Figure(
@@ -146,16 +146,14 @@ def _bones(given: bones.Bones, knees: int, seed: int, execution: Execution) -> S
         text=_BONES,
         tables=(Table(name="bones", rows=found.rows, caption="Distances, mm."),),
         figures=(Figure(
-            name="bones", png=found.figure, alt="Built mean bones coloured by their distance from the mean of the given ones",
-            caption="The built mean bones; the colour is their distance from the mean of the given ones, red outside it.",
+            name="bones", png=found.figure, alt="Built mean bones coloured by distance",
+            caption="The built mean bones; their colour is the distance from the mean of the given ones.",
         ),),
         facts={"rows": found.rows},
     )  # fmt: skip
 
 
-def _films(
-    out: Path, sources: Sequence[Source], protocol: str, knees: int, seed: int, execution: Execution
-) -> Section:
+def _films(out: Path, sources: Sequence[Source], protocol: str, knees: int, seed: int, execution: Execution) -> Section:
     with execution.stage("templates", "knees", 1):
         templates = standard_templates("scanline")
     simulated = _simulated(out / "simulated", protocol, knees, seed, execution)
@@ -163,10 +161,16 @@ def _films(
     for source in (*sources, simulated):
         path = out / f"films_{source.name}.csv"
         records[source.name] = measure_films(
-            source, templates, execution, known=_known(path), save=lambda rows, to=path: results.save_table(to, pd.DataFrame(rows))
+            source,
+            templates,
+            execution,
+            known=_known(path),
+            save=partial(_save, path),
         )
     with execution.stage("models", "parts", 1):
-        return films_section(records, partial(_read, {source.name: source.folder for source in (*sources, simulated)}), seed=seed)
+        return films_section(
+            records, partial(_read, {source.name: source.folder for source in (*sources, simulated)}), seed=seed
+        )
 
 
 def _simulated(where: Path, protocol: str, knees: int, seed: int, execution: Execution) -> Source:
@@ -175,11 +179,20 @@ def _simulated(where: Path, protocol: str, knees: int, seed: int, execution: Exe
     plan = plan_cohort("quick", seed=seed, overrides={"knees": each, "protocols": [protocol]})
     with execution.stage("simulated films", "radiographs", sum(len(case.exposures) for case in plan.cases)) as stage:
         manifest = read_manifest(make_cohort(
-            plan, where, workers=execution.workers, scheduler=execution.scheduler, progress=stage.advance, kept=stage.keep
+            plan,
+            where,
+            workers=execution.workers,
+            scheduler=execution.scheduler,
+            progress=stage.advance,
+            kept=stage.keep,
         ))  # fmt: skip
     columns = ["file", "grade", "subject", "side", "pixel_mm", "sha256"]
     films = (Film(**{**row, "subject": str(row["subject"])}) for row in manifest[columns].to_dict("records"))
     return Source(name=SIMULATED, folder=where, films=tuple(films))
+
+
+def _save(path: Path, records: Sequence[Record]) -> None:
+    results.save_table(path, pd.DataFrame(list(records)))
 
 
 def _known(path: Path) -> dict[str, Record]:
@@ -207,5 +220,3 @@ def _write(out: Path, sections: Sequence[Section], facts: dict[str, Any]) -> Rea
     results.save_json(machine, facts | {section.name.lower(): section.facts for section in sections})
     lines = tuple(f"{section.name}: {section.line}" for section in sections)
     return Realism(page=page, lines=lines, paths=(*paths, machine, page))
-
-

@@ -77,7 +77,9 @@ def _margins(outline: Outline, edges: tuple[float, float]) -> Features:
             out = way * (sides[:, index] - edges[index]) / width
             for height in _MARGIN_MM:
                 values[f"{name}_{bone}_{height:g}mm"] = float(np.interp(height, heights, out))
-            values[f"{name}_{bone}_lip"] = float(out[heights < 8].max() - np.median(out[(heights > 10) & (heights < 16)]))
+            values[f"{name}_{bone}_lip"] = float(
+                out[heights < 8].max() - np.median(out[(heights > 10) & (heights < 16)])
+            )
     return values
 
 

@@ -44,7 +44,7 @@ def fine_texture(film: Array, outline: Outline, place: Place, pixel_mm: float) -
         return {}
     left, right = plateau_edges(outline)
     side = np.arange(round(_PATCH_MM / place.pitch_mm)) * place.pitch_mm
-    values = {}
+    values: Features = {}
     for name, (bone, share, above_mm) in PATCHES.items():
         contour = outline.femur if bone == "femur" else outline.tibia
         col = (left + right) / 2 + share * (right - left)
