@@ -140,7 +140,10 @@ def model(seed: int) -> Pipeline:
 
 
 def by_folds(features: pd.DataFrame, truth: NDArray[np.bool_], subjects: NDArray[Any], seed: int) -> Array:
-    """(films,) probability that each film is what `truth` says, by a model that saw no film of its subject."""
+    """(films,) probability that each film is what `truth` says, by a model that saw no film of its subject.
+
+    truth, subjects  (films,)
+    """
     values, probability = features.to_numpy(), np.empty(len(truth))
     folds = StratifiedGroupKFold(FOLDS, shuffle=True, random_state=seed)
     for training, testing in folds.split(values, truth, subjects):
@@ -149,7 +152,10 @@ def by_folds(features: pd.DataFrame, truth: NDArray[np.bool_], subjects: NDArray
 
 
 def leading(features: pd.DataFrame, truth: NDArray[np.bool_]) -> list[tuple[str, float]]:
-    """The features that tell most by themselves, with their AUC, turned so that it is 0.5 or more."""
+    """The features that tell most by themselves, with their AUC, turned so that it is 0.5 or more.
+
+    truth  (films,)
+    """
     alone = {}
     for column in features:
         values = features[column].to_numpy()
@@ -168,7 +174,10 @@ def _with_interval(
 def resampled_auc(
     truth: NDArray[np.bool_], value: Array, subjects: NDArray[Any], *, replicates: int, seed: int
 ) -> Array:
-    """(replicates,) AUC on subjects drawn with replacement; those where one kind is missing are left out."""
+    """(replicates,) AUC on subjects drawn with replacement; those where one kind is missing are left out.
+
+    truth, value, subjects  (films,)
+    """
     rng = np.random.default_rng(seed)
     _, of_film = np.unique(subjects, return_inverse=True)
     people = of_film.max() + 1

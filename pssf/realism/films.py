@@ -143,6 +143,7 @@ def centred(film: Array, near: Place) -> Place:
     """The place and pitch that the film's own outline gives: its plateau PLATEAU_MM wide, its joint in the middle.
 
     Sought first in a wider field, in which both edges are sure to lie.
+    film  (rows, cols)  display value, bone bright
     """
     place = near
     for zoom in _ZOOMS:

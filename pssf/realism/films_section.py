@@ -1,6 +1,7 @@
 """The part on films: what the records of real and simulated ones say, as tables and figures of the page."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,9 +26,35 @@ _TEXT = (
     "Every film, real or simulated, is searched for its joint, turned into a right knee and brought to one size of the "
     "plateau (78 mm), one pitch (0.46 mm), one field (92 by 77 mm) and one histogram (8 bits between the 1st and 99th "
     "percentile); its contours are traced, and groups of features measured. Models are logistic regressions (L2) on "
-    "standardised features. Intervals are 95 per cent, from a bootstrap of subjects with the models held: they hold the "
-    "chance of which films were tested, and are wide where films are few."
+    "standardised features. Intervals are 95 per cent, from a bootstrap of subjects with the models held: they hold "
+    "the chance of which films were tested, and are wide where films are few."
 )
+_CAPTIONS = {
+    "domains": "(a) Real against simulated, and real against real as a control: 0.5 is alike, 1 told apart always.",
+    "transfer": "(b) Grades on real films, learnt from simulated ones, beside the same learnt from real ones by folds.",
+    "effects": "(c) Standardised differences between grades, real against simulated, over the features of a group: "
+    "correlation and share of equal signs.",
+    "tone": "(d) Tone, in the display's values: contrasts, and greys with soft tissue as 0 and the shaft's cortex as 1 "
+    "where a film holds the shaft.",
+    "fine": "(d) Texture at the film's own pitch, where that is 0.25 mm or less.",
+    "form": "(d) Texture in the standard form, 0.2 to 0.8 cycles/mm.",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """Rows of what was compared.
+
+    domains   of `told_apart`
+    transfer  of `transferred`
+    features  effects of each feature, of `effects`
+    groups    effects of each group, of `effects`
+    """
+
+    domains: list[Row]
+    transfer: list[Row]
+    features: list[Row]
+    groups: list[Row]
 
 
 def films_section(
@@ -37,56 +64,48 @@ def films_section(
 
     records  source -> one record a film, as `measure_films` gives them
     """
-    measured = {name: learnable(name, of) for name, of in records.items() if _found(of)}
-    real = [films for name, films in measured.items() if name != SIMULATED]
-    simulated = measured.get(SIMULATED)
-    domains: list[Row] = []
-    transfer: list[Row] = []
-    of_features: list[Row] = []
-    of_groups: list[Row] = []
-    if simulated is not None:
-        for films in real:
-            domains += told_apart(films, simulated, replicates=replicates, seed=seed)
-            for high in TASKS:
-                if np.isin(films.grades, [0]).any() and np.isin(films.grades, high).any():
-                    transfer += transferred(films, simulated, low=0, high=high, replicates=replicates, seed=seed)
-                    rows, summary = effects(films, simulated, low=0, high=high)
-                    of_features, of_groups = of_features + rows, of_groups + summary
-    for index, films in enumerate(real):
-        for other in real[index + 1 :]:
-            domains += told_apart(films, other, replicates=replicates, seed=seed)
+    compared, found = compare(records, replicates=replicates, seed=seed), found_rows(records)
     tables = (
-        Table(name="films_found", rows=found_rows(records), caption="Films of each source, and what became of them."),
-        Table(name="films_domains", rows=domains, caption=(
-            "(a) Real against simulated, and real against real as a control: 0.5 is alike, 1 told apart always."
-        )),
-        Table(name="films_transfer", rows=transfer, caption=(
-            "(b) Grades on real films, learnt from simulated ones, beside the same learnt from real ones by folds."
-        )),
-        Table(name="films_effects", rows=of_groups, caption=(
-            "(c) Standardised differences between grades, real against simulated, over the features of a group: "
-            "correlation and share of equal signs."
-        )),
-        Table(name="films_effects_of_features", rows=of_features, caption="(c) Of every feature.", shown=12),
-        Table(name="films_tone", rows=quantity_rows(records, TONE), caption=(
-            "(d) Tone, in the display's values: contrasts, and greys with soft tissue as 0 and the shaft's cortex as 1 "
-            "where a film holds the shaft."
-        )),
-        Table(name="films_texture", rows=quantity_rows(records, FINE), caption=(
-            "(d) Texture at the film's own pitch, where that is 0.25 mm or less."
-        )),
-        Table(name="films_form_texture", rows=quantity_rows(records, "texture"), caption=(
-            "(d) Texture in the standard form, 0.2 to 0.8 cycles/mm."
-        ), shown=40),
-    )  # fmt: skip
+        Table(name="films_found", rows=found, caption="Films of each source, and what became of them."),
+        Table(name="films_domains", rows=compared.domains, caption=_CAPTIONS["domains"]),
+        Table(name="films_transfer", rows=compared.transfer, caption=_CAPTIONS["transfer"]),
+        Table(name="films_effects", rows=compared.groups, caption=_CAPTIONS["effects"]),
+        Table(name="films_effects_of_features", rows=compared.features, caption="(c) Of every feature.", shown=12),
+        Table(name="films_tone", rows=quantity_rows(records, TONE), caption=_CAPTIONS["tone"]),
+        Table(name="films_texture", rows=quantity_rows(records, FINE), caption=_CAPTIONS["fine"]),
+        Table(name="films_form_texture", rows=quantity_rows(records, "texture"), caption=_CAPTIONS["form"], shown=40),
+    )
     return Section(
         name="Films",
-        line=summary_line(domains, transfer, of_groups),
+        line=summary_line(compared),
         text=_TEXT,
         tables=tuple(table for table in tables if table.rows),
         figures=contact_sheets(records, read),
-        facts={"domains": domains, "transfer": transfer, "effects": of_groups, "found": found_rows(records)},
-    )
+        facts={
+            "found": found, "domains": compared.domains, "transfer": compared.transfer, "effects": compared.groups,
+        },
+    )  # fmt: skip
+
+
+def compare(records: Mapping[str, Sequence[Record]], *, replicates: int, seed: int) -> Comparison:
+    """Every real source against the simulated films, and against every other real one."""
+    measured = {name: learnable(name, of) for name, of in records.items() if _found(of)}
+    real = [films for name, films in measured.items() if name != SIMULATED]
+    chance = {"replicates": replicates, "seed": seed}
+    made = Comparison(domains=[], transfer=[], features=[], groups=[])
+    for films in real if SIMULATED in measured else ():
+        simulated = measured[SIMULATED]
+        made.domains.extend(told_apart(films, simulated, **chance))
+        for high in TASKS:
+            if np.isin(films.grades, [0]).any() and np.isin(films.grades, high).any():
+                made.transfer.extend(transferred(films, simulated, low=0, high=high, **chance))
+                of_features, of_groups = effects(films, simulated, low=0, high=high)
+                made.features.extend(of_features)
+                made.groups.extend(of_groups)
+    for index, films in enumerate(real):
+        for other in real[index + 1 :]:
+            made.domains.extend(told_apart(films, other, **chance))
+    return made
 
 
 def found_rows(records: Mapping[str, Sequence[Record]]) -> list[Row]:
@@ -139,18 +158,20 @@ def contact_sheets(records: Mapping[str, Sequence[Record]], read: Reading) -> tu
     return tuple(figures)
 
 
-def summary_line(domains: Sequence[Row], transfer: Sequence[Row], of_groups: Sequence[Row]) -> str:
+def summary_line(compared: Comparison) -> str:
     """What the part found, in one line."""
     parts = []
-    for row in domains:
+    for row in compared.domains:
         if row["group"] == ALL and "auc" in row and row["second"] == SIMULATED:
             parts.append(f"{row['first']} told from simulated with AUC {row['auc']:.2f}")
-    for row in transfer:
+    for row in compared.transfer:
         if row["group"] == ALL and "auc" in row:
             parts.append(
                 f"{row['source']} {row['task']} learnt from simulated {row['auc']:.2f}, from real {row['real_auc']:.2f}"
             )
-    parts += [f"{row['source']} {row['task']} effects r = {row['r']:+.2f}" for row in of_groups if row["group"] == ALL]
+    parts += [
+        f"{row['source']} {row['task']} effects r = {row['r']:+.2f}" for row in compared.groups if row["group"] == ALL
+    ]
     return "; ".join(parts) or "too few films to say anything"
 
 

@@ -40,7 +40,10 @@ class Place:
         require("pitch_mm", self.pitch_mm, 0.005, 10, "mm")
 
     def pixels_at(self, below_mm: Array, medial_mm: Array) -> tuple[Array, Array]:
-        """Rows and columns of places told in mm from the joint's middle, distally and medially."""
+        """Rows and columns of places told in mm from the joint's middle, distally and medially.
+
+        below_mm, medial_mm  (n,) each, or of one shape
+        """
         across = medial_mm if self.side == "right" else -medial_mm
         return self.row + below_mm / self.pitch_mm, self.col + across / self.pitch_mm
 

@@ -51,7 +51,7 @@ def trace_outline(film: Array) -> Outline:
     reach = round(_REACH_MM / PITCH_MM)
     columns = np.arange(col - reach, col + reach + 1)
     rows = np.arange(len(film))[:, None]
-    # Downwards: darker where the femur ends, brighter where the tibia begins; neither is sought far from the joint line.
+    # Downwards: darker where the femur ends, brighter at the tibia; neither is sought far from the joint line.
     away = (rows - row) * PITCH_MM / _MISSED_MM
     tibia = cheapest_path(-0.6 * np.clip(rise, 0, _STEEPEST)[:, columns] + 0.15 * away**2, _JOINT_STEPS - 1)
     cost = -0.6 * np.clip(-rise, 0, _STEEPEST)[:, columns] + 0.1 * (away + 0.5) ** 2

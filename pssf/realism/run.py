@@ -30,8 +30,8 @@ _TEXT = ("sha256", "key", "file", "source", "subject", "status", "side", "polari
 _CONTOURS = (
     "Sixteen contour landmarks, labels of every knee, beside those that people set on 748 fixed-flexion films (Tiulpin "
     "et al. 2019): in shares of the plateau's width, so that size is taken out. A mean is inside within half a "
-    "standard deviation of people's, a spread between 0.7 and 1.4 of theirs. The protocol of the drawn knees is given above; "
-    "people's films were PA in fixed flexion."
+    "standard deviation of people's, a spread between 0.7 and 1.4 of theirs. The protocol of the drawn knees is given "
+    "above; people's films were PA in fixed flexion."
 )
 _BONES = (
     "Bones without osteophytes are laid onto one another by a similarity (rotation, translation, size), and distances "
