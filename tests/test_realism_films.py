@@ -1,0 +1,201 @@
+"""Films in the standard form: outlines, features, domains, the page."""
+
+import dataclasses
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.ndimage import gaussian_filter
+
+import pssf
+from pssf.realism import domains, films_section
+from pssf.realism.films import centred, measured
+from pssf.realism.form import PITCH_MM, PLATEAU_MM, Place, field_of, joint_pixel, stretched
+from pssf.realism.outline import cheapest_path, trace_outline
+from pssf.realism.page import Figure, Section, Table, render
+from pssf.realism.shape_features import plateau_edges, shape_groups
+from pssf.realism.sheets import sheet
+
+HALF_MM = PLATEAU_MM / 2
+
+
+def drawn_knee(pixel_mm=0.3, gap_mm=5.0, notch_mm=12.0, rows=500, cols=520, size=1.0, side="right"):
+    """A film of plain shapes about its middle: a tibia, a femur with a notch, soft tissue beside them."""
+    y, x = np.mgrid[:rows, :cols] * pixel_mm
+    x = (x - (cols - 1) * pixel_mm / 2) / size
+    y = (y - (rows - 1) * pixel_mm / 2) / size
+    if side == "left":
+        x = -x
+    film = np.full((rows, cols), 0.25)
+    half = np.where(y > 0, HALF_MM - 0.35 * np.clip(y - 10, 0, None), HALF_MM - 1.0)
+    tibia = (y > gap_mm / 2) & (np.abs(x) < half)
+    roof = -gap_mm / 2 - notch_mm * np.exp(-((x / 10) ** 2))
+    film[tibia | ((y < roof) & (np.abs(x) < half))] = 0.7
+    film += 0.01 * np.random.default_rng(1).standard_normal(film.shape)
+    return gaussian_filter(film, 1.0)
+
+
+def middle_of(film, pixel_mm, side="right", size=1.0):
+    rows, cols = film.shape
+    return Place(row=(rows - 1) / 2, col=(cols - 1) / 2, side=side, pitch_mm=pixel_mm / size)
+
+
+@pytest.mark.parametrize("gap_mm", [3.0, 6.0])
+def test_contours_of_plain_shapes_are_traced_to_a_pixel(gap_mm):
+    film = drawn_knee(gap_mm=gap_mm)
+    outline = trace_outline(stretched(field_of(film, middle_of(film, 0.3))))
+    row, _ = joint_pixel()
+    beside = np.abs(outline.columns - joint_pixel()[1]) * PITCH_MM > 25.0
+    assert np.abs((outline.tibia[beside] - row) * PITCH_MM - gap_mm / 2).max() < 1.5 * PITCH_MM
+    assert np.abs((outline.femur[beside] - row) * PITCH_MM + gap_mm / 2).max() < 1.5 * PITCH_MM
+    lateral, medial = plateau_edges(outline)
+    assert (medial - lateral) * PITCH_MM == pytest.approx(PLATEAU_MM, abs=2 * PITCH_MM)
+
+
+def test_features_tell_the_gap_and_the_notch():
+    shallow, deep = (
+        shape_groups(trace_outline(stretched(field_of(film, middle_of(film, 0.3)))))
+        for film in (drawn_knee(gap_mm=4.0, notch_mm=8.0), drawn_knee(gap_mm=4.0, notch_mm=14.0))
+    )
+    assert shallow["joint space"]["medial_mean"] * PLATEAU_MM == pytest.approx(4.0, abs=0.7)
+    assert (deep["shape"]["notch_depth"] - shallow["shape"]["notch_depth"]) * PLATEAU_MM == pytest.approx(6.0, abs=1.0)
+
+
+@pytest.mark.parametrize(("side", "size", "pixel_mm"), [("left", 1.0, 0.3), ("right", 1.1, 0.3), ("right", 1.0, 0.2)])
+def test_a_film_of_another_side_size_or_pitch_has_the_same_form(side, size, pixel_mm):
+    one, other = drawn_knee(), drawn_knee(pixel_mm=pixel_mm, side=side, size=size, rows=760, cols=760)
+    here = centred(one, middle_of(one, 0.3))
+    there = centred(other, middle_of(other, pixel_mm, side, size))
+    difference = stretched(field_of(one, here)) - stretched(field_of(other, there))
+    assert np.abs(difference).mean() < 8
+
+
+def test_a_place_off_by_centimetres_and_a_wrong_pitch_are_mended():
+    film = drawn_knee()
+    right = middle_of(film, 0.3)
+    off = dataclasses.replace(right, row=right.row + 12, col=right.col - 20, pitch_mm=0.27)
+    found = centred(film, off)
+    assert found.pitch_mm == pytest.approx(0.3, rel=0.03)
+    assert abs(found.row - right.row) * 0.3 < 2.0
+    assert abs(found.col - right.col) * 0.3 < 2.0
+
+
+@pytest.mark.parametrize("change", [{"side": "both"}, {"pitch_mm": 0.0}])
+def test_a_place_that_is_none_is_refused(change):
+    with pytest.raises(pssf.InputError, match=next(iter(change))):
+        Place(**{"row": 1.0, "col": 1.0, "side": "right", "pitch_mm": 0.3, **change})
+
+
+def test_a_film_without_contrast_is_refused():
+    with pytest.raises(pssf.InputError, match="allowed: some contrast"):
+        stretched(np.full((20, 20), 0.4))
+
+
+def test_the_cheapest_path_is_the_cheapest_of_all_paths():
+    cost = np.random.default_rng(4).random((5, 4))
+    path = cheapest_path(cost, 1)
+    ways = np.stack(np.meshgrid(*4 * [np.arange(5)], indexing="ij"), axis=-1).reshape(-1, 4)
+    steps = np.abs(np.diff(ways, axis=1))
+    price = cost[ways, np.arange(4)].sum(axis=1) + 0.02 * (steps**1.5).sum(axis=1)
+    price[steps.max(axis=1) > 1] = np.inf
+    assert (path == ways[price.argmin()]).all()
+
+
+def films_of(name, count, shift=0.0, effect=1.0, seed=0):
+    """Two features in two groups; `shift` moves one of them for all, grade 2 has `effect` more of the other."""
+    rng = np.random.default_rng(seed)
+    grades = np.repeat([0, 2], count // 2)
+    values = rng.standard_normal((count, 3))
+    values[:, 0] += shift
+    values[:, 1] += effect * (grades == 2)
+    columns = pd.MultiIndex.from_tuples([("texture", "a"), ("shape", "b"), ("shape", "c")])
+    subjects = np.array([f"{name}{index // 2}" for index in range(count)])
+    return domains.Films(name=name, features=pd.DataFrame(values, columns=columns), grades=grades, subjects=subjects)
+
+
+CHANCE = {"replicates": 200, "seed": 0}
+
+
+def test_sources_that_differ_in_a_group_are_told_apart_by_it_alone():
+    rows = domains.told_apart(films_of("a", 120), films_of("b", 120, shift=4.0, seed=1), **CHANCE)
+    auc = {row["group"]: row["auc"] for row in rows}
+    assert auc["texture"] > 0.98
+    assert abs(auc["shape"] - 0.5) < 0.15  # 3.5 standard errors
+    assert rows[0]["leading"].startswith("texture a 1.00")
+    assert all(row["low"] <= row["auc"] <= row["high"] for row in rows)
+
+
+def test_what_is_learnt_carries_over_where_the_effect_is_the_same_and_not_where_it_is_turned_round():
+    real = films_of("real", 160, effect=2.0)
+    for effect, same in ((2.0, True), (-2.0, False)):
+        simulated = films_of("simulated", 160, effect=effect, seed=2)
+        row = next(
+            row for row in domains.transferred(real, simulated, low=0, high=(2,), **CHANCE) if row["group"] == "shape"
+        )
+        assert (row["auc"] > 0.8) == same
+        assert row["real_auc"] > 0.8
+        _, groups = domains.effects(real, simulated, low=0, high=(2,))
+        assert next(one for one in groups if one["group"] == "shape")["features"] == 2
+
+
+def test_grades_that_are_not_drawn_are_stood_for_by_the_highest_that_is():
+    real, simulated = films_of("real", 80), films_of("simulated", 80, seed=2)
+    real = dataclasses.replace(real, grades=np.where(real.grades == 2, 3, 0))
+    row = domains.transferred(real, simulated, low=0, high=(3, 4), **CHANCE)[0]
+    assert row["task"] == "0 v 3+4"
+    assert row["trained_on"] == "0 v 2"
+
+
+def test_of_too_few_films_nothing_is_said():
+    rows = domains.told_apart(films_of("a", 120), films_of("b", 8, seed=1), **CHANCE)
+    assert all("auc" not in row for row in rows)
+
+
+def test_both_knees_of_a_person_are_never_on_both_sides_of_a_fold():
+    rng = np.random.default_rng(0)
+    people = np.repeat(np.arange(60), 2)
+    fingerprint = pd.DataFrame(rng.standard_normal((60, 30))[people])
+    truth = np.repeat(rng.random(60) < 0.5, 2)
+    value = domains.by_folds(fingerprint, truth, people, 0)
+    assert abs(domains.auc(truth, value) - 0.5) < 0.25  # a leak gives 1
+
+
+def records(source, count, grades=(0, 2)):
+    film = drawn_knee()
+    values = measured(film, middle_of(film, 0.3), 0.3)
+    rng = np.random.default_rng(len(source))
+    made = []
+    for index in range(count):
+        noisy = {name: value + 0.01 * rng.standard_normal() for name, value in values.items() if "|" in name}
+        made.append({
+            **values, **noisy, "source": source, "file": f"{index}.png", "subject": f"{source}{index}", "side": "right",
+            "grade": grades[index % len(grades)], "status": "found", "polarity": "bone bright", "pixel_mm": 0.3,
+        })  # fmt: skip
+    return [*made, {"source": source, "file": "x.png", "subject": "x", "grade": 0, "status": "no knee"}]
+
+
+def test_the_part_on_films_counts_compares_and_shows():
+    film = drawn_knee()
+    given = {"clinic": records("clinic", 24), "simulated": records("simulated", 24)}
+    section = films_section.films_section(given, lambda source, file: film, replicates=50)
+    tables = {table.name: table.rows for table in section.tables}
+    assert [(row["found"], row["no knee"]) for row in tables["films_found"]] == [(24, 1), (24, 1)]
+    assert {row["group"] for row in tables["films_domains"]} == {
+        "joint space", "contour", "margins", "shape", "plate", "first order", "texture", "all",
+    }  # fmt: skip
+    assert [figure.name for figure in section.figures] == ["sheet_0", "sheet_2"]
+    assert section.line.startswith("clinic told from simulated with AUC 0.")
+    assert all(figure.png.startswith(b"\x89PNG") for figure in section.figures)
+
+
+def test_the_page_holds_what_it_is_given_and_fetches_nothing():
+    picture = Figure(name="p", png=sheet([("row", [np.zeros((8, 9), np.uint8)])]), alt="alt <text>", caption="c")
+    rows = [{"a": 1.23456, "b": float("nan")}, {"a": None, "c": "x & y"}]
+    section = Section(
+        name="Part", line="line", text="t", tables=(Table(name="n", rows=rows, caption="k"),), figures=(picture,)
+    )
+    page = render([section], {"knees": 3})
+    assert "1.235" in page
+    assert "x &amp; y" in page
+    assert "alt &lt;text&gt;" in page
+    assert "http" not in page.replace("http-equiv", "")
