@@ -13,6 +13,7 @@ from pssf.core.checks import InputError
 from pssf.data.readmes import readmes
 from pssf.io import readme
 from pssf.model.protocol import load_protocol
+from pssf.realism import run as realism
 
 ROOT = Path(__file__).resolve().parents[1]
 READMES = [ROOT / name for name in readmes().files]
@@ -157,7 +158,8 @@ def test_every_marker_has_a_layout_and_every_layout_a_marker():
 def test_every_layout_is_of_something_that_a_command_measures():
     studied = {"scores", "reliability", "claims", "cost", "quality_reference"}
     sources = {layout.rows or name for name, layout in readmes().table.items()}
-    assert sources == {*TABLES, *BY_NAME, *studied}
+    beside_people = {name for names in realism.SHOWN.values() for name in names}
+    assert sources == {*TABLES, *BY_NAME, *studied, *beside_people}
 
 
 @pytest.mark.parametrize("path", READMES, ids=lambda path: str(path.relative_to(ROOT)))

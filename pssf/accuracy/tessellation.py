@@ -1,5 +1,6 @@
 """Error of the projected outlines of femur and tibia against their triangles."""
 
+from collections.abc import Sequence
 from time import perf_counter
 
 import numpy as np
@@ -23,18 +24,20 @@ _EXACT_MM = 0.004
 _ROWS = (512, 1536)
 
 
-def tessellation_rows() -> list[Row]:
+def tessellation_rows(coarse_mm: Sequence[float] = (0.2, 0.1, 0.05), finer: Sequence[float] = (2, 4)) -> list[Row]:
     """One row a bone and tolerance: triangles, seconds, and how far the outline of the mean man's bone is off, mm.
 
     The outline is seen under the protocol `reference`, in the joint plane; the exact one is that of a mesh ten times as
     fine, whose vertices lie on the same level set.
+    coarse_mm  tolerances that are tried beside the one that is used
+    finer      and so many times less than that
     """
     rows: list[Row] = []
     shape = mean_shape()
     for mean, lowest in ((mean_femur(shape.femur), 1.0), (mean_tibia(shape.tibia), -1.0)):
         exact = mesh_of(project_solid(mean.meshed(_EXACT_MM).refine(2), mean.field, steps=3))
         usual = mean.tolerance_mm
-        for tolerance_mm in (0.2, 0.1, 0.05, usual, usual / 2, usual / 4):
+        for tolerance_mm in (*coarse_mm, usual, *(usual / times for times in finer)):
             start = perf_counter()
             solid = mean.meshed(tolerance_mm)
             seconds = perf_counter() - start

@@ -71,6 +71,7 @@ def realism(
     protocol: ProtocolName = "reference",
     knees: Annotated[int, typer.Option(help="Knees that are drawn, the grades alike.")] = 200,
     seed: Seed = 0,
+    readme: Readme = None,
 ) -> None:
     """Simulated knees beside real bones, contours and films: one page, and tables (CSV); goes on where a run stopped.
 
@@ -78,12 +79,17 @@ def realism(
     """
     from ..core.execution import Execution
     from ..core.progress import bar
-    from ..realism.run import measure
+    from ..io.readme import open_checkout
+    from ..realism.run import SHOWN, measure
     from ..study import require_extra
 
     require_extra()
+    given = {"contours": True, "bones": bones is not None, "films": films is not None}
+    shown = [name for part, names in SHOWN.items() if given[part] for name in names]
+    checkout = open_checkout(readme, shown, protocol=protocol, knees=knees)
     execution = Execution(workers=workers, bar=bar)
     found = measure(out, execution, films=films, bones_folder=bones, protocol=protocol, knees=knees, seed=seed)
+    checkout.take({name: found.rows.get(name, []) for name in shown}, found.paths)
     for line in found.lines:
         print(line)
     print(f"page      {found.page}")

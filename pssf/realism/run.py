@@ -23,8 +23,14 @@ from ..model.protocol import Protocol, load_protocol
 from . import bones, contours
 from .films import Record, Source, measure_films
 from .films_section import SIMULATED, films_section
-from .page import Figure, Section, Table, render
+from .page import Figure, Row, Section, Table, render
 
+# Tables that the READMEs show, by what must be given for them.
+SHOWN = {
+    "contours": ("contours_outside",),
+    "bones": ("bones",),
+    "films": ("films_domains", "films_transfer", "films_effects"),
+}
 # Read as text wherever films are listed.
 _TEXT = ("sha256", "key", "file", "source", "subject", "status", "side", "polarity", "pixel_from", "reason")
 _CONTOURS = (
@@ -47,11 +53,13 @@ class Realism:
     page   realism.html
     lines  one a part
     paths  of all files
+    rows   table -> its rows
     """
 
     page: Path
     lines: tuple[str, ...]
     paths: tuple[Path, ...]
+    rows: dict[str, list[Row]]
 
 
 def measure(
@@ -218,5 +226,9 @@ def _write(out: Path, sections: Sequence[Section], facts: dict[str, Any]) -> Rea
     page, machine = out / "realism.html", out / "realism.json"
     results.save_text(page, render(sections, facts))
     results.save_json(machine, facts | {section.name.lower(): section.facts for section in sections})
-    lines = tuple(f"{section.name}: {section.line}" for section in sections)
-    return Realism(page=page, lines=lines, paths=(*paths, machine, page))
+    return Realism(
+        page=page,
+        lines=tuple(f"{section.name}: {section.line}" for section in sections),
+        paths=(*paths, machine, page),
+        rows={table.name: list(table.rows) for section in sections for table in section.tables},
+    )

@@ -1,0 +1,135 @@
+"""The meter as a whole: sources, the command, its page, a second run."""
+
+import json
+import shutil
+from collections import Counter
+
+import numpy as np
+import pytest
+from phantoms import PIXEL_MM, TEMPLATE, phantom
+from PIL import Image
+from test_cli import run as pssf_command
+
+import pssf
+from pssf.core.execution import Execution
+from pssf.io.films import list_films
+from pssf.realism import films, run
+
+
+def picture(path, seed, gap_mm, side="right", inverted=False):
+    """A film of the phantom: log, bone bright, 8 bit."""
+    rng = np.random.default_rng(seed)
+    row, col = 150 + rng.integers(-8, 8), (180 if side == "right" else 140) + rng.integers(-8, 8)
+    density = -np.log(phantom(row, col, side=side, noise=1.0, seed=seed, tibia_mm=gap_mm))
+    grey = np.clip((density - density.min()) / np.ptp(density) * 255, 0, 255).astype(np.uint8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(255 - grey if inverted else grey).save(path)
+
+
+def clinic(folder, count=12):
+    """Films of grades 0 and 2, whose joint spaces differ; one is inverted, and one is air."""
+    for index in range(count):
+        side = "RL"[index % 2]
+        grade = index % 4 // 2 * 2
+        name = folder / str(grade) / f"p{index:03d}1{side}.png"
+        picture(name, index, 3.5 - grade, "right" if side == "R" else "left", inverted=index == 3)
+    Image.fromarray(np.random.default_rng(0).integers(0, 9, (320, 320)).astype(np.uint8)).save(
+        folder / "0" / "air9R.png"
+    )
+    return folder
+
+
+@pytest.fixture
+def phantoms_for_knees(monkeypatch, tmp_path):
+    """Templates and simulated films that cost nothing: phantoms."""
+    made = clinic(tmp_path / "drawn")
+    (made / "0" / "air9R.png").unlink()
+
+    def simulated(where, protocol, knees, seed, execution):
+        shutil.copytree(made, where, dirs_exist_ok=True)
+        return films.Source(name=run.SIMULATED, folder=where, films=list_films(where))
+
+    monkeypatch.setattr(run, "standard_templates", lambda engine: (TEMPLATE,))
+    monkeypatch.setattr(run, "_simulated", simulated)
+
+
+def test_a_folder_is_one_source_or_each_of_its_folders_is_one(tmp_path):
+    clinic(tmp_path / "all" / "here", 4)
+    clinic(tmp_path / "all" / "there", 4)
+    (tmp_path / "all" / "notes").mkdir()
+    assert [source.name for source in run.sources_of(tmp_path / "all")] == ["here", "there"]
+    (one,) = run.sources_of(tmp_path / "all" / "here")
+    assert (one.name, len(one.films)) == ("here", 5)
+    assert Counter(film.grade for film in one.films) == {0: 3, 2: 2}
+
+
+def test_a_folder_of_no_films_and_a_name_that_is_taken_are_refused(tmp_path):
+    with pytest.raises(pssf.InputError, match="allowed: a folder of films, or of folders of them"):
+        run.sources_of(tmp_path / "nowhere")
+    with pytest.raises(pssf.InputError, match="films = none"):
+        run.sources_of(tmp_path)
+    clinic(tmp_path / "simulated", 4)
+    with pytest.raises(pssf.InputError, match="which simulated films have here"):
+        run.sources_of(tmp_path)
+
+
+def test_all_that_is_given_is_measured_once_and_the_page_tells_it(phantoms_for_knees, tmp_path, monkeypatch):
+    given = clinic(tmp_path / "clinic")
+    settings = {"films": given, "knees": 6, "seed": 1}
+    sample = run.contours.drawn_landmarks(6, 1, pssf.load_protocol("reference"))
+    monkeypatch.setattr(run.contours, "drawn_landmarks", lambda *given: sample)
+    first = run.measure(tmp_path / "out", Execution(), **settings)
+    assert [line.split(":")[0] for line in first.lines] == ["Contours", "Films"]
+    assert all(path.exists() for path in first.paths)
+    facts = json.loads((tmp_path / "out" / "realism.json").read_text())
+    found = {row["source"]: row for row in facts["films"]["found"]}
+    assert found["clinic"]["films"] == 13
+    assert found["clinic"]["found"] >= 11
+    assert found["simulated"]["found"] >= 11
+    assert {"contours_outside", "films_domains"} <= set(first.rows)
+    page = first.page.read_text()
+    assert "data:image/png;base64" in page
+    monkeypatch.setattr(films, "measure_film", lambda *given, **more: pytest.fail("measured again"))
+    again = run.measure(tmp_path / "out", Execution(), **settings)
+    assert again.page.read_text() == page
+
+
+def test_a_film_that_cannot_be_read_is_counted_and_the_rest_measured(tmp_path):
+    given = clinic(tmp_path / "clinic", 2)
+    (given / "0" / "torn1R.png").write_bytes(b"\x89PNG torn")
+    records = films.measure_films(
+        run.sources_of(given)[0], (TEMPLATE,), Execution(), known={}, save=lambda records: None
+    )
+    status = {record["file"].split("/")[-1]: record["status"] for record in records}
+    assert status["torn1R.png"] == "unreadable"
+    assert status["p0001R.png"] == "found"
+    assert status["air9R.png"] != "found"
+
+
+def test_an_inverted_film_measures_what_it_does_upright(tmp_path):
+    for name, inverted in (("a1R.png", False), ("b1R.png", True)):
+        picture(tmp_path / name, 5, 2.5, inverted=inverted)
+    plain, inverted = films.measure_films(
+        run.sources_of(tmp_path)[0], (TEMPLATE,), Execution(), known={}, save=lambda records: None
+    )
+    assert (plain["polarity"], inverted["polarity"]) == ("bone bright", "bone dark")
+    assert inverted["joint space|medial_mean"] == pytest.approx(plain["joint space|medial_mean"], abs=0.01)
+    assert plain["pixel_from"] == "plateau"
+    assert plain["pixel_mm"] == pytest.approx(PIXEL_MM, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        (("--knees", "3"), "pssf: knees = 3; allowed: whole numbers from 6 to 100000"),
+        (("--films", "nowhere"), "pssf: films = nowhere; allowed: a folder of films, or of folders of them"),
+        (("--bones", "nowhere"), "pssf: folder nowhere: bones = none"),
+        (("--protocol", "referense"), "pssf: "),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing(options, line, tmp_path):
+    done = pssf_command("realism", *options, "--out", tmp_path / "o")
+    assert done.returncode == 2
+    assert done.stderr.startswith(line)
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "o").exists()
