@@ -1,6 +1,6 @@
 """Femur, tibia, fibula and patella of a right knee: an outer cortical solid, an inner trabecular one, a canal."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +9,10 @@ from manifold3d import Manifold
 from ..core.checks import Array
 from ..data.bones import BoneShape
 from ..data.records import Rows
+from ..data.shapes import shape_table
+from ..geometry.freeform import Lattice, displaced
 from ..model.knee import Knee, Osteophyte
+from .deformation import deformations, lattices_of
 from .femur import mean_femur
 from .implicit import project_solid
 from .mean_bone import INNER_MM
@@ -39,10 +42,12 @@ class Bone:
 class Build:
     """What shapes the bones of one knee: size over the mean man's, relative cortex and plate, angles in degrees.
 
-    shape  of the mean man's bones
+    shape     of the mean man's bones
+    lattices  bone -> how this person's differ from those, at the mean man's size, in the bone's frame
     """
 
     shape: BoneShape
+    lattices: Mapping[str, Lattice]
     scale: float
     cortex: float
     plate: float
@@ -62,6 +67,7 @@ def build_of(knee: Knee, shape: BoneShape) -> Build:
     sex_scale = size.female_over_male if knee.sex == "female" else 1.0
     return Build(
         shape=shape,
+        lattices=lattices_of(knee.shape, deformations(shape_table())),
         scale=sex_scale * knee.bone_scale * knee.stature_mm / getattr(size.stature_mm, knee.sex),
         cortex=knee.cortex_scale,
         plate=knee.subchondral_plate,
@@ -125,6 +131,12 @@ def leaned(solid: Manifold, pivot_mm: float, angle_deg: float, direction: int) -
     return solid.warp_batch(move)
 
 
+def deformed(solid: Manifold, build: Build, bone: str) -> Manifold:
+    """A solid of this knee's size, in a bone's frame, with what this person's bone differs by."""
+    lattice, s = build.lattices[bone], build.scale
+    return solid.warp_batch(lambda points: displaced(np.array(points) / s, lattice) * s)
+
+
 def grown_femur(build: Build, osteophytes: tuple[Osteophyte, ...]) -> BoneWithOsteophytes:
     """The outer femur at the mean man's size with a straight shaft, osteophytes and all."""
     return grow(osteophytes, mean_femur(build.shape.femur), build.shape.osteophytes.femur, build.scale)
@@ -150,7 +162,7 @@ def femur(build: Build, grown: BoneWithOsteophytes) -> Bone:
     canal_levels = _levels(table.canal_from_z_mm * s, SHAFT_END_MM - 4.0, 2.5)
     canal = _canal(sections, cortex, canal_levels, table.canal_full_z_mm * s, "femur canal")
 
-    canal = leaned(canal, table.shaft_pivot_z_mm * s, -build.femur_valgus_deg, +1)
+    canal = leaned(deformed(canal, build, "femur"), table.shaft_pivot_z_mm * s, -build.femur_valgus_deg, +1)
 
     def standing(solid: Manifold, end_mm: float) -> Manifold:
         stood = solid.warp_batch(lambda points: stand_femur(np.array(points), build))
@@ -179,10 +191,11 @@ def _canal(sections: Array, cortex: Callable[[Array], Array], levels: Array, ful
 def tibia_column(build: Build, grow_mm: float) -> Manifold:
     """The tibia's shaft and flare alone, grown by `grow_mm`; used to keep the fibula clear of it."""
     table, s = build.shape.tibia, build.scale
-    sections = lean(scaled(table.sections, s), table.shaft_pivot_z_mm * s, build.tibia_varus_deg, -1)
-    return column(
+    sections = scaled(table.sections, s)
+    straight = column(
         sections, lambda z: np.full_like(z, -grow_mm), _levels(-SHAFT_END_MM - 10.0, 4.0, 3.0), "tibia column"
     )
+    return leaned(deformed(straight, build, "tibia"), table.shaft_pivot_z_mm * s, build.tibia_varus_deg, -1)
 
 
 def tibia(build: Build, grown: BoneWithOsteophytes) -> Bone:
@@ -203,7 +216,9 @@ def tibia(build: Build, grown: BoneWithOsteophytes) -> Bone:
     return Bone(
         outer=standing(grown.outer, build),
         inner=standing(grown.filled(marrow, s), build, 2.0).simplify(INNER_MM),
-        canal=leaned(canal, table.shaft_pivot_z_mm * s, build.tibia_varus_deg, -1).simplify(_CANAL_MM),
+        canal=leaned(
+            deformed(canal, build, "tibia"), table.shaft_pivot_z_mm * s, build.tibia_varus_deg, -1
+        ).simplify(_CANAL_MM),
     )
 
 
@@ -218,7 +233,7 @@ def stand_tibia(points: Array, build: Build) -> Array:
 
     points  (n, 3)  mm
     """
-    places = sloped(points * build.scale, build)
+    places = sloped(displaced(points, build.lattices["tibia"]) * build.scale, build)
     pivot_mm = build.shape.tibia.shaft_pivot_z_mm * build.scale
     places[:, 0] += sideways(places[:, 2], pivot_mm, build.tibia_varus_deg, -1)
     return places
@@ -229,7 +244,7 @@ def stand_femur(points: Array, build: Build) -> Array:
 
     points  (n, 3)  mm
     """
-    places = points * build.scale
+    places = displaced(points, build.lattices["femur"]) * build.scale
     pivot_mm = build.shape.femur.shaft_pivot_z_mm * build.scale
     places[:, 0] += sideways(places[:, 2], pivot_mm, -build.femur_valgus_deg, +1)
     return places
@@ -276,4 +291,5 @@ def patella(build: Build) -> Bone:
     inner = column(sections, cortex, _levels(low + 1.2, high - 1.2, 1.0), "patella marrow", power=2.1).simplify(
         _COARSER_MM
     )
-    return Bone(outer=outer.translate(place), inner=inner.translate(place))
+    outer, inner = (deformed(solid, build, "patella").translate(place) for solid in (outer, inner))
+    return Bone(outer=outer, inner=inner)

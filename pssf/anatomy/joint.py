@@ -8,6 +8,7 @@ from manifold3d import Manifold
 
 from ..core.checks import Array, InputError
 from ..data.bones import BoneShape
+from ..geometry.freeform import displaced
 from ..geometry.mesh import Indices
 from ..geometry.view import View, magnification, project
 from ..model.knee import Knee
@@ -127,7 +128,7 @@ def solve_pose(knee: Knee, build: Build, femur: Manifold, tibia: Manifold, view:
     tibia   outer solid of this knee, plateau at z = 0
     raises  InputError if the spaces cannot be met, which the ranges of `Knee` exclude
     """
-    meshes = [_lower(femur, build.scale), _upper(tibia)]
+    meshes = [_lower(femur, build), _upper(tibia)]
     wanted = np.array([knee.jsw_medial_mm, knee.jsw_lateral_mm])
     pose = Pose(
         0.0, wanted.mean() + 2.0, 0.0, knee.flexion_deg, knee.rotation_deg, (0.0, 2.0 * build.scale, 23.0 * build.scale)
@@ -158,11 +159,11 @@ def solve_pose(knee: Knee, build: Build, femur: Manifold, tibia: Manifold, view:
 _FEMUR_BELOW_MM, _TIBIA_ABOVE_MM = 24.0, -14.0
 
 
-def _lower(femur: Manifold, scale: float) -> tuple[Array, Indices]:
-    """Vertices and edges of the scaled femur's lower end."""
+def _lower(femur: Manifold, build: Build) -> tuple[Array, Indices]:
+    """Vertices and edges of the lower end of a femur at the mean man's size, in this knee's."""
     mesh = mesh_of(femur)
     edges = edges_of(mesh.faces)
-    return mesh.vertices * scale, edges[(mesh.vertices[edges, 2] < _FEMUR_BELOW_MM).any(axis=1)]
+    return displaced(mesh.vertices, build.lattices["femur"]) * build.scale, edges[(mesh.vertices[edges, 2] < _FEMUR_BELOW_MM).any(axis=1)]
 
 
 def _upper(tibia: Manifold) -> tuple[Array, Indices]:

@@ -159,7 +159,7 @@ def _row(case: Case, exposure: Exposure, radiograph: Radiograph, file: Path, dig
     }
     if exposure.kind:
         row |= {"kind": exposure.kind, "turn": exposure.turn, "of_knee": exposure.of_knee}
-    row |= {**knee, "osteophytes": json.dumps(knee["osteophytes"])} | protocol
+    row |= {**knee, **{name: json.dumps(knee[name]) for name in ("shape", "osteophytes")}} | protocol
     for name in ("medial", "lateral"):
         place = truth.landmarks_px[f"{name}_joint_line"]
         row |= {f"truth_{name}_row_px": round(place[0], 4), f"truth_{name}_col_px": round(place[1], 4)}

@@ -10,8 +10,11 @@ from ..core.checks import InputError, from_table, require, require_choice, requi
 from ..data.fields import check_fields
 from ..data.grades import grades
 from ..data.records import Pair
+from ..data.shapes import shape_table
 
 GRADES = (0, 1, 2)
+# No score of a shape is farther from the mean.
+MOST_SD = 3.0
 SITES = ("medial_femur", "lateral_femur", "medial_tibia", "lateral_tibia", "medial_spine", "lateral_spine")
 
 
@@ -41,6 +44,8 @@ class Knee:
     flexion_deg        of the femur about the medio-lateral axis
     rotation_deg       of the leg about its long axis; positive is internal
     bone_scale         size of the bones relative to the mean of sex and stature
+    shape              scores of the bones' shape, in standard deviations of people's: one a mode of
+                       `data/shapes.toml`, in its order; those left out are 0, the mean
     cortex_scale       cortical thickness relative to the mean
     limb_ap_mm         antero-posterior thickness of the limb at the joint
     fat_mm             subcutaneous fat, medial and lateral
@@ -61,6 +66,7 @@ class Knee:
     flexion_deg: float = 0.0
     rotation_deg: float = 0.0
     bone_scale: float = 1.0
+    shape: tuple[float, ...] = ()
     cortex_scale: float = 1.0
     tibial_slope_deg: float = 5.0
     limb_ap_mm: float = 120.0
@@ -76,9 +82,26 @@ class Knee:
         ):
             raise InputError(f"osteophytes = {self.osteophytes!r}; allowed: a tuple of Osteophyte")
         object.__setattr__(self, "osteophytes", tuple(self.osteophytes))
+        object.__setattr__(self, "shape", require_scores(self.shape))
         sites = [item.site for item in self.osteophytes]
         if len(set(sites)) < len(sites):
             raise InputError(f"osteophytes at {', '.join(sites)}; allowed: one a site")
+
+
+def require_scores(scores: Any) -> tuple[float, ...]:
+    """Scores of a shape as floats, without the zeros at its end.
+
+    raises  InputError for what is no sequence of numbers, too many of them, or one out of range
+    """
+    modes = shape_table().modes
+    if not isinstance(scores, tuple | list) or len(scores) > len(modes):
+        raise InputError(f"shape = {scores!r}; allowed: up to {len(modes)} numbers, one a mode")
+    for mode, score in zip(modes, scores, strict=False):
+        require(f"shape score {mode.name}", score, -MOST_SD, MOST_SD, "SD")
+    kept = [float(score) for score in scores]
+    while kept and kept[-1] == 0.0:
+        kept.pop()
+    return tuple(kept)
 
 
 def knee_from(table: Mapping[str, Any], what: str = "knee") -> Knee:
@@ -93,13 +116,17 @@ def knee_from(table: Mapping[str, Any], what: str = "knee") -> Knee:
 
 def knee_table(knee: Knee) -> dict[str, Any]:
     """Field name -> value of a knee, as `knee_from` takes it back (JSON-ready)."""
-    return {**asdict(knee), "osteophytes": [asdict(item) for item in knee.osteophytes]}
+    return {
+        **asdict(knee),
+        "shape": list(knee.shape),
+        "osteophytes": [asdict(item) for item in knee.osteophytes],
+    }
 
 
 def draw_knee(*, grade: int, rng: np.random.Generator, **fixed: Any) -> Knee:
     """A knee of a KL-like grade with parameters drawn from `data/grades.toml`.
 
-    rng    the only source of chance; shape and pose are drawn from it, the texture's seed from a child of it
+    rng    the only source of chance; size and pose are drawn from it, the texture's seed and the shape from children
     fixed  fields of `Knee` to hold at a value; the draw of the others does not depend on them
     raises InputError for an unknown grade or field
     """
@@ -117,8 +144,15 @@ def draw_knee(*, grade: int, rng: np.random.Generator, **fixed: Any) -> Knee:
     for name, bounds in table.pose.items():
         drawn[name] = _uniform(rng, bounds)
     drawn["texture_seed"] = int(rng.spawn(1)[0].integers(2**63))
+    # From a child of its own, so that all else is drawn as it would be without.
+    drawn["shape"] = _draw_shape(rng.spawn(1)[0])
     drawn["osteophytes"] = _draw_osteophytes(rng, ranges.osteophyte_count, ranges.largest_osteophyte_mm)
     return from_table(Knee, {**drawn, **fixed}, "draw_knee")
+
+
+def _draw_shape(rng: np.random.Generator) -> tuple[float, ...]:
+    scores = rng.standard_normal(len(shape_table().modes)).clip(-MOST_SD, MOST_SD)
+    return tuple(round(float(score), 4) for score in scores)
 
 
 def _draw_osteophytes(

@@ -1,0 +1,78 @@
+"""Shapes of people's bones: scores, what they move, and what they leave as it was."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import pssf
+from pssf.anatomy.deformation import deformations, lattices_of
+from pssf.data.shapes import shape_table
+from pssf.geometry.freeform import least_jacobian
+from pssf.model.knee import MOST_SD, knee_from, knee_table
+
+MODES = len(shape_table().modes)
+BROAD = pssf.Knee(shape=tuple(np.where(np.arange(MODES) % 2, -1.5, 1.5)), varus_deg=1.0, flexion_deg=4.0)
+
+
+@pytest.fixture(scope="module")
+def broad():
+    return pssf.build(BROAD)
+
+
+def test_the_joint_spaces_of_another_shape_are_what_the_knee_asks_for(broad):
+    measured = broad.measured_jsw_mm(pssf.load_protocol("reference"))
+    assert measured == pytest.approx((5.0, 5.0), abs=1e-3)
+
+
+def test_another_shape_moves_the_bones_by_millimetres_and_a_left_one_is_its_mirror(broad):
+    mean, left = pssf.build(dataclasses.replace(BROAD, shape=())), pssf.build(dataclasses.replace(BROAD, side="left"))
+    for name in ("femur", "tibia", "patella"):
+        mine, other, mirrored = (
+            next(s for s in built.scene.surfaces if s.name == name).arrays.vertices for built in (broad, mean, left)
+        )
+        if mine.shape == other.shape:
+            assert 0.5 < np.abs(mine - other).max() < 20
+        assert len(mine) == len(mirrored)
+        assert np.abs(np.sort(mine[:, 0]) + np.sort(mirrored[:, 0])[::-1]).max() < 1e-9
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_no_mode_folds_a_bone_at_its_farthest(side):
+    shapes = deformations(shape_table())
+    for number in range(MODES):
+        for lattice in lattices_of((0.0,) * number + (side * MOST_SD,), shapes).values():
+            assert least_jacobian(lattice) > 0.1
+
+
+def test_scores_move_control_points_in_proportion_and_add_up():
+    shapes = deformations(shape_table())
+    mean, one, two, both = (
+        lattices_of(scores, shapes)["femur"].displacements_mm for scores in ((), (1.0,), (0.0, -2.0), (1.0, -2.0))
+    )
+    np.testing.assert_allclose(both - mean, (one - mean) + (two - mean), atol=1e-12)
+
+
+def test_a_shape_is_written_and_read_and_zeros_at_its_end_say_nothing():
+    knee = pssf.Knee(shape=(0.5, -1.0, 0.0))
+    assert knee.shape == (0.5, -1.0)
+    assert knee_from(knee_table(knee)) == knee
+    assert pssf.Knee(shape=[0.0]) == pssf.Knee()
+
+
+@pytest.mark.parametrize(
+    ("shape", "line"),
+    [((3.5,), "shape score"), ((0.0,) * (MODES + 1), "numbers, one a mode"), ("12", "numbers, one a mode"), (("a",), "a")],
+)
+def test_a_shape_that_is_none_is_refused(shape, line):
+    with pytest.raises(pssf.InputError, match=line):
+        pssf.Knee(shape=shape)
+
+
+def test_drawn_scores_are_standard_normal_and_of_a_stream_of_their_own():
+    knees = [pssf.draw_knee(grade=0, rng=np.random.default_rng(seed)) for seed in range(300)]
+    scores = np.array([(*knee.shape, *(0.0,) * (MODES - len(knee.shape))) for knee in knees])
+    assert np.abs(scores.mean(axis=0)).max() < 4 / np.sqrt(300)
+    assert np.abs(scores.std(axis=0) - 1).max() < 0.2
+    held = pssf.draw_knee(grade=0, rng=np.random.default_rng(7), shape=())
+    assert dataclasses.replace(knees[7], shape=()) == held
