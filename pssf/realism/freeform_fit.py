@@ -20,7 +20,7 @@ _POINTS = 2000
 # Coarse to fine: how much bending counts beside distance at each step.
 STIFFNESS = (1.0, 0.3, 0.1, 0.03, 0.01, 0.01, 0.003, 0.003, 0.003)
 # Ends what bending leaves open, where no surface is near: there displacement stays small.
-_RIDGE = 1e-5
+_RIDGE = 3e-3
 # Places whose normals differ by more than this (cosine) are on two sides of an edge or of the notch, and no pair.
 _LEAST_COSINE = 0.3
 

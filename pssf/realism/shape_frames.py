@@ -56,8 +56,8 @@ def unstand(places_mm: Array, name: str) -> Array:
 def own_frames(built: Mapping[str, Mesh], people: Mapping[str, MeasuredSurface]) -> dict[str, Frame]:
     """Bone -> what takes places on the mean of people's bones, (n, 3) mm, into the frame of the mean man's.
 
-    Each bone is turned and moved by a similarity fit of its own. One size is taken for all, that of the tibial plateau's
-    width, so that the bones of a knee go on fitting one another as people's do; it does not change what sizes are.
+    Each bone is turned and moved by a similarity fit of its own. One size is taken for all, that of the plateau's
+    width, which stays what it was, so that the bones of a knee go on fitting one another as people's do.
     built  as it is before it stands
     """
     standing = {name: Mesh(stand(bone.vertices, name), bone.faces) for name, bone in built.items() if name in people}
