@@ -15,7 +15,7 @@ from .bone_figure import seen
 _FRONT = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 _MEDIAL = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
 _BELOW = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
-_ABOVE = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, 1]])
+_ABOVE = np.array([[-1.0, 0, 0], [0, -1, 0], [0, 0, 1]])
 # Bone, from where, and to where its picture is moved (mm), so that bones stand apart.
 _PLACES = (
     ("femur", _FRONT, (0.0, 12.0)), ("tibia", _FRONT, (0.0, -8.0)),

@@ -40,7 +40,7 @@ def derive(given: Mapping[str, Sequence[Mesh]], workers: int = 1) -> tuple[MeanF
 
     raises  InputError where a bone is not given
     """
-    mean = fit_mean(given)
+    mean = fit_mean(given, workers)
     fitted = fit_knees(given, mean, workers)
     names, values = measured_knees(mean, fitted)
     modes, called = name_modes(modes_of(fitted, mean), names, values)

@@ -1,9 +1,10 @@
 """People's bones brought into the frames of the mean man's: size, pose, slope and lean of the shaft taken out."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ..anatomy.bones import build_of, patella, stand_femur, stand_tibia
 from ..anatomy.femur import mean_femur
@@ -13,7 +14,7 @@ from ..core.checks import Array
 from ..data.bones import mean_shape
 from ..geometry.mesh import Mesh
 from ..model.knee import Knee
-from .bones import fit_bone, near_joint
+from .bones import fit_bone
 from .surfaces import MeasuredSurface, Similarity, measured
 
 Frame = Callable[[Array], Array]
@@ -53,32 +54,37 @@ def unstand(places_mm: Array, name: str) -> Array:
     return points
 
 
-def own_frames(built: Mapping[str, Mesh], people: Mapping[str, MeasuredSurface]) -> dict[str, Frame]:
+def own_frames(
+    built: Mapping[str, Mesh], people: Mapping[str, MeasuredSurface], poses: Mapping[str, Sequence[Similarity]]
+) -> dict[str, Frame]:
     """Bone -> what takes places on the mean of people's bones, (n, 3) mm, into the frame of the mean man's.
 
-    Each bone is turned and moved by a similarity fit of its own. One size is taken for all, that of the plateau's
-    width, which stays what it was, so that the bones of a knee go on fitting one another as people's do.
+    The mean is turned as people's bones are on the average in the axes they are given in, not as it would cover the
+    mean man's best, which would trade the slope of the plateau and the lean of shafts for it. One size is taken for all
+    three bones, that of the tibial plateau's width, which stays what it was; femur and tibia keep their places across
+    one another, so that people's bones go on fitting. The femur's distal end stays at height 0, the plateau at its own.
     built  as it is before it stands
+    poses  what lays each knee's bone onto the mean
     """
-    standing = {name: Mesh(stand(bone.vertices, name), bone.faces) for name, bone in built.items() if name in people}
-    fits = {name: fit_bone(bone, people[name], name).fit for name, bone in standing.items()}
-    if "tibia" not in fits:
-        return {name: partial(_into, fit=fit, name=name) for name, fit in fits.items()}
-    own = fits["tibia"]
-    wide = _plateau_width(standing["tibia"]) / _plateau_width(
-        Mesh(own.undo(people["tibia"].mesh.vertices), people["tibia"].mesh.faces)
-    )
+    standing = {name: Mesh(stand(bone.vertices, name), bone.faces) for name, bone in built.items()}
+    rest = {name: _mean_rest(poses[name], people[name].mesh) for name in built}
+    placed = {name: Mesh(rest[name].apply(people[name].mesh.vertices), people[name].mesh.faces) for name in built}
+    plateau, given = _plateau_box(standing["tibia"]), _plateau_box(placed["tibia"])
+    scale = float(np.ptp(plateau[:, 0]) / np.ptp(given[:, 0]))
+    across = plateau.mean(axis=0) - scale * given.mean(axis=0)
+    heights = {
+        "femur": -scale * placed["femur"].vertices[:, 2].min(),
+        "tibia": _plateau_level(standing["tibia"]) - scale * _plateau_level(placed["tibia"]),
+    }
     frames = dict[str, Frame]()
-    for name, fit in fits.items():
-        sized = _with_scale(fit, own.scale / wide, near_joint(standing[name], name))
-        if name == "femur":
-            lowest = float(_into(people[name].mesh.vertices, sized, name)[:, 2].min())
-            # The femur's frame begins at the distal end.
-            lift = Similarity(rotation=np.eye(3), scale=1.0, shift_mm=np.array([0.0, 0.0, -lowest]))
-            sized = Similarity(
-                rotation=sized.rotation, scale=sized.scale, shift_mm=sized.apply(-lift.shift_mm[None])[0]
-            )
-        frames[name] = partial(_into, fit=sized, name=name)
+    for name in built:
+        shift = _box(standing[name].vertices).mean(axis=0) - scale * _box(placed[name].vertices).mean(axis=0)
+        if name in heights:
+            shift = np.array([across[0], across[1], heights[name]])
+        whole = Similarity(
+            rotation=rest[name].rotation, scale=scale * rest[name].scale, shift_mm=scale * rest[name].shift_mm + shift
+        )
+        frames[name] = partial(_into, fit=whole, name=name)
     return frames
 
 
@@ -87,22 +93,36 @@ def in_frame(bone: Mesh, frame: Frame) -> MeasuredSurface:
     return measured(Mesh(frame(np.asarray(bone.vertices, np.float64)), bone.faces))
 
 
-def laid_onto(bone: Mesh, onto: MeasuredSurface, name: str) -> Mesh:
-    """A bone laid onto the mean of its kind by a similarity: pose and size taken out."""
-    return Mesh(fit_bone(bone, onto, name).fit.apply(bone.vertices), bone.faces)
+def pose_of(bone: Mesh, onto: MeasuredSurface, name: str) -> Similarity:
+    """The similarity that lays a bone onto the mean of its kind: pose and size."""
+    return fit_bone(bone, onto, name).fit
 
 
 def _into(places_mm: Array, fit: Similarity, name: str) -> Array:
-    return unstand(fit.undo(places_mm), name)
+    return unstand(fit.apply(places_mm), name)
 
 
-def _plateau_width(tibia: Mesh) -> float:
-    top = tibia.vertices[tibia.vertices[:, 2] > tibia.vertices[:, 2].max() - _PLATEAU_MM]
-    return float(np.ptp(top[:, 0]))
+def _mean_rest(poses: Sequence[Similarity], mean: Mesh) -> Similarity:
+    """Where the mean of bones is on the average of where they are themselves."""
+    back = Rotation.from_matrix([pose.rotation.T for pose in poses]).mean().as_matrix()
+    middle = _box(mean.vertices).mean(axis=0)
+    scale = float(np.exp(-np.mean([np.log(pose.scale) for pose in poses])))
+    there = np.mean([pose.undo(middle[None])[0] for pose in poses], axis=0)
+    return Similarity(rotation=back, scale=scale, shift_mm=there - scale * back @ middle)
 
 
-def _with_scale(fit: Similarity, scale: float, bone: Mesh) -> Similarity:
-    """The same fit at another scale, the middle of a bone staying where it is."""
-    middle = np.stack((bone.vertices.min(axis=0), bone.vertices.max(axis=0))).mean(axis=0)[None]
-    moved = fit.apply(middle)[0] - scale * (middle @ fit.rotation.T)[0]
-    return Similarity(rotation=fit.rotation, scale=scale, shift_mm=moved)
+def _box(points: Array) -> Array:
+    return np.stack((points.min(axis=0), points.max(axis=0)))
+
+
+def _plateau_box(tibia: Mesh) -> Array:
+    return _box(tibia.vertices[tibia.vertices[:, 2] > tibia.vertices[:, 2].max() - _PLATEAU_MM])
+
+
+def _plateau_level(tibia: Mesh) -> float:
+    """Height of both plateaus' middles."""
+    (low, _, _), (high, _, top) = _plateau_box(tibia)
+    share = (tibia.vertices[:, 0] - low) / (high - low)
+    level = (tibia.as_trimesh().vertex_normals[:, 2] > 0.8) & (tibia.vertices[:, 2] > top - _PLATEAU_MM)
+    sides = [level & (share > start) & (share < start + 0.2) for start in (0.12, 0.68)]
+    return float(np.mean([np.median(tibia.vertices[side, 2]) for side in sides]))

@@ -12,8 +12,8 @@ from ..geometry.freeform import Lattice, basis_matrix, with_displacements
 from ..geometry.mesh import Mesh
 from .bones import BONES, heights_mm, mean_of
 from .freeform_fit import DeformableBone, deformable, fit_lattice, lattice_around
-from .shape_frames import Frame, in_frame, laid_onto, mean_bones, own_frames
-from .surfaces import MeasuredSurface, measured
+from .shape_frames import Frame, in_frame, mean_bones, own_frames, pose_of
+from .surfaces import MeasuredSurface, Similarity, measured
 
 # Chosen by what is left: from 30 to 15 mm the mean femur comes from 1.02 to 0.31 mm RMS to the mean of people's
 # (Clouthier et al. 2019); at 17 mm numbers are a third of those at 12.5 mm and folds are farther off.
@@ -54,7 +54,7 @@ class Modes:
     rms_mm: Mapping[str, Array]
 
 
-def fit_mean(given: Mapping[str, Sequence[Mesh]]) -> MeanFit:
+def fit_mean(given: Mapping[str, Sequence[Mesh]], workers: int = 1) -> MeanFit:
     """The mean man's bones laid onto the mean of given ones.
 
     raises  InputError where one of femur, tibia and patella is not given
@@ -63,7 +63,10 @@ def fit_mean(given: Mapping[str, Sequence[Mesh]]) -> MeanFit:
         raise InputError(f"bones: without = {', '.join(missing)}; allowed: femur, tibia and patella of every knee")
     built = mean_bones()
     people = {name: measured(mean_of(given[name], name)) for name in BONES}
-    frames = own_frames(built, people)
+    tasks = [(name, bone) for name in BONES for bone in given[name]]
+    found = ordered_map(_pose_one, tasks, shared={"people": people}, workers=workers)
+    poses = {name: [one for one, task in zip(found, tasks, strict=True) if task[0] == name] for name in BONES}
+    frames = own_frames(built, people, poses)
     bones, lattices = dict[str, DeformableBone](), dict[str, Lattice]()
     for name in BONES:
         target = in_frame(people[name].mesh, frames[name])
@@ -143,9 +146,15 @@ def _outward_rows(mean: MeanFit, name: str) -> sparse.csr_array:
     return sparse.csr_array(sparse.hstack([basis.multiply(outward[:, [axis]]) for axis in range(3)]))
 
 
+def _pose_one(task: tuple[str, Mesh], people: Mapping[str, MeasuredSurface]) -> Similarity:
+    name, bone = task
+    return pose_of(bone, people[name], name)
+
+
 def _fit_one(task: tuple[str, Mesh], mean: MeanFit) -> Array:
     name, bone = task
-    target = in_frame(laid_onto(bone, mean.people[name], name), mean.frames[name])
+    laid = Mesh(pose_of(bone, mean.people[name], name).apply(bone.vertices), bone.faces)
+    target = in_frame(laid, mean.frames[name])
     lattice = fit_lattice(mean.bones[name], target, mean.lattices[name], _OWN_STIFFNESS)
     return np.asarray(lattice.displacements_mm.reshape(-1, 3))
 

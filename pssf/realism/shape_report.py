@@ -110,7 +110,7 @@ def held_out_rows(given: Given, out: Sequence[int], workers: int = 1) -> list[Ro
     knees = range(len(given[BONES[0]]))
     kept = {name: [given[name][k] for k in knees if k not in out] for name in BONES}
     left = {name: [given[name][k] for k in out] for name in BONES}
-    mean = fit_mean(kept)
+    mean = fit_mean(kept, workers)
     modes = modes_of(fit_knees(kept, mean, workers), mean)
     fitted = fit_knees(left, mean, workers)
     rows = reach_rows("left out, own lattice", reached(mean, knees_of(fitted), left, workers))
@@ -168,7 +168,7 @@ def main(
     given = read_bones(folder)
     rng = np.random.default_rng(seed)
     knees = len(given["femur"])
-    mean = fit_mean(given)
+    mean = fit_mean(given, workers)
     fitted = fit_knees(given, mean, workers)
     modes, names = name_modes(modes_of(fitted, mean), *measured_knees(mean, fitted))
     save_bytes(out / "modes.png", mode_picture(mean, modes, names))
