@@ -35,9 +35,11 @@ def femur_measures(points: Array) -> dict[str, float]:
     end, shaft = points[z < 45], points[_between(z, 82, 96)]
     width = _span(end[:, 0])
     medial, lateral = points[(x > 8) & (z < 45)], points[(x < -8) & (z < 45)]
-    groove = points[(np.abs(x) < 5) & _between(z, 18, 30) & (y < 0)][:, 1].min()
-    ridges = [points[_between(side * x, 10, 26) & _between(z, 18, 30) & (y < 0)][:, 1].min() for side in (1, -1)]
-    notch = points[_between(y, 8, 24) & _between(z, 6, 13) & (np.abs(x) < 20)][:, 0]
+    back = float(end[:, 1].max())
+    front = _between(z, 18, 30) & (y < back - 40)
+    groove = points[front & (np.abs(x) < 5)][:, 1].min()
+    ridges = [points[front & _between(side * x, 10, 26)][:, 1].min() for side in (1, -1)]
+    notch = points[_between(y, back - 28, back - 12) & _between(z, 6, 13) & (np.abs(x) < 20)][:, 0]
     return {
         "femoral condyles' depth over width": _span(end[:, 1]) / width,
         "medial condyle lower than lateral": float(lateral[:, 2].min() - medial[:, 2].min()) / width,
@@ -93,11 +95,8 @@ def patella_measures(points: Array) -> dict[str, float]:
     return {
         "patella's height over width": float(height / width),
         "patella's thickness over width": float(depth / width),
-        "patellar ridge to medial": float(points[points[:, 1].argmax(), 0] - middle[0]) / width,
         "patellar apex to medial": float(points[points[:, 2].argmin(), 0] - middle[0]) / width,
         "patellar apex backwards": float(points[points[:, 2].argmin(), 1] - middle[1]) / width,
-        "patella's widest place higher": float(_middle(points[points[:, 0] < points[:, 0].min() + 3])[2] - middle[2])
-        / width,
     }
 
 
