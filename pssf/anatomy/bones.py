@@ -170,7 +170,8 @@ def femur(build: Build, grown: BoneWithOsteophytes) -> Bone:
 
     return Bone(
         outer=standing(grown.outer, SHAFT_END_MM),
-        inner=standing(grown.filled(marrow, s), SHAFT_END_MM - 2.0).simplify(INNER_MM),
+        # Simplified before it is bent: bent, its smallest folds may stick out.
+        inner=standing(grown.filled(marrow, s).simplify(INNER_MM / s), SHAFT_END_MM - 2.0),
         canal=checked(canal, "femur canal").simplify(_CANAL_MM),
     )
 
@@ -215,7 +216,7 @@ def tibia(build: Build, grown: BoneWithOsteophytes) -> Bone:
     canal = _canal(sections, cortex, canal_levels, table.canal_full_z_mm * s, "tibia canal")
     return Bone(
         outer=standing(grown.outer, build),
-        inner=standing(grown.filled(marrow, s), build, 2.0).simplify(INNER_MM),
+        inner=standing(grown.filled(marrow, s).simplify(INNER_MM / s), build, 2.0),
         canal=leaned(
             deformed(canal, build, "tibia"), table.shaft_pivot_z_mm * s, build.tibia_varus_deg, -1
         ).simplify(_CANAL_MM),
