@@ -8,7 +8,7 @@ from typing import Any
 import jinja2
 import pandas as pd
 
-from ..predictions import BASELINES, NONE, TASKS
+from ..predictions import BASELINES, GRADES, NONE, TASKS
 from ..settings import MODELS, SELECTIONS
 from ..statistics.intervals import MINUS_JSW
 from ..statistics.localisation import GROSS_MM
@@ -18,7 +18,6 @@ from .feature_figures import FAMILY_NAMES
 from .figures import SCENARIOS
 
 _SHORT = {"lr": "Logistic", "rf": "Forest", "xgb": "XGBoost"} | BASELINES
-GRADES = {"0": "normal", "1": "doubtful OA", "2": "mild OA"}
 # Alzubaidi & Al-Bayaty, arXiv 2601.11642: what is printed beside, never aimed at.
 PAPER = {"stable": 43, "features": 107, "within": 0.92, "cross": 0.78, "multi": "0.88–0.90"}
 
