@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 
 from ..core.blocks import block_mean
-from ..core.checks import InputError
 from ..data.localisation import localisation
 from .patches import LINEAR_MM, Template
 
@@ -19,10 +18,7 @@ def compact(template: Template, region_mm: float) -> Template:
     Joints are found with it as with the whole, to rounding.
 
     region_mm  side of the region about the joint line that must be in it as well, as far as the whole has it
-    raises     InputError for a template without its plateau's width, which films of unknown pitch need
     """
-    if template.plateau_mm is None:
-        raise InputError("template plateau_mm = None; allowed: its width, mm, for models that read films")
     table = localisation()
     laws = (table.wide, table.narrow)
     half = region_mm / 2

@@ -96,9 +96,7 @@ def measure_display(
     return record, {"localisation": located - began, "features": perf_counter() - located}
 
 
-def find_in_display(
-    pixels: Array, templates: Sequence[Template], side: str | None, pixel_mm: float | None
-) -> Located:
+def find_in_display(pixels: Array, templates: Sequence[Template], side: str | None, pixel_mm: float | None) -> Located:
     """`locate` on a display; row, column and pitch are those of its own pixels.
 
     pixels    (rows, cols) 0 to 1, of either polarity

@@ -52,7 +52,7 @@ class Place(Record, frozen=True):
     row: float
     col: float
     pixel_mm: float
-    plateau_mm: float
+    plateau_mm: float | None
 
 
 class Made(Record, frozen=True):
@@ -135,7 +135,9 @@ def pack(kept: Kept, templates: Sequence[Template], **said: Any) -> bytes:
         **said,
     )
     text = json.dumps(msgspec.to_builtins(card), indent=1).encode()
-    pixels = {_pixels(at): _packed(template.pixels.astype(np.float32).tobytes()) for at, template in enumerate(templates)}
+    pixels = {
+        _pixels(at): _packed(template.pixels.astype(np.float32).tobytes()) for at, template in enumerate(templates)
+    }
     return zipped({**unzipped(dumps(kept.fitted.pipeline)), _CARD: text, **pixels})
 
 
@@ -170,10 +172,10 @@ def differences(card: Card) -> str:
 
 
 def _place(template: Template) -> Place:
-    assert template.plateau_mm is not None
     rows, cols = template.pixels.shape
-    place = {name: float(getattr(template, name)) for name in ("row", "col", "pixel_mm", "plateau_mm")}
-    return Place(shape=(rows, cols), **place)
+    place = {name: float(getattr(template, name)) for name in ("row", "col", "pixel_mm")}
+    plateau_mm = None if template.plateau_mm is None else float(template.plateau_mm)
+    return Place(shape=(rows, cols), plateau_mm=plateau_mm, **place)
 
 
 def _template(place: Place, packed: bytes) -> Template:

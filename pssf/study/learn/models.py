@@ -74,7 +74,12 @@ def tune(
 
 
 def refit(
-    prepared: Pipeline, model: str, parameters: dict[str, Any], rows: tuple[pd.DataFrame, NDArray[np.int64]], *, seed: int
+    prepared: Pipeline,
+    model: str,
+    parameters: dict[str, Any],
+    rows: tuple[pd.DataFrame, NDArray[np.int64]],
+    *,
+    seed: int,
 ) -> Fitted:
     """The model of known parameters, which has learnt from all the rows given.
 

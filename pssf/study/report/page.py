@@ -53,6 +53,7 @@ class Findings:
     families      share of importance of each family, a column a model; and the drop of AUC, "<model> drop"
     screened      how many features were stable in the training subjects of each split
     models        names of the saved models
+    external      of `external.tested_on_films`, or None without films
     stable        of `reliability.count_stable`
     leading       model, feature, share, chosen, drop: the features that count most
     degenerate    names of features that are the same in every radiograph
@@ -72,6 +73,7 @@ class Findings:
     families: pd.DataFrame
     screened: list[int]
     models: list[str]
+    external: Any
     stable: pd.DataFrame
     leading: pd.DataFrame
     degenerate: list[str]
