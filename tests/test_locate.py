@@ -1,5 +1,7 @@
 """Finding the joint, and refusing what is none, is turned, mirrored or of another size."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,7 +12,7 @@ import pssf
 from pssf.core.checks import InputError
 from pssf.data.localisation import localisation
 from pssf.radiomics.edges import Pyramid, edge_field
-from pssf.radiomics.locate import find_joint, locate
+from pssf.radiomics.locate import _status, find_joint, locate
 from pssf.radiomics.patches import Template, density_of
 
 
@@ -135,12 +137,12 @@ def test_a_wrong_pitch_is_refused(simulated, factor):
     assert joint.status == "wrong scale"
 
 
-def test_a_joint_whose_compartment_is_covered_has_too_low_a_score():
-    image = phantom(150, 165).astype(float)
-    image[125:175, 120:215] = image[125:175, 120:215].mean()
-    joint = joint_of(image)
-    assert joint.status == "low score"
-    assert joint.score > localisation().thresholds.score
+@pytest.mark.parametrize("weak", ["narrow", "apart_mm"])
+def test_a_compartment_that_matches_badly_or_elsewhere_has_too_low_a_score(weak):
+    limits, joint = localisation().thresholds, joint_of(phantom(150, 165))
+    beyond = {"narrow": limits.narrow - 0.01, "apart_mm": limits.apart_mm + 0.1}[weak]
+    assert _status(joint, SHAPE, None, localisation()) == "found"
+    assert _status(replace(joint, **{weak: beyond}), SHAPE, None, localisation()) == "low score"
 
 
 def test_a_region_that_leaves_the_image_is_refused():

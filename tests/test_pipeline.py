@@ -18,7 +18,7 @@ from pssf.data.readmes import readmes
 from pssf.experiment import SHOWN, shown_rows
 from pssf.io.readme import open_checkout
 from pssf.io.results import load_table
-from pssf.radiomics.region import Template
+from pssf.radiomics.patches import Template
 from pssf.radiomics.table import TEXT
 from pssf.study import StudySettings
 from pssf.study.learn.saving import loads

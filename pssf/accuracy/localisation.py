@@ -52,7 +52,7 @@ def localisation_rows(count: int, workers: int) -> list[Row]:
         for located in [_located(count, workers)]
         for kind in ("study", "adult")
         for case in _CASES
-        if any(one["kind"] == kind for one in located)
+        if any((one["case"], one["kind"]) == (case, kind) for one in located)
     ]
 
 
@@ -69,7 +69,8 @@ def limit_rows(count: int, workers: int) -> list[Row]:
         ("narrow", values("without bones", "narrow").max(), limits.narrow, "highest without bones"),
         ("side", -np.quantile(values("wrong side", "side_evidence"), 0.99), limits.side, "99 % of wrong sides"),
         ("way", np.abs(values("without bones", "way_evidence")).max(), limits.way, "highest without bones"),
-        ("apart_mm", values("right", "apart_mm").max(), limits.apart_mm, "farthest of right ones"),
+        ("apart_mm", sum(values(case, "apart_mm").max() for case in ("right", "without bones")) / 2, limits.apart_mm,
+         "between right ones and without bones"),
         ("scale, least", np.sqrt(values("right", "scale").min() * values("pitch x 0.5", "scale").max()),
          limits.scale[0], "between the least of right ones and the largest at half the pitch"),
         ("scale, greatest", np.sqrt(right.max() * np.quantile(enlarged, 0.01)), limits.scale[1],

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageOps, UnidentifiedImageError
+from PIL import Image, ImageOps
 
 from ..core.checks import Array, InputError, require, require_choice, require_whole
 from ..detector import present
@@ -210,9 +210,17 @@ def _picture(path: Path) -> FilmImage:
 
 
 def _opened(path: Path) -> Image.Image:
+    """The picture with its pixels."""
+    image = None
     try:
-        return Image.open(path)
-    except UnidentifiedImageError:  # to Python an OSError, as if the disk were at fault
+        image = Image.open(path)
+        image.load()
+        return image
+    except OSError as error:  # Pillow's own, as if the disk were at fault, for what is no picture or not whole
+        if image is not None:
+            image.close()
+        if error.errno is not None:
+            raise
         raise InputError(f"file {path}: damaged, or no picture; allowed: a readable film of 8 to 16 bit") from None
 
 
