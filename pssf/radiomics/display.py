@@ -15,9 +15,9 @@ from ..core.checks import Array, InputError, require, require_whole
 from ..data.code import require_code
 from .families import FAMILIES
 from .features import extract
-from .locate import Located, locate
+from .locate import Located, find_joint, locate
 from .patches import LINEAR_MM, Template
-from .table import SCORES, Job, Measured, Record
+from .table import SCORES, How, Job, Measured, Record, measure
 
 # What a tone without a meaning says nothing of; see `as_signal`.
 TONELESS = tuple(family for family in FAMILIES if family != "firstorder")
@@ -59,6 +59,15 @@ class DisplayHow:
         require_whole("region_px at films' pixel_mm", self.region_px, 16, 4096, "pixels")
 
 
+def require_plateau(templates: Sequence[Template]) -> None:
+    """Refuse templates by which the pitch of a film cannot be estimated.
+
+    raises  InputError
+    """
+    if not templates or templates[0].plateau_mm is None:
+        raise InputError("template plateau_mm = None; allowed: its width, mm, to estimate the pitch of films by")
+
+
 def measure_display(
     job: Job,
     *,
@@ -76,24 +85,67 @@ def measure_display(
     """
     require_code(code)
     began = perf_counter()
-    record: Record = {"radiograph": job.radiograph, "sha256": job.sha256}
     refused = UNREADABLE
     try:
         film = load_pixels(job.file)
         refused = "no knee"  # in what is so small that no knee can be looked for
         found = find_in_display(film.pixels, templates, job.side or film.side, job.pixel_mm or film.pixel_mm)
     except InputError:
-        return record | {"status": refused}, {"localisation": perf_counter() - began, "features": 0.0}
+        nothing: Record = {"radiograph": job.radiograph, "sha256": job.sha256, "status": refused}
+        return nothing, {"localisation": perf_counter() - began, "features": 0.0}
     located = perf_counter()
     region = cut_display(film.pixels, found, how.pixel_mm, how.region_px) if found.status == "found" else None
-    status = "leaves image" if found.status == "found" and region is None else found.status
-    record |= {"status": status, "film_side": found.side, "film_polarity": found.polarity}
-    record |= {"film_pixel_from": found.pixel_from, "film_pixel_mm": found.pixel_mm}
-    record |= {"row_px": found.row, "col_px": found.col, **{name: getattr(found, name) for name in SCORES}}
+    record = _record(job, found, region)
     if region is not None:
-        signal = as_signal(region, templates[0], how.pixel_mm)
+        bright = region if found.polarity == "bone bright" else -region
+        signal = as_signal(bright, templates[0], how.pixel_mm)
         record |= extract(signal, how.pixel_mm, how.bins, how.families)
     return record, {"localisation": located - began, "features": perf_counter() - located}
+
+
+def measure_linear(
+    job: Job,
+    *,
+    load_pixels: Callable[[str], NDArray[np.uint16]],
+    templates: Sequence[Template],
+    how: DisplayHow,
+    code: Mapping[str, str],
+) -> Measured:
+    """`table.measure` of a radiograph of any pitch: at the one asked for, pixel by pixel; else brought to it.
+
+    load_pixels  file -> (rows, cols) linear
+    raises       InputError where the code is another here
+    """
+    require_code(code)
+    assert job.side is not None
+    assert job.pixel_mm is not None
+    if np.isclose(job.pixel_mm, how.pixel_mm, rtol=1e-6):
+        plain = How(region_px=how.region_px, bins=how.bins, families=how.families)
+        record, seconds = measure(job, load_pixels=load_pixels, templates=templates, how=plain, code=code)
+        return record | _said(job), seconds
+    began = perf_counter()
+    pixels = load_pixels(job.file)
+    found = find_joint(pixels, templates, side=job.side, pixel_mm=job.pixel_mm, region_px=1)
+    located = perf_counter()
+    region = cut_display(pixels, found, how.pixel_mm, how.region_px) if found.status == "found" else None
+    record = _record(job, found, region) | _said(job)
+    if region is not None:
+        signal = np.clip(np.rint(region), 0, 65535).astype(np.uint16)
+        record |= extract(signal, how.pixel_mm, how.bins, how.families)
+    return record, {"localisation": located - began, "features": perf_counter() - located}
+
+
+def _said(job: Job) -> Record:
+    said = {"film_side": job.side, "film_polarity": "linear"}
+    return said | {"film_pixel_from": "given", "film_pixel_mm": job.pixel_mm}
+
+
+def _record(job: Job, found: Located, region: Array | None) -> Record:
+    status = "leaves image" if found.status == "found" and region is None else found.status
+    record: Record = {"radiograph": job.radiograph, "sha256": job.sha256, "status": status}
+    record |= {"film_side": found.side, "film_polarity": found.polarity}
+    record |= {"film_pixel_from": found.pixel_from, "film_pixel_mm": found.pixel_mm}
+    return record | {"row_px": found.row, "col_px": found.col, **{name: getattr(found, name) for name in SCORES}}
 
 
 def find_in_display(pixels: Array, templates: Sequence[Template], side: str | None, pixel_mm: float | None) -> Located:
@@ -113,25 +165,26 @@ def find_in_display(pixels: Array, templates: Sequence[Template], side: str | No
     return Located(**values | place | {"pixel_mm": pixel_mm})
 
 
-def cut_display(pixels: Array, found: Located, pixel_mm: float, region_px: int) -> Array | None:
-    """The square about the joint line at another pitch, without aliases, bone bright; None where it leaves the film.
+def cut_display(
+    pixels: NDArray[np.integer | np.floating], found: Located, pixel_mm: float, region_px: int
+) -> Array | None:
+    """The square about the joint line at another pitch, without aliases; None where it leaves the film.
 
     A Gaussian takes away what the new pitch cannot hold; cubic splines lie between the pixels.
 
-    pixels    (rows, cols) as displayed
+    pixels    (rows, cols) as displayed, or linear
     pixel_mm  pitch to bring it to
     returns   (region_px, region_px) of whose pixel region_px // 2 the joint line is the centre
     """
-    bright = pixels if found.polarity == "bone bright" else 1.0 - pixels
     ratio = pixel_mm / found.pixel_mm
     offsets = (np.arange(region_px) - region_px // 2) * ratio
     rows, cols = found.row + offsets, found.col + offsets
     for places, length in ((rows, pixels.shape[0]), (cols, pixels.shape[1])):
         if places[0] < -0.5 or places[-1] > length - 0.5:
             return None
-    soft = bright
+    soft = pixels.astype(np.float64)
     if ratio > 1.0:
-        soft = ndimage.gaussian_filter(bright, 0.5 * np.sqrt(ratio**2 - 1.0), mode="nearest")
+        soft = ndimage.gaussian_filter(soft, 0.5 * np.sqrt(ratio**2 - 1.0), mode="nearest")
     return np.asarray(
         ndimage.map_coordinates(soft, np.meshgrid(rows, cols, indexing="ij"), order=3, mode="nearest"), np.float64
     )

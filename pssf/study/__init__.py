@@ -35,9 +35,10 @@ learn/         predictions from features
   refit        features of a cohort            -> models that have learnt from all of it
   modelfile    a model, templates              -> one file that films can be read by, and back
 
+external       films, a cohort                 -> models of the cohort as displayed, tested on films
+
 report/        figures, cost, environment, checklist, and one HTML page with all of it
 
-external       films, a cohort                 -> models of the cohort as displayed, tested on films
 pipeline       all of these in order; what `run` calls
 reading        a model's file, films           -> features and probabilities
 finished       folder, key                     -> what an earlier run ended with, if nothing has changed

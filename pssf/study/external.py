@@ -18,7 +18,7 @@ from ..core.execution import Execution
 from ..io import results
 from ..io.films import Film
 from ..radiomics.compact import compact
-from ..radiomics.display import TONELESS, DisplayHow, find_in_display, measure_display
+from ..radiomics.display import TONELESS, DisplayHow, find_in_display, measure_display, require_plateau
 from ..radiomics.patches import Template
 from ..radiomics.table import NOT_FEATURES, TEXT, Job, Record, extract_all
 from .films import FilmSet
@@ -65,11 +65,13 @@ class Bench:
     execution: Execution
 
 
-def check_films(films: FilmSet, manifest: pd.DataFrame, settings: StudySettings) -> None:
+def check_films(films: FilmSet, manifest: pd.DataFrame, settings: StudySettings, templates: Sequence[Template]) -> None:
     """Refuse films that this cohort cannot be tested on.
 
-    raises  InputError for a protocol that the manifest has not, or families of features without one that films have
+    raises  InputError for a protocol that the manifest has not, families of features without one that films have, or
+            templates without the width of their plateau
     """
+    require_plateau(templates)
     require_choice("films-protocol", films.protocol, sorted(set(manifest["protocol"])))
     if not set(settings.families) & set(TONELESS):
         raise InputError(

@@ -2,7 +2,7 @@
 
 import platform
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from ..io import results
 from ..radiomics.compact import compact
 from ..radiomics.patches import Template
 from ..radiomics.table import NOT_FEATURES, TEXT, How, Job, Load, Record, extract_all
-from .external import Bench, External, check_films, tested_on_films, trained_on
+from .external import Bench, check_films, tested_on_films, trained_on
 from .films import FilmSet
 from .learn.baselines import SOURCES
 from .learn.modelfile import SUFFIX, pack
@@ -66,7 +66,7 @@ def run_study(
     settings, timer = run.settings, run.execution.timer
     check_manifest(manifest, settings)
     if films is not None:
-        check_films(films, manifest, settings)
+        check_films(films, manifest, settings, run.templates)
     table, names, work = measured(run, manifest, retest)
     located = localisation.errors(with_measures(table[table["kind"] == ""]))
     repeated = table[(table["kind"] != "") & (table["status"] == "found")]
@@ -95,9 +95,8 @@ def run_study(
         tables |= external.tables
         models |= external.models
         pictures |= film_pictures(external, settings)
-    findings = _findings(
-        run, located, names, tables, outcomes, pictures, work_seconds=work, models=models, external=external
-    )
+    findings = _findings(run, located, names, tables, outcomes, pictures, work)
+    findings = replace(findings, models=sorted(models), external=external)
     return _write(run.out, findings, tables | {"predictions": predictions}, models)
 
 
@@ -205,10 +204,7 @@ def _findings(
     tables: Tables,
     outcomes: list[Outcome],
     pictures: dict[str, Picture],
-    *,
     work_seconds: dict[str, float],
-    models: dict[str, bytes],
-    external: External | None,
 ) -> Findings:
     usable, settings = located[located["status"] == "found"], run.settings
     keys = ["model", "selection", "feature"]
@@ -228,8 +224,6 @@ def _findings(
         calibration=tables["calibration"],
         families=by_family(shown).join(by_family(shown, "drop").add_suffix(" drop")),
         screened=[outcome.stable for outcome in outcomes if outcome.stable is not None],
-        models=sorted(models),
-        external=external,
         stable=count_stable(tables["reliability"]),
         leading=shown.groupby("model", sort=False).head(5),
         degenerate=[name for name in names if is_degenerate(usable[name].to_numpy())],

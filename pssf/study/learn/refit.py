@@ -1,6 +1,6 @@
 """The models that are kept: each is fitted once more, to all subjects of the cohort."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,7 +35,7 @@ class Kept:
 
 
 def refitted(
-    table: pd.DataFrame, names: list[str], settings: StudySettings, trained_on: dict[str, Sequence[str]]
+    table: pd.DataFrame, names: list[str], settings: StudySettings, trained_on: Mapping[str, Sequence[str]]
 ) -> Iterator[Kept]:
     """Every task, selection and model of the settings, on each set of protocols.
 
@@ -59,8 +59,10 @@ def refitted(
             check_on = part_of(rows[rows["subject"].isin(split.validation)], names, grades)
             whole = part_of(rows, names, grades)
             for selection in settings.selections:
-                how = {"rho": settings.rho, "most": settings.most_features, "seed": seed}
-                on_first, on_whole = (preparation(selection, **how).fit(*part) for part in (fit_on, whole))
+                on_first, on_whole = (
+                    preparation(selection, rho=settings.rho, most=settings.most_features, seed=seed).fit(*part)
+                    for part in (fit_on, whole)
+                )
                 for model in settings.models:
                     chosen = tune(on_first, model, fit_on, check_on, seed=seed).parameters
                     fitted = refit(on_whole, model, chosen, whole, seed=seed)

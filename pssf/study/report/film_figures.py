@@ -1,18 +1,17 @@
 """Pictures of films of patients: what the models say of each grade."""
 
-from typing import Any
-
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from ..external import External
 from ..settings import MODELS, SELECTIONS, StudySettings
 from .figures import COLOURS, png
 from .page import Picture
 
 
-def film_pictures(external: Any, settings: StudySettings) -> dict[str, Picture]:
-    """Name -> picture: probability of grade 2 by the films' grade, for the first selection; none where nothing is graded.
+def film_pictures(external: External, settings: StudySettings) -> dict[str, Picture]:
+    """Name -> picture: probability of grade 2 by the films' grade, for the first selection; none without grades.
 
     external  of `external.tested_on_films`
     """

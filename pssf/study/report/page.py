@@ -1,13 +1,14 @@
 """One HTML page with everything in it: no style, script or picture is fetched from anywhere."""
 
 from base64 import b64encode
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from typing import Any
 
 import jinja2
 import pandas as pd
 
+from ..external import External
 from ..predictions import BASELINES, GRADES, NONE, TASKS
 from ..settings import MODELS, SELECTIONS
 from ..statistics.intervals import MINUS_JSW
@@ -72,8 +73,6 @@ class Findings:
     calibration: pd.DataFrame
     families: pd.DataFrame
     screened: list[int]
-    models: list[str]
-    external: Any
     stable: pd.DataFrame
     leading: pd.DataFrame
     degenerate: list[str]
@@ -85,6 +84,8 @@ class Findings:
     workers: int
     features: int
     test_subjects: tuple[int, int]
+    models: list[str] = field(default_factory=list)
+    external: External | None = None
 
 
 def render(findings: Findings) -> str:
