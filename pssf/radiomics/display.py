@@ -17,7 +17,7 @@ from .families import FAMILIES
 from .features import extract
 from .locate import Located, find_joint, locate
 from .patches import LINEAR_MM, Template
-from .table import SCORES, How, Job, Measured, Record, measure
+from .table import FOUND, SCORES, How, Job, Measured, Record, measure
 
 # What a tone without a meaning says nothing of; see `as_signal`.
 TONELESS = tuple(family for family in FAMILIES if family != "firstorder")
@@ -92,7 +92,7 @@ def measure_display(
         found = find_in_display(film.pixels, templates, job.side or film.side, job.pixel_mm or film.pixel_mm)
     except InputError:
         nothing: Record = {"radiograph": job.radiograph, "sha256": job.sha256, "status": refused}
-        return nothing, {"localisation": perf_counter() - began, "features": 0.0}
+        return nothing | dict.fromkeys(FOUND, ""), {"localisation": perf_counter() - began, "features": 0.0}
     located = perf_counter()
     region = cut_display(film.pixels, found, how.pixel_mm, how.region_px) if found.status == "found" else None
     record = _record(job, found, region)

@@ -60,8 +60,8 @@ def read_films(model: SavedModel, films: Sequence[Film], folder: Path, execution
     warnings = list(_unreadable(films, table["status"], folder))
     if card.reads == "linear" and shown:
         warnings.append(
-            f"{len(shown)} of {len(films)} films are displays, and the model has learnt from linear pixels: grey values "
-            "are given the histogram of a standard knee; a model of a study with --films has learnt from displays"
+            f"{len(shown)} of {len(films)} films are displays, and the model has learnt from linear pixels: their grey "
+            "values got the histogram of a standard knee; a model of a study with --films has learnt from displays"
         )
     return ReadFilms(table=_table(model, films, table), warnings=tuple(warnings))
 
