@@ -23,7 +23,7 @@ from pssf.io.results import load_table
 from pssf.radiomics.table import TEXT
 from pssf.study.learn.modelfile import SavedModel, differences, unpack
 from pssf.study.learn.saving import unzipped, zipped
-from pssf.study.reading import ReadFilms, read_films
+from pssf.study.reading import read_films
 
 
 @pytest.fixture(scope="module")
@@ -163,7 +163,9 @@ def test_side_and_pitch_can_be_told(files, tmp_path, monkeypatch, capsys):
     assert run(monkeypatch, capsys, *read, "--out", tmp_path / "a", "--side", "left", "--pixel-mm", 0.75)[0] == 0
     row = pd.read_csv(tmp_path / "a" / "read.csv").iloc[0]
     assert (row["film_pixel_mm"], row["film_pixel_from"], row["film_side"]) == (0.75, "given", "left")
-    assert "wrong side" in run(monkeypatch, capsys, *read, "--out", tmp_path / "b", "--side", "right")[1]
+    assert run(monkeypatch, capsys, *read, "--out", tmp_path / "b", "--side", "right")[0] == 0
+    row = pd.read_csv(tmp_path / "b" / "read.csv").iloc[0]
+    assert (row["film_side"], row["film_pixel_from"]) == ("right", "plateau")
 
 
 def broken(content: bytes, **changes) -> bytes:
@@ -256,4 +258,8 @@ def test_the_parts_of_a_model_file_have_no_time_and_no_chance(files):
             "pssf/model.json",
             "pssf/template_0.xz",
         ]
-    assert isinstance(read_films(model_of(files["lr_l1_0v2_films"]), [], Path()), ReadFilms)
+
+
+def test_without_a_film_there_is_nothing_to_read(files):
+    with pytest.raises(pssf.InputError, match="films = none"):
+        read_films(model_of(files["lr_l1_0v2_films"]), [], Path())

@@ -43,9 +43,11 @@ def read_films(model: SavedModel, films: Sequence[Film], folder: Path, execution
     histogram of the standard knee, with a warning.
 
     folder  that the films' files are called from
-    raises  InputError where a pitch is not known and the model's templates cannot give it; WorkersLostError when
-            workers keep being killed
+    raises  InputError without a film, or for displays where the model's templates cannot give a pitch;
+            WorkersLostError when workers keep being killed
     """
+    if not films:
+        raise InputError("films = none; allowed: one or more")
     card, execution = model.card, execution or Execution()
     how = DisplayHow(pixel_mm=card.pixel_mm, region_px=card.region_px, bins=card.bins, families=card.families)
     jobs = [replace(job_of(film), radiograph=str(place)) for place, film in enumerate(films)]
