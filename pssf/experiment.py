@@ -38,12 +38,13 @@ class OwnFilms:
 
     folder    as `io.films.list_films` takes it
     protocol  of the cohort that models for them learn from; None: the study's reference
-    pixel_mm  pitch that films and cohort are brought to; None: see `study.FilmSet`
+    pixel_mm  pitch that films and cohort are brought to, and region_mm side of the region; None: see `study.FilmSet`
     """
 
     folder: Path
     protocol: str | None = None
     pixel_mm: float | None = None
+    region_mm: float | None = None
 
 
 @dataclass(frozen=True)
@@ -204,6 +205,7 @@ def _film_set(own: OwnFilms, out: Path, protocols: list[str], settings: StudySet
         load_cohort=partial(_film, out.absolute()),
         protocol=protocol,
         pixel_mm=own.pixel_mm,
+        region_mm=own.region_mm,
     )
 
 

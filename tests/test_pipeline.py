@@ -44,6 +44,7 @@ def test_a_study_finds_the_regions_and_tells_the_grades_apart(result):
         "intervals and differences",
         "reliability and figures",
         "claims",
+        "models refitted",
     ]
 
 

@@ -12,12 +12,13 @@ from numpy.testing import assert_allclose
 from pssf import study
 from pssf.core.checks import InputError
 from pssf.experiment import OwnFilms, _film_set
-from pssf.io.films import FilmImage
+from pssf.io.films import Film, FilmImage
 from pssf.radiomics.compact import compact
 from pssf.radiomics.display import as_signal, cut_display, find_in_display
 from pssf.radiomics.locate import locate
 from pssf.radiomics.patches import density_of
 from pssf.study import FilmSet, StudySettings
+from pssf.study.external import _pitch_and_region_mm
 from pssf.study.finished import key_of
 from pssf.study.learn.modelfile import unpack
 from pssf.study.statistics.external import counted, score_films
@@ -80,9 +81,9 @@ def test_a_second_run_reads_no_film_again_and_writes_the_same_bytes(film_study, 
         asked.append(file)
         raise InputError("film = not to be read; allowed: none")
 
-    films = drawn.film_set(
-        film_study.report.parents[1] / "films", load=load, load_cohort=load, pixel_mm=_pitch(film_study)
-    )
+    folder = film_study.report.parents[1] / "films"
+    chosen = {"pixel_mm": _pitch(film_study), "region_mm": 48.0}
+    films = drawn.film_set(folder, load=load, load_cohort=load, **chosen)
     again = study.run(drawn.text_subjects(), drawn.cohort().load, [drawn.TEMPLATE], drawn.LIGHT, tmp_path, films=films)
     assert asked == []
     for kind in ("tables", "pictures", "models"):
@@ -96,6 +97,22 @@ def _pitch(result) -> float:
 
 def test_cohort_and_films_are_read_at_the_films_pitch_where_it_is_coarser(film_study, listed):
     assert _pitch(film_study) == round(listed["film_pixel_mm"].median(), 2)
+
+
+def test_the_region_is_what_the_films_hold_where_that_is_less_than_the_studys():
+    image = drawn.cohort().display(drawn.text_subjects()["file"].iloc[0])
+    found = find_in_display(image.pixels, [drawn.TEMPLATE], image.side, 0.6)
+    above = 30
+    cut = dataclasses.replace(image, pixels=image.pixels[round(found.row) - above :])
+    how = {"load": lambda file: cut, "load_cohort": read_nothing, "protocol": "reference"}
+    own = Film(file="f.png", grade=0, subject="f", side=None, pixel_mm=None, sha256="")
+    films = FilmSet(films=(own,), **how)
+    pixel_mm, region_mm = _pitch_and_region_mm(films, [drawn.TEMPLATE], 0.3, 76.8)
+    assert pixel_mm == 0.6
+    assert_allclose(region_mm, 2 * above * 0.6, atol=1.5)
+    assert _pitch_and_region_mm(films, [drawn.TEMPLATE], 0.9, 30.0) == (0.9, 30.0)
+    mine = dataclasses.replace(films, region_mm=25.0)
+    assert _pitch_and_region_mm(mine, [drawn.TEMPLATE], 0.3, 76.8) == (0.6, 25.0)
 
 
 @pytest.mark.parametrize(
@@ -121,8 +138,9 @@ def test_a_set_without_films_or_with_an_impossible_pitch_is_refused():
     how = {"load": read_nothing, "load_cohort": read_nothing, "protocol": "reference"}
     with pytest.raises(InputError, match="films = none"):
         FilmSet(films=(), **how)
-    with pytest.raises(InputError, match=r"pixel_mm = 0\.0001"):
-        FilmSet(films=("a film",), pixel_mm=0.0001, **how)
+    for name, value in (("pixel_mm", 0.0001), ("region_mm", 5.0)):
+        with pytest.raises(InputError, match=f"{name} = {value}"):
+            FilmSet(films=("a film",), **{name: value}, **how)
 
 
 def read_nothing(file: str) -> FilmImage:

@@ -160,6 +160,9 @@ def study(
     films_pixel_mm: Annotated[
         float, typer.Option(help="Pitch that films and cohort are brought to, mm; 0: the films' own, if it is coarser.")
     ] = 0.0,
+    films_region_mm: Annotated[
+        float, typer.Option(help="Side of the region, mm; 0: what nine of ten films hold, at most the study's.")
+    ] = 0.0,
     until: Annotated[str, typer.Option(help="report, or features: stop when they are measured.")] = "report",
     readme: Readme = None,
 ) -> None:
@@ -181,7 +184,8 @@ def study(
     overrides = {"protocols": protocols.split(",")} if protocols else None
     own = None
     if films is not None:
-        own = OwnFilms(folder=films, protocol=films_protocol or None, pixel_mm=films_pixel_mm or None)
+        chosen = {"pixel_mm": films_pixel_mm or None, "region_mm": films_region_mm or None}
+        own = OwnFilms(folder=films, protocol=films_protocol or None, **chosen)
     made = make_experiment(
         out, execution, preset=preset, seed=seed, engine=engine, cohort=overrides, settings=settings, films=own
     )

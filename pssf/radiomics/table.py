@@ -29,7 +29,7 @@ TEXT = ("radiograph", "sha256", "settings", "checksum", "status", *FOUND)
 SCORES = ("score", "narrow", "side_margin", "way_margin", "scale")
 NOT_FEATURES = (*TEXT, "row_px", "col_px", "film_pixel_mm", *SCORES)
 # What a record depends on beside the file, templates and `How`: code and tables of the package, what reads files too.
-_CODE = ("core", "data", "io", "radiomics")
+_CODE = ("core", "data", "detector", "io", "radiomics")
 _LIBRARIES = ("numpy", "pyradiomics", "scikit-image", "scipy", "simpleitk")
 _SAVE_SECONDS = 10
 

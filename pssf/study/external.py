@@ -21,14 +21,14 @@ from ..radiomics.compact import compact
 from ..radiomics.display import TONELESS, DisplayHow, find_in_display, measure_display, require_plateau
 from ..radiomics.patches import Template
 from ..radiomics.table import NOT_FEATURES, TEXT, Job, Record, extract_all
-from .films import FilmSet
+from .films import REGION_MM, FilmSet
 from .learn.modelfile import TrainedOn, pack
 from .learn.refit import Kept, refitted
 from .predictions import GRADES, joined
 from .settings import StudySettings
 from .statistics.external import counted, score_films
 
-# Films that the pitch is taken from, where it is not given.
+# Films that pitch and region are taken from, where they are not given.
 _SAMPLE = 15
 LABEL = "films"
 # What is measured -> its table, from which a later run goes on.
@@ -88,11 +88,11 @@ def tested_on_films(bench: Bench, films: FilmSet, manifest: pd.DataFrame) -> Ext
     settings = bench.settings
     cohort = manifest[manifest["protocol"] == films.protocol]
     pitch_mm = float(cohort["pixel_mm"].iloc[0])
-    region_mm = settings.region_px * pitch_mm
-    templates = tuple(compact(template, region_mm) for template in bench.templates)
+    largest_mm = settings.region_px * pitch_mm
+    templates = tuple(compact(template, max(largest_mm, films.region_mm or 0.0)) for template in bench.templates)
     bench = replace(bench, templates=templates)
-    with bench.execution.timer.stage("pitch of the films"):
-        pixel_mm = films.pixel_mm or _pitch_mm(films, templates, pitch_mm)
+    with bench.execution.timer.stage("pitch and field of the films"):
+        pixel_mm, region_mm = _pitch_and_region_mm(films, templates, pitch_mm, largest_mm)
     families = tuple(family for family in settings.families if family in TONELESS)
     how = DisplayHow(pixel_mm=pixel_mm, region_px=round(region_mm / pixel_mm), bins=settings.bins, families=families)
     own = _measured(bench, how, _jobs_of_cohort(cohort), films.load_cohort, "cohort as displayed")
@@ -128,9 +128,17 @@ def _jobs_of_cohort(cohort: pd.DataFrame) -> list[Job]:
     return [Job(**{name: row[name] for name in columns}) for row in cohort[columns].to_dict("records")]
 
 
-def _pitch_mm(films: FilmSet, templates: Sequence[Template], least_mm: float) -> float:
-    """The median of some of the films, to a hundredth of a mm; no finer than the protocol's."""
-    known = []
+def _pitch_and_region_mm(
+    films: FilmSet, templates: Sequence[Template], least_mm: float, largest_mm: float
+) -> tuple[float, float]:
+    """As they are given, else from some of the films.
+
+    Their median pitch, to a hundredth of a mm and no finer than the protocol's; and the side, in whole mm, of a region
+    about the joint line that nine of ten hold, no larger than the study's.
+    """
+    if films.pixel_mm is not None and films.region_mm is not None:
+        return films.pixel_mm, films.region_mm
+    pitches, fields = [], []
     for film in films.films[:: max(1, len(films.films) // _SAMPLE)][:_SAMPLE]:
         try:
             image = films.load(film.file)
@@ -138,8 +146,16 @@ def _pitch_mm(films: FilmSet, templates: Sequence[Template], least_mm: float) ->
         except InputError:
             continue  # it will be counted as refused
         if found.status == "found":
-            known.append(found.pixel_mm)
-    return max(least_mm, round(float(np.median(known)), 2)) if known else least_mm
+            rows, cols = image.pixels.shape
+            around = min(found.row, found.col, rows - 1 - found.row, cols - 1 - found.col)
+            pitches.append(found.pixel_mm)
+            fields.append(2 * around * found.pixel_mm)
+    pixel_mm, region_mm = least_mm, largest_mm
+    if pitches:
+        pixel_mm = max(least_mm, round(float(np.median(pitches)), 2))
+        held_mm = float(np.floor(np.percentile(fields, 10)))
+        region_mm = min(largest_mm, max(held_mm, REGION_MM[0]))
+    return films.pixel_mm or pixel_mm, films.region_mm or region_mm
 
 
 def _measured(bench: Bench, how: DisplayHow, jobs: list[Job], load: Any, what: str) -> pd.DataFrame:
