@@ -1,4 +1,7 @@
-"""Radiographs as displayed, films of any source among them: found, brought to one pitch and one tone, and measured."""
+"""Radiographs as displayed, films of any source among them: found, brought to one pitch and one tone, and measured.
+
+The pitch comes first, so that a tone curve shows in what interpolation and blur make of neighbours, and nowhere else.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -194,9 +197,9 @@ def as_signal(region: Array, template: Template, pixel_mm: float) -> NDArray[np.
     """(size, size) linear  a region as displayed, under the tone that gives it the histogram of the template's region.
 
     What a film's grey values mean is not known: any rising curve may lie between them and the signal. So that curve is
-    taken which makes the signal as frequent as in the standard knee (histogram matching; of radiographs as of
-    microscopes, Gonzalez and Woods 2018, 3.3). What is left does not depend on the tone curve of a display, and says
-    nothing by its first-order statistics, which are those of the template.
+    taken which makes each signal as frequent as in the standard knee (histogram matching: Gonzalez and Woods 2018,
+    3.3). What is left does not depend on the tone curve, but where that is flat, and says nothing by its first-order
+    statistics, which are those of the template.
 
     region    (size, size) bone bright
     pixel_mm  its pitch
