@@ -10,14 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .cohort import Plan, make_cohort, plan_cohort, plan_retest
+from .core.checks import require_choice
 from .core.execution import Execution
+from .io import films as film_files
 from .io.atomic import sweep
 from .io.images import load
 from .io.records import read_manifest
 from .model.knee import Knee
 from .model.protocol import load_protocol
 from .simulation import simulate
-from .study import StudyResult, StudySettings, measure, require_extra, run
+from .study import FilmSet, StudyResult, StudySettings, measure, require_extra, run
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -30,12 +32,28 @@ SHOWN = ("scores", "reliability", "claims", "cost")
 _TEMPLATES = ((5.0, 0.0), (3.5, 0.0), (2.0, 0.0), (5.0, 15.0), (2.0, 15.0))
 
 
+@dataclass(frozen=True, kw_only=True)
+class OwnFilms:
+    """Films of patients on disk.
+
+    folder    as `io.films.list_films` takes it
+    protocol  of the cohort that models for them learn from; None: the study's reference
+    pixel_mm  pitch that films and cohort are brought to, and region_mm side of the region; None: see `study.FilmSet`
+    """
+
+    folder: Path
+    protocol: str | None = None
+    pixel_mm: float | None = None
+    region_mm: float | None = None
+
+
 @dataclass(frozen=True)
 class Experiment:
     """A cohort that stands, and how it is to be studied.
 
     manifest  of the cohort, files as they are called from `out`
     retest    of the knees taken again, each under the number of the knee that it is of; None where there are none
+    films     of patients, to test on as well; None where there are none
     """
 
     out: Path
@@ -43,6 +61,7 @@ class Experiment:
     settings: StudySettings
     manifest: "pd.DataFrame"
     retest: "pd.DataFrame | None"
+    films: FilmSet | None = None
 
 
 def make_experiment(
@@ -54,12 +73,14 @@ def make_experiment(
     engine: str,
     cohort: Mapping[str, Any] | None = None,
     settings: Mapping[str, Any] | None = None,
+    films: OwnFilms | None = None,
 ) -> Experiment:
     """Cohort and repeats; goes on where an earlier run in the same folder stopped.
 
     out       folder: the cohort goes into out/cohort, knees taken again into out/repeats
     cohort    entries that replace the preset's, as for `plan_cohort`
     settings  fields of StudySettings that replace the defaults
+    films     of patients, to test the models on
     raises    InputError for an unknown preset, a missing library, a folder that holds something else or is unwritable,
               a scheduler that cannot be used; WorkersLostError when workers keep being killed
     """
@@ -68,6 +89,7 @@ def make_experiment(
     names = [exposure.protocol.name for exposure in plan.cases[0].exposures]
     known = {"repeats": plan.repeats, "seed": seed, "reference": "reference" if "reference" in names else names[0]}
     chosen = StudySettings(**{**known, **(settings or {})})
+    film_set = None if films is None else _film_set(films, out, names, chosen)
     manifest = _made(plan, out, "cohort", engine, execution)
     repeats, retest = plan_retest(plan, reference=chosen.reference), None
     if repeats is not None:
@@ -75,7 +97,7 @@ def make_experiment(
         retest = retest.assign(knee=retest["of_knee"])
     for folder in (out, out / "pictures", out / "models"):
         sweep(folder)
-    return Experiment(out, engine, chosen, manifest, retest)
+    return Experiment(out, engine, chosen, manifest, retest, film_set)
 
 
 def run_experiment(experiment: Experiment, execution: Execution) -> StudyResult:
@@ -89,10 +111,12 @@ def run_experiment(experiment: Experiment, execution: Execution) -> StudyResult:
     from .study import finished  # needs the extra `study`
 
     manifests = [table for table in (experiment.manifest, experiment.retest) if table is not None]
-    key = finished.key_of(manifests, experiment.settings, experiment.engine)
+    key = finished.key_of(manifests, experiment.settings, experiment.engine, experiment.films)
     result = finished.earlier(experiment.out, key)
     if result is None:
-        result = run(*_given(experiment, execution), retest=experiment.retest, execution=execution)
+        result = run(
+            *_given(experiment, execution), retest=experiment.retest, films=experiment.films, execution=execution
+        )
         finished.mark(result, experiment.out, key)
     return result
 
@@ -168,6 +192,25 @@ def _made(plan: Plan, out: Path, name: str, engine: str, execution: Execution) -
 def _below(folder: str, manifest: "pd.DataFrame") -> "pd.DataFrame":
     """The manifest with files as they are called from the folder above."""
     return manifest.assign(file=f"{folder}/" + manifest["file"])
+
+
+def _film_set(own: OwnFilms, out: Path, protocols: list[str], settings: StudySettings) -> FilmSet:
+    """The films of a folder, with what reads them and the cohort's radiographs alike."""
+    protocol = settings.reference if own.protocol is None else own.protocol
+    require_choice("films-protocol", protocol, protocols)
+    folder = own.folder.parent if own.folder.suffix.lower() == ".csv" else own.folder
+    return FilmSet(
+        films=film_files.list_films(own.folder),
+        load=partial(_film, folder.absolute()),
+        load_cohort=partial(_film, out.absolute()),
+        protocol=protocol,
+        pixel_mm=own.pixel_mm,
+        region_mm=own.region_mm,
+    )
+
+
+def _film(folder: Path, file: str) -> film_files.FilmImage:
+    return film_files.read_film(folder / file)
 
 
 def _pixels(folder: Path, file: str) -> NDArray[np.uint16]:

@@ -8,12 +8,14 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import drawn
 import pytest
 from hypothesis import HealthCheck, settings
 
 import pssf
-from pssf import cohort
+from pssf import cohort, study
 from pssf.data import code
+from pssf.study import StudyResult
 
 # Hundreds of processes are started here, and each would compile all that it imports.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -83,3 +85,16 @@ def whole_cohort(small_protocols, tmp_path_factory) -> Path:
     plan = cohort.plan_cohort("quick", seed=5, overrides={"knees": [1, 1, 1], "protocols": small_protocols})
     cohort.make_cohort(plan, folder, workers=1)
     return folder
+
+
+@pytest.fixture(scope="session")
+def film_study(tmp_path_factory) -> StudyResult:
+    """A study of drawn knees whose subjects are texts, tested on drawn films; to be looked at only.
+
+    Its films are of grades 0, 1, 2 and 3; some inverted, one cut too narrow, one without a knee, one damaged.
+    """
+    folder = tmp_path_factory.mktemp("film_study")
+    return study.run(
+        drawn.text_subjects(), drawn.cohort().load, [drawn.TEMPLATE], drawn.LIGHT, folder / "out",
+        films=drawn.film_set(drawn.films(folder / "films")),
+    )  # fmt: skip

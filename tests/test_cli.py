@@ -68,6 +68,8 @@ def test_meshes_writes_what_is_asked_for(tmp_path):
         (("cohort", "--workers", "0"), "pssf: workers = 0 processes; allowed: whole numbers from 1 to 256 processes"),
         (("cohort", "--engine", "embre"), "pssf: engine = 'embre'; allowed: embree, scanline (did you mean 'embree'?)"),
         (("study", "--preset", "quik"), "pssf: preset = 'quik'; allowed: quick, paper (did you mean 'quick'?)"),
+        (("study", "--films", "nowhere"), "pssf: folder nowhere: films = none; allowed: "),
+        (("study", "--films", ".", "--films-protocol", "low"), "pssf: films-protocol = 'low'; allowed: reference, "),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2_and_leaves_nothing(arguments, line, tmp_path):

@@ -1,15 +1,11 @@
 """The whole study, from a manifest to a report."""
 
-import hashlib
 import re
-from functools import cache
 
 import numpy as np
 import pandas as pd
 import pytest
-from made_up import PROTOCOLS
-from numpy.testing import assert_allclose
-from scipy.ndimage import gaussian_filter
+from drawn import SIZE, SMALL, TEMPLATE, cohort
 
 from pssf import study
 from pssf.core.checks import InputError
@@ -18,75 +14,9 @@ from pssf.data.readmes import readmes
 from pssf.experiment import SHOWN, shown_rows
 from pssf.io.readme import open_checkout
 from pssf.io.results import load_table
-from pssf.radiomics.patches import Template
 from pssf.radiomics.table import TEXT
-from pssf.study import StudySettings
+from pssf.study.learn.modelfile import unpack
 from pssf.study.learn.saving import loads
-
-SIZE, PIXEL_MM = 256, 0.6
-
-
-def draw(grade: int, row: float, col: float, side: str, coarse: float, gain: float, seed: int) -> np.ndarray:
-    """(256, 256) uint16: a limb with two blocks of bone; with the grade the gap narrows and the texture coarsens."""
-    rng = np.random.default_rng(seed)
-    rows, cols = np.mgrid[:SIZE, :SIZE].astype(float)
-    medial = (cols - col) * (1 if side == "right" else -1) * PIXEL_MM
-    up = (row - rows) * PIXEL_MM
-    limb = np.clip(1 - ((medial + 20) / 62) ** 2, 0, None)
-    bone = (np.abs(medial + 20) < 37 - 0.12 * np.abs(up)) & (np.abs(up) > 3.0 - 0.5 * grade + 0.08 * np.abs(medial))
-    notch = (np.abs(medial + 20) < 7) & (up > 0) & (up < 16)
-    field = gaussian_filter(rng.standard_normal((SIZE, SIZE)), coarse + 0.6 * grade)
-    inside = gaussian_filter((bone & ~notch).astype(float), 0.8)
-    signal = gain * np.exp(-2.2 * limb - inside * (0.7 + 0.05 * field / field.std()))
-    signal += np.sqrt(signal) * rng.standard_normal(signal.shape)
-    return np.clip(np.rint(signal), 1, 65535).astype(np.uint16)
-
-
-class Cohort:
-    """A manifest of 3 x `per_grade` subjects under three protocols, and pixels that are drawn when asked for."""
-
-    def __init__(self, per_grade: int) -> None:
-        rng = np.random.default_rng(11)
-        self.rows = []
-        for subject in range(3 * per_grade):
-            place = {"side": ["right", "left"][subject % 2], "subject": subject, "knee": subject, "grade": subject % 3}
-            row, col = rng.uniform(115, 140), rng.uniform(115, 140)
-            for protocol in PROTOCOLS:
-                name = f"s{subject:03d}_{protocol}"
-                truth = {"truth_medial_row_px": row, "truth_medial_col_px": col, "pixel_mm": PIXEL_MM}
-                file = {"radiograph": name, "file": name, "sha256": hashlib.sha256(name.encode()).hexdigest()}
-                self.rows.append(place | truth | file | {"protocol": protocol, "sdd_mm": 1150.0, "sod_mm": 950.0})
-        self.manifest = pd.DataFrame(self.rows)
-
-    def retest(self, knees: int) -> pd.DataFrame:
-        """The first knees taken twice more with other noise, and twice with other noise and a little further left."""
-        rows = []
-        for row in [row for row in self.rows if row["protocol"] == "reference"][:knees]:
-            for place, (kind, turn) in enumerate((k, t) for k in ("noise", "perturbation") for t in ("1", "2")):
-                name = f"{row['radiograph']}_{kind}{turn}"
-                file = {"radiograph": name, "file": name, "sha256": hashlib.sha256(name.encode()).hexdigest()}
-                moved = {"truth_medial_col_px": row["truth_medial_col_px"] - 0.4 * (kind == "perturbation")}
-                rows.append(
-                    row | file | moved | {"kind": kind, "turn": turn, "draw": 10_000 + 10 * row["knee"] + place}
-                )
-        self.rows += [row for row in rows if row["radiograph"] not in {known["radiograph"] for known in self.rows}]
-        return pd.DataFrame(rows)
-
-    def load(self, file: str) -> np.ndarray:
-        row = next(row for row in self.rows if row["file"] == file)
-        gain = {"reference": 30000, "low_dose": 6000, "geometry_shift": 25000}[row["protocol"]]
-        at = row["truth_medial_row_px"], row["truth_medial_col_px"]
-        seed = row.get("draw", 100 * row["subject"] + PROTOCOLS.index(row["protocol"]))
-        return draw(row["grade"], *at, row["side"], 1.0, gain, seed)
-
-
-TEMPLATE = Template(pixels=draw(0, 128, 140, "right", 3.0, 60000, 0), row=128, col=140, pixel_mm=PIXEL_MM)
-SMALL = StudySettings(region_px=80, bins=32, repeats=2, replicates=200, selections=("l1",), models=("lr", "rf"))
-
-
-@cache
-def cohort() -> Cohort:
-    return Cohort(5)
 
 
 @pytest.fixture(scope="module")
@@ -114,6 +44,7 @@ def test_a_study_finds_the_regions_and_tells_the_grades_apart(result):
         "intervals and differences",
         "reliability and figures",
         "claims",
+        "models refitted",
     ]
 
 
@@ -192,16 +123,17 @@ def test_repeats_have_their_own_reliability_and_no_part_in_training_or_localisat
     assert "are not in it" not in page
 
 
-def test_a_model_on_disk_gives_the_probabilities_of_the_first_split(result):
-    told = pd.read_csv(result.tables["predictions"]).query("task == '0 vs 2' and scenario == 'within' and repeat == 0")
+def test_models_on_disk_have_learnt_from_all_subjects_within_and_over_protocols(result):
+    sets = {"0v2_reference": (10, 10), "0v2_all": (10, 30), "012_reference": (15, 15), "012_all": (15, 45)}
+    assert set(result.models) == {f"{model}_l1_{name}" for model in ("lr", "rf") for name in sets}
     features = load_table(result.tables["features"], TEXT)
-    features = features.set_index("radiograph")
-    assert set(result.models) == {"lr_l1", "rf_l1"}
     for name, path in result.models.items():
-        rows = told[told["model"] == name.split("_")[0]]
-        model = loads(path.read_bytes())
-        found = model.predict_proba(features.loc[rows["radiograph"], list(model[0].feature_names_in_)])
-        assert_allclose(found[:, 1], rows["p1"], rtol=1e-12)
+        model = unpack(path.read_bytes(), name)
+        assert (model.card.subjects, model.card.radiographs) == sets["_".join(name.split("_")[2:])]
+        assert model.card.grade_names[0] == "normal"
+        anybody = loads(path.read_bytes()).predict_proba(features[list(model.card.features)])
+        np.testing.assert_array_equal(model.probabilities(features), anybody)
+        assert anybody.shape == (len(features), len(model.card.grades))
 
 
 def test_repeats_that_cannot_serve_are_refused_by_name(tmp_path):
@@ -237,6 +169,7 @@ def test_a_cohort_of_one_protocol_and_two_grades_has_a_report_too(tmp_path):
     assert found.reliability.empty
     page = found.report.read_text(encoding="utf-8")
     assert "nothing to compare" in page
+    assert "There is no external data" in page
     assert "no knees of all three grades" in page
 
 

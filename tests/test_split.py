@@ -45,3 +45,12 @@ def test_a_split_of_two_hundred_subjects_is_seventy_fifteen_fifteen():
 def test_too_few_subjects_of_a_grade_are_refused():
     with pytest.raises(InputError, match="grade 1 has 2 subjects"):
         split_subjects([0, 1, 2, 3, 4], [0, 0, 0, 1, 1], seed=0)
+
+
+def test_subjects_may_be_called_by_texts():
+    numbers = [subject for subject in range(40) for _ in range(2)]
+    texts = [f"P-{subject:02d}" for subject in numbers]
+    grades = [subject % 2 for subject in numbers]
+    by_number, by_text = (split_subjects(names, grades, seed=3) for names in (numbers, texts))
+    assert by_text.table()["subject"].tolist() == [f"P-{subject:02d}" for subject in by_number.table()["subject"]]
+    assert by_text.table()["part"].tolist() == by_number.table()["part"].tolist()

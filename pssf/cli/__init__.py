@@ -1,7 +1,8 @@
-"""The command line: pssf simulate | meshes | cohort | study | accuracy | quality | realism | protocols.
+"""The command line: pssf simulate | meshes | cohort | study | read | accuracy | quality | realism | protocols.
 
 options  what commands share
 make     simulate, meshes, cohort, study
+read     read
 measure  accuracy, quality, realism, protocols
 
 Commands import what they need when they run, so that help does not wait for what computes.
@@ -12,6 +13,7 @@ import sys
 import typer
 
 from . import make, measure
+from .read import read
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -20,15 +22,11 @@ app = typer.Typer(
     rich_markup_mode=None,
     help="Knee radiographs from physics, with labels that are true by construction, and the study they exist for.",
 )
-for command in (
-    make.simulate,
-    make.meshes,
-    make.study,
-    measure.accuracy,
-    measure.quality,
-    measure.realism,
-    measure.protocols,
-):
+_COMMANDS = (
+    *(make.simulate, make.meshes, make.study, read),
+    *(measure.accuracy, measure.quality, measure.realism, measure.protocols),
+)
+for command in _COMMANDS:
     app.command()(command)
 app.add_typer(make.cohort_app, name="cohort")
 

@@ -153,6 +153,19 @@ def study(
     families: Annotated[str, typer.Option(help="Families of features, with commas; all if none is named.")] = "",
     selections: Annotated[str, typer.Option(help="Selections of features, with commas; all if none is named.")] = "",
     models: Annotated[str, typer.Option(help="Models, with commas; all if none is named.")] = "",
+    films: Annotated[
+        Path | None,
+        typer.Option(help="Folder or CSV of films of patients by grade, which models for films are tested on as well."),
+    ] = None,
+    films_protocol: Annotated[
+        str, typer.Option(help="Protocol of the cohort near that of the films; the study's reference if none is named.")
+    ] = "",
+    films_pixel_mm: Annotated[
+        float, typer.Option(help="Pitch that films and cohort are brought to, mm; 0: the films' own, if it is coarser.")
+    ] = 0.0,
+    films_region_mm: Annotated[
+        float, typer.Option(help="Side of the region, mm; 0: what nine of ten films hold, at most the study's.")
+    ] = 0.0,
     until: Annotated[str, typer.Option(help="report, or features: stop when they are measured.")] = "report",
     readme: Readme = None,
 ) -> None:
@@ -163,7 +176,7 @@ def study(
     from ..core.checks import require_choice
     from ..core.execution import Execution
     from ..core.progress import bar
-    from ..experiment import SHOWN, make_experiment, measure_experiment, run_experiment, shown_rows
+    from ..experiment import SHOWN, OwnFilms, make_experiment, measure_experiment, run_experiment, shown_rows
     from ..io.readme import open_checkout
 
     require_choice("until", until, ("features", "report"))
@@ -172,7 +185,13 @@ def study(
     wanted = {"families": families, "selections": selections, "models": models}
     settings = {name: tuple(listed.split(",")) for name, listed in wanted.items() if listed}
     overrides = {"protocols": protocols.split(",")} if protocols else None
-    made = make_experiment(out, execution, preset=preset, seed=seed, engine=engine, cohort=overrides, settings=settings)
+    own = None
+    if films is not None:
+        chosen = {"pixel_mm": films_pixel_mm or None, "region_mm": films_region_mm or None}
+        own = OwnFilms(folder=films, protocol=films_protocol or None, **chosen)
+    made = make_experiment(
+        out, execution, preset=preset, seed=seed, engine=engine, cohort=overrides, settings=settings, films=own
+    )
     if until == "features":
         print(f"features  {measure_experiment(made, execution)}")
         return

@@ -13,6 +13,9 @@ from .atomic import write_bytes
 # From black over red to yellow, each lighter than the one before, so that it reads in grey as well.
 _HEAT = ((0, 0, 4), (40, 11, 84), (101, 21, 110), (159, 42, 99), (212, 72, 66), (245, 125, 21), (250, 193, 39))
 
+# Of a picture that a region is drawn on.
+_LONGER_PX = 800
+
 
 def side_by_side(images: Sequence[NDArray[np.uint8]], path: str | Path, gap_px: int = 8) -> Path:
     """Write 8-bit images of one height, grey (rows, cols) or coloured (rows, cols, 3), as one PNG, left to right.
@@ -47,6 +50,25 @@ def panel(image: NDArray[np.uint8], rows: int, cols: int, caption: str = "") -> 
     inset = cols // 36
     font = ImageFont.load_default(cols / 20)
     ImageDraw.Draw(sheet).text((inset, inset), caption, fill="white", font=font, stroke_width=1, stroke_fill="black")
+    return np.asarray(sheet)
+
+
+def framed(
+    image: NDArray[np.uint8], place: tuple[float, float], side_px: float, *, colour: str, caption: str = ""
+) -> NDArray[np.uint8]:
+    """(rows, cols, 3)  an image with a square and a cross at its centre, at a size for eyes, with a caption
+
+    image    (rows, cols) grey
+    place    row and column of the centre, pixels of the image; side_px is in them too
+    """
+    zoom = _LONGER_PX / max(image.shape)
+    rows, cols = (max(1, round(length * zoom)) for length in image.shape)
+    sheet = Image.fromarray(panel(image, rows, cols, caption))
+    row, col, half, arm = (place[0] + 0.5) * zoom, (place[1] + 0.5) * zoom, side_px * zoom / 2, _LONGER_PX / 60
+    pen = ImageDraw.Draw(sheet)
+    pen.rectangle((col - half, row - half, col + half, row + half), outline=colour, width=2)
+    pen.line((col - arm, row, col + arm, row), fill=colour, width=2)
+    pen.line((col, row - arm, col, row + arm), fill=colour, width=2)
     return np.asarray(sheet)
 
 

@@ -57,6 +57,17 @@ def _typed(column: "pd.Series") -> "pd.Series":
     return column
 
 
+def load_bytes(path: Path) -> bytes:
+    """The content of a file.
+
+    raises  InputError for one that cannot be read
+    """
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"file {path}: {error.strerror or error}; allowed: a readable file") from None
+
+
 def load_json(path: Path) -> Any:
     """The content, or None where there is no such file or it is not JSON."""
     try:

@@ -8,6 +8,8 @@ region.cut_region     pixels, row, col      -> region (size, size)
 bone.bone_mask        region                -> mask (size, size)
 features.extract      region, pixel_mm      -> feature name -> value
 ibsi.tag_of           feature               -> which feature of the IBSI it is; departure_of: how it departs
+display.measure_display  job, film           -> record of a radiograph as displayed, brought to a pitch and a tone
+compact.compact       template              -> what localisation reads of it
 table.extract_all     jobs, how to load     -> one record a radiograph, in the order of the jobs
 """
 

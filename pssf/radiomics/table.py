@@ -22,24 +22,30 @@ from .region import cut_region
 
 Record = dict[str, Any]
 Load = Callable[[str], NDArray[np.uint16]]
-TEXT = ("radiograph", "sha256", "settings", "checksum", "status")
+Measured = tuple[Record, dict[str, float]]
+# Of a radiograph as displayed: what was found of it, beside its place.
+FOUND = ("film_side", "film_polarity", "film_pixel_from")
+TEXT = ("radiograph", "sha256", "settings", "checksum", "status", *FOUND)
 SCORES = ("score", "narrow", "side_margin", "way_margin", "scale")
-NOT_FEATURES = (*TEXT, "row_px", "col_px", *SCORES)
+NOT_FEATURES = (*TEXT, "row_px", "col_px", "film_pixel_mm", *SCORES)
 # What a record depends on beside the file, templates and `How`: code and tables of the package, what reads files too.
-_CODE = ("core", "data", "io", "radiomics")
+_CODE = ("core", "data", "detector", "io", "radiomics")
 _LIBRARIES = ("numpy", "pyradiomics", "scikit-image", "scipy", "simpleitk")
 _SAVE_SECONDS = 10
 
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """One radiograph to measure; `file` is what the loader is asked for."""
+    """One radiograph to measure; `file` is what the loader is asked for.
+
+    side      right | left; None only of a film, where it is not known; pixel_mm likewise
+    """
 
     radiograph: str
     file: str
     sha256: str
-    side: str
-    pixel_mm: float
+    side: str | None
+    pixel_mm: float | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,16 +60,20 @@ class How:
 def extract_all(
     jobs: Sequence[Job],
     *,
-    load_pixels: Load,
+    load_pixels: Callable[[str], Any],
     templates: Sequence[Template],
-    how: How,
+    how: Any,
     execution: Execution | None = None,
     known: Mapping[str, Record] | None = None,
     save: Callable[[list[Record]], None] = lambda records: None,
+    by: Callable[..., Measured] | None = None,
+    stage_name: str = "regions and features",
 ) -> tuple[list[Record], dict[str, float]]:
     """Records in the order of the jobs, whoever does the work, and the seconds of work in each step.
 
-    load_pixels  file -> (rows, cols) integers; picklable for more than one worker
+    load_pixels  file -> (rows, cols) integers, or what else `by` takes; picklable for more than one worker
+    how          a `How`, or what else `by` takes
+    by           what measures one radiograph; None: `measure`
     known        sha256 -> record of an earlier run; used where its settings are the same and nothing in it has changed
     save         is given all records so far, now and then, so that a run that breaks off can go on from there
     raises       InputError for a worker with other code; WorkersLostError when workers keep being killed
@@ -89,11 +99,11 @@ def extract_all(
             save([records[index] for index in sorted(records)])
             saved_at = perf_counter()
 
-    with execution.stage("regions and features", "radiographs", len(jobs)) as stage:
+    with execution.stage(stage_name, "radiographs", len(jobs)) as stage:
         stage.keep(len(records))
         shared = {"load_pixels": load_pixels, "templates": templates, "how": how, "code": code_digest(_CODE)}
         ordered_map(
-            measure,
+            by or measure,
             [jobs[index] for index in missing],
             shared=shared,
             workers=execution.workers,
@@ -107,7 +117,7 @@ def extract_all(
 
 def measure(
     job: Job, *, load_pixels: Load, templates: Sequence[Template], how: How, code: Mapping[str, str]
-) -> tuple[Record, dict[str, float]]:
+) -> Measured:
     """The record of one radiograph, and the seconds each step took.
 
     A match that is refused has its place and score in the record, and no features.
@@ -116,6 +126,8 @@ def measure(
     raises  InputError where the code is another here
     """
     require_code(code)
+    assert job.side is not None
+    assert job.pixel_mm is not None
     began = perf_counter()
     pixels = load_pixels(job.file)
     joint = find_joint(pixels, templates, side=job.side, pixel_mm=job.pixel_mm, region_px=how.region_px)
@@ -133,7 +145,7 @@ def measure(
     return record, {"localisation": located - began, "features": perf_counter() - located}
 
 
-def settings_key(templates: Sequence[Template], how: How) -> str:
+def settings_key(templates: Sequence[Template], how: Any) -> str:
     """Short text that changes with anything but the pixels that a record depends on, code and libraries included."""
     at = [(t.row, t.col, t.pixel_mm, t.plateau_mm) for t in templates]
     facts = [vars(how), at, code_digest(_CODE), {name: version(name) for name in _LIBRARIES}]

@@ -2,6 +2,7 @@
 
 settings       StudySettings; selections and models by name
 result         StudyResult
+films          FilmSet: films to test on
 predictions    the form in which predictions go from training to statistics
 
 statistics/    numbers from numbers; no model is trained
@@ -19,6 +20,7 @@ statistics/    numbers from numbers; no model is trained
   parameters   manifest, features              -> what the knees were built with; what each feature follows
   claims       all of these                    -> what the paper says, and whether it holds here
   evidence     outcomes, features              -> all tables
+  external     films' probabilities            -> scores with intervals
 
 learn/         predictions from features
   split        subjects, grades                -> training, validation, test subjects
@@ -30,10 +32,15 @@ learn/         predictions from features
   saving       fitted model                    -> bytes without pickle
   scenarios    features of a cohort            -> predictions within, across and over all protocols, of one split
   training     features of a cohort            -> one outcome a split, in parallel
+  refit        features of a cohort            -> models that have learnt from all of it
+  modelfile    a model, templates              -> one file that films can be read by, and back
+
+external       films, a cohort                 -> models of the cohort as displayed, tested on films
 
 report/        figures, cost, environment, checklist, and one HTML page with all of it
 
 pipeline       all of these in order; what `run` calls
+reading        a model's file, films           -> features and probabilities
 finished       folder, key                     -> what an earlier run ended with, if nothing has changed
 """
 
@@ -45,6 +52,7 @@ from typing import TYPE_CHECKING, Any
 from ..core.checks import InputError
 from ..core.execution import Execution
 from ..core.parallel import require_scheduler
+from .films import FilmSet
 from .result import StudyResult
 from .settings import StudySettings
 
@@ -53,7 +61,7 @@ if TYPE_CHECKING:
 
     from ..radiomics.patches import Template
 
-__all__ = ["StudyResult", "StudySettings", "measure", "require_extra", "run"]
+__all__ = ["FilmSet", "StudyResult", "StudySettings", "measure", "require_extra", "run"]
 
 _NEEDED = {
     "radiomics": "pyradiomics",
@@ -92,6 +100,7 @@ def run(
     out: Path,
     *,
     retest: "pd.DataFrame | None" = None,
+    films: FilmSet | None = None,
     execution: Execution | None = None,
 ) -> StudyResult:
     """Find the regions, measure them, train and test, and write report, pictures and tables into `out`.
@@ -103,6 +112,7 @@ def run(
     templates    radiographs of standard knees that differ in their joint space, the widest first
     retest       some knees taken again under the reference protocol: the manifest's columns, with the knee that each is
                  of, kind (noise | perturbation) and turn; only for the reliability of features
+    films        to test on, beside the cohort
     execution    who measures, trains and tests; stages that its timer has already come first in the report
     raises       InputError for a manifest that lacks a column or has too few subjects, or a missing library;
                  WorkersLostError when workers keep being killed
@@ -110,7 +120,7 @@ def run(
     require_extra()
     from .pipeline import Run, run_study
 
-    return run_study(Run(load_pixels, templates, settings, out, execution or Execution()), manifest, retest)
+    return run_study(Run(load_pixels, templates, settings, out, execution or Execution()), manifest, retest, films)
 
 
 def measure(

@@ -10,6 +10,7 @@ import pandas as pd
 
 from ..data.code import code_digest, installed
 from ..io import records, results
+from .films import FilmSet
 from .result import StudyResult
 from .settings import StudySettings
 
@@ -18,10 +19,10 @@ _KINDS = ("pictures", "tables", "models")
 _LOADED = ("scores", "differences", "reliability", "localisation")
 
 
-def key_of(manifests: list[pd.DataFrame], settings: StudySettings, engine: str) -> str:
+def key_of(manifests: list[pd.DataFrame], settings: StudySettings, engine: str, films: FilmSet | None = None) -> str:
     """Hash of all that the results of a study depend on, the code of the package and its libraries included."""
     made_by = {"code": code_digest(), "installed": installed()}
-    facts = {"settings": asdict(settings), "engine": engine, **made_by}
+    facts = {"settings": asdict(settings), "engine": engine, **made_by, "films": films and films.facts()}
     digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
     for manifest in manifests:
         digest.update(manifest.to_csv(index=False).encode())

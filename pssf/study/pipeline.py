@@ -2,7 +2,7 @@
 
 import platform
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -11,14 +11,20 @@ import pandas as pd
 from ..core.checks import InputError, require_choice
 from ..core.execution import Execution
 from ..io import results
+from ..radiomics.compact import compact
 from ..radiomics.patches import Template
 from ..radiomics.table import NOT_FEATURES, TEXT, How, Job, Load, Record, extract_all
+from .external import Bench, check_films, tested_on_films, trained_on
+from .films import FilmSet
 from .learn.baselines import SOURCES
+from .learn.modelfile import SUFFIX, pack
+from .learn.refit import refitted
 from .learn.training import train
-from .predictions import Outcome, joined
+from .predictions import GRADES, Outcome, joined
 from .report.checklist import checklist
 from .report.cost import cost_rows
 from .report.environment import environment
+from .report.film_figures import film_pictures
 from .report.gallery import gallery
 from .report.page import Findings, Picture, render
 from .result import StudyResult
@@ -29,7 +35,7 @@ from .statistics.degenerate import is_degenerate
 from .statistics.evidence import Tables, tables_of_features, tables_of_models, tables_of_truth
 from .statistics.importance import by_family
 from .statistics.parameters import composition, with_measures
-from .statistics.reliability import REPEATS, count_stable
+from .statistics.reliability import REPEATS, count_stable, protocols_of
 
 _COLUMNS = (
     *("radiograph", "subject", "knee", "side", "grade", "protocol", "file", "sha256"),
@@ -53,9 +59,14 @@ class Run:
     execution: Execution
 
 
-def run_study(run: Run, manifest: pd.DataFrame, retest: pd.DataFrame | None) -> StudyResult:
+def run_study(
+    run: Run, manifest: pd.DataFrame, retest: pd.DataFrame | None, films: FilmSet | None = None
+) -> StudyResult:
     """See `pssf.study.run`."""
     settings, timer = run.settings, run.execution.timer
+    check_manifest(manifest, settings)
+    if films is not None:
+        check_films(films, manifest, settings, run.templates)
     table, names, work = measured(run, manifest, retest)
     located = localisation.errors(with_measures(table[table["kind"] == ""]))
     repeated = table[(table["kind"] != "") & (table["status"] == "found")]
@@ -76,8 +87,42 @@ def run_study(run: Run, manifest: pd.DataFrame, retest: pd.DataFrame | None) -> 
     with timer.stage("claims"):
         importances = joined(outcome.importances for outcome in outcomes)
         tables["claims"] = claims(usable, predictions, importances, tables, settings)
+    with timer.stage("models refitted"):
+        models = _models(run, usable, names, manifest)
+    external = None
+    if films is not None:
+        external = tested_on_films(Bench(run.templates, settings, run.out, run.execution), films, manifest)
+        tables |= external.tables
+        models |= external.models
+        pictures |= film_pictures(external, settings)
     findings = _findings(run, located, names, tables, outcomes, pictures, work)
-    return _write(run.out, findings, tables | {"predictions": predictions}, outcomes)
+    findings = replace(findings, models=sorted(models), external=external)
+    return _write(run.out, findings, tables | {"predictions": predictions}, models)
+
+
+def _models(run: Run, usable: pd.DataFrame, names: list[str], manifest: pd.DataFrame) -> dict[str, bytes]:
+    """name -> file: fitted to all subjects, under the reference and, where there are more, under all protocols."""
+    settings = run.settings
+    protocols = protocols_of(usable, settings.reference)
+    sets = {settings.reference: protocols[:1]} | ({"all": protocols} if len(protocols) > 1 else {})
+    learnt = {protocol.protocol: protocol for protocol in trained_on(manifest)}
+    pixel_mm = learnt[settings.reference].pixel_mm
+    templates = [compact(template, settings.region_px * pixel_mm) for template in run.templates]
+    return {
+        kept.name: pack(
+            kept,
+            templates,
+            reads="linear",
+            grade_names=tuple(GRADES[str(grade)] for grade in kept.grades),
+            families=settings.families,
+            bins=settings.bins,
+            pixel_mm=pixel_mm,
+            region_px=settings.region_px,
+            trained_on=tuple(learnt[protocol] for protocol in kept.trained_on),
+            seed=settings.seed,
+        )
+        for kept in refitted(usable, names, settings, sets)
+    }
 
 
 def check_manifest(manifest: pd.DataFrame, settings: StudySettings) -> None:
@@ -179,7 +224,6 @@ def _findings(
         calibration=tables["calibration"],
         families=by_family(shown).join(by_family(shown, "drop").add_suffix(" drop")),
         screened=[outcome.stable for outcome in outcomes if outcome.stable is not None],
-        models=sorted(outcomes[0].models),
         stable=count_stable(tables["reliability"]),
         leading=shown.groupby("model", sort=False).head(5),
         degenerate=[name for name in names if is_degenerate(usable[name].to_numpy())],
@@ -194,7 +238,7 @@ def _findings(
     )
 
 
-def _write(out: Path, findings: Findings, tables: Tables, outcomes: list[Outcome]) -> StudyResult:
+def _write(out: Path, findings: Findings, tables: Tables, files: dict[str, bytes]) -> StudyResult:
     """Tables, pictures, models, study.json and the page; of two runs on one cohort and settings only times differ."""
     pictures = {}
     for name, picture in findings.pictures.items():
@@ -203,9 +247,9 @@ def _write(out: Path, findings: Findings, tables: Tables, outcomes: list[Outcome
     written = {name: out / f"{name}.csv" for name in tables}
     for name, table in tables.items():
         results.save_table(written[name], table)
-    models = {name: out / "models" / f"{name}.skops" for name in sorted(outcomes[0].models)}
+    models = {name: out / "models" / f"{name}{SUFFIX}" for name in sorted(files)}
     for name, path in models.items():
-        results.save_bytes(path, outcomes[0].models[name])
+        results.save_bytes(path, files[name])
     facts = ("counts", "features", "degenerate", "settings", "versions", "cost", "workers")
     results.save_json(out / "study.json", {name: getattr(findings, name) for name in facts})
     results.save_json(out / "environment.json", environment())

@@ -7,6 +7,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+# Kellgren and Lawrence 1957; those of simulated knees are like them.
+GRADES = {"0": "normal", "1": "doubtful OA", "2": "mild OA", "3": "moderate OA", "4": "severe OA"}
 TASKS = {"0 vs 2": (0, 2), "0/1/2": (0, 1, 2)}
 ARM = ["task", "scenario", "trained_on", "tested_on", "model", "selection"]
 # What a model of the image must do better than, as further models of an arm; their selection is NONE.
@@ -22,7 +24,6 @@ class Outcome:
     importances  ARM without `tested_on`, repeat, feature, share
     permutation  model, selection, repeat, feature, drop: within protocol, 0 vs 2
     stable       how many features were stable across protocols in the training subjects; None with one protocol
-    models       name -> bytes of a fitted pipeline: of the first split, within protocol, 0 vs 2
     subjects     repeat, subject, part
     """
 
@@ -30,7 +31,6 @@ class Outcome:
     importances: pd.DataFrame
     permutation: pd.DataFrame
     stable: int | None
-    models: dict[str, bytes]
     subjects: pd.DataFrame
 
 

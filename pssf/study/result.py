@@ -14,7 +14,7 @@ class StudyResult:
 
     pictures      name -> PNG
     tables        name -> CSV
-    models        name -> skops file: fitted within protocol on the first split, 0 vs 2
+    models        name -> skops file of a model that has learnt from all subjects; see `learn.modelfile`
     scores        one row an arm: mean, spread and interval of AUC, balanced accuracy, macro F1
     differences   one row a pair of arms and metric: paired difference, interval, p, p after Holm
     reliability   one row a feature and set of conditions: ICC(2,1), ICC(3,1), intervals, shares of variance

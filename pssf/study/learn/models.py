@@ -62,8 +62,7 @@ def tune(
     require_choice("model", model, _GRIDS)
     X, y = prepared.transform(training[0]).to_numpy(), training[1]
     X_check = prepared.transform(validation[0]).to_numpy() if len(validation[1]) else None
-    # Chance is the shares of the classes as they are, which equal weights would hide.
-    weight = np.ones(len(y)) if model == "chance" else compute_sample_weight("balanced", y)
+    weight = _weight(model, y)
     best: tuple[float, Any, dict[str, Any]] | None = None
     for parameters in _GRIDS[model]:
         candidate = fit_quietly(_unfitted(model, parameters, seed), X, y, weight)
@@ -71,13 +70,39 @@ def tune(
         if best is None or loss < best[0]:
             best = loss, candidate, parameters
     assert best is not None
-    names = prepared.named_steps["select"].kept_
-    shares = _importance(best[1])
+    return _fitted(prepared, best[1], best[2])
+
+
+def refit(
+    prepared: Pipeline,
+    model: str,
+    parameters: dict[str, Any],
+    rows: tuple[pd.DataFrame, NDArray[np.int64]],
+    *,
+    seed: int,
+) -> Fitted:
+    """The model of known parameters, which has learnt from all the rows given.
+
+    prepared    fitted `selection.preparation`, of the same rows
+    parameters  of `tune`
+    rows        features (rows, features), class index (rows,)
+    """
+    X, y = prepared.transform(rows[0]).to_numpy(), rows[1]
+    return _fitted(prepared, fit_quietly(_unfitted(model, parameters, seed), X, y, _weight(model, y)), parameters)
+
+
+def _fitted(prepared: Pipeline, model: Any, parameters: dict[str, Any]) -> Fitted:
+    shares = _importance(model)
     return Fitted(
-        pipeline=Pipeline([*prepared.steps, ("values", _Values()), ("model", best[1])]),
-        parameters=best[2],
-        importance=dict(zip(names, shares.tolist(), strict=False)),
+        pipeline=Pipeline([*prepared.steps, ("values", _Values()), ("model", model)]),
+        parameters=parameters,
+        importance=dict(zip(prepared.named_steps["select"].kept_, shares.tolist(), strict=False)),
     )
+
+
+def _weight(model: str, y: NDArray[np.int64]) -> Array:
+    # Chance is the shares of the classes as they are, which equal weights would hide.
+    return np.ones(len(y)) if model == "chance" else compute_sample_weight("balanced", y)
 
 
 def _loss(model: Any, X: Array, y: NDArray[np.int64], classes: NDArray[np.int64]) -> float:

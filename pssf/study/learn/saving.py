@@ -45,8 +45,7 @@ def loads(content: bytes) -> Any:
 
 def _same_bytes(content: bytes) -> bytes:
     """The same file with objects and parts numbered in order, where skops has addresses and chance, and no time."""
-    with zipfile.ZipFile(io.BytesIO(content)) as packed:
-        files = {name: packed.read(name) for name in packed.namelist()}
+    files = unzipped(content)
     schema = files.pop("schema.json").decode()
     for pattern in (r'(?<="__id__": )\d+', r'(?<="file": ")[^".]+'):
         numbers: dict[str, str] = {}
@@ -54,9 +53,19 @@ def _same_bytes(content: bytes) -> bytes:
             numbers.setdefault(given, str(len(numbers)))
         schema = re.sub(pattern, lambda hit, to=numbers: to[hit[0]], schema)
     renamed = {f"{numbers[name.split('.')[0]]}.{name.split('.')[1]}": data for name, data in files.items()}
+    return zipped({**{name: renamed[name] for name in sorted(renamed)}, "schema.json": schema.encode()})
+
+
+def zipped(files: dict[str, bytes]) -> bytes:
+    """A ZIP file of these, in their order and without a time; skops reads its own and leaves others alone."""
     buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as made:
-        for name in sorted(renamed):
-            made.writestr(zipfile.ZipInfo(name, _DATE), renamed[name], zipfile.ZIP_DEFLATED)
-        made.writestr(zipfile.ZipInfo("schema.json", _DATE), schema, zipfile.ZIP_DEFLATED)
+    with zipfile.ZipFile(buffer, "w") as made:
+        for name, content in files.items():
+            made.writestr(zipfile.ZipInfo(name, _DATE), content, zipfile.ZIP_DEFLATED)
     return buffer.getvalue()
+
+
+def unzipped(content: bytes) -> dict[str, bytes]:
+    """The files of a ZIP file; raises zipfile.BadZipFile for another."""
+    with zipfile.ZipFile(io.BytesIO(content)) as packed:
+        return {name: packed.read(name) for name in packed.namelist()}

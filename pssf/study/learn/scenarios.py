@@ -14,7 +14,6 @@ from ..statistics.reliability import protocols_of
 from .baselines import baselines_of
 from .models import Fitted, tune
 from .permutation import permuted
-from .saving import dumps
 from .selection import preparation
 from .split import split_subjects
 from .transfer import harmonise, stable_features
@@ -49,7 +48,6 @@ class _Gathered:
     predictions: list[pd.DataFrame] = field(default_factory=list)
     importances: list[dict[str, Any]] = field(default_factory=list)
     permutation: list[dict[str, Any]] = field(default_factory=list)
-    models: dict[str, bytes] = field(default_factory=dict)
 
 
 def one_split(repeat: int, *, table: pd.DataFrame, names: list[str], settings: StudySettings) -> Outcome:
@@ -78,7 +76,6 @@ def one_split(repeat: int, *, table: pd.DataFrame, names: list[str], settings: S
         importances=pd.DataFrame(gathered.importances),
         permutation=pd.DataFrame(gathered.permutation),
         stable=None if stable is None else len(stable),
-        models=gathered.models,
         subjects=split.table().assign(repeat=repeat),
     )
 
@@ -110,7 +107,7 @@ def _follow(
 ) -> None:
     """Fit, tune, test, and keep what came out."""
     fit_on, check_on = (
-        _part(_of(part, recipe.trained_on), recipe.names, parts.grades) for part in (parts.training, parts.validation)
+        part_of(_of(part, recipe.trained_on), recipe.names, parts.grades) for part in (parts.training, parts.validation)
     )
     if set(fit_on[1]) != set(range(len(parts.grades))):
         return  # all regions of a grade were refused under this protocol
@@ -126,11 +123,9 @@ def _follow(
         for feature, share in fitted.importance.items():
             gathered.importances.append({**arm, "repeat": repeat, "feature": feature, "share": share})
         if scenario == "within" and len(parts.grades) == 2:
-            drops = permuted(fitted.pipeline, *_part(rows, recipe.names, parts.grades), seed=seed)
+            drops = permuted(fitted.pipeline, *part_of(rows, recipe.names, parts.grades), seed=seed)
             label_of = {"model": label, "selection": recipe.selection, "repeat": repeat}
             gathered.permutation += [{**label_of, "feature": name, "drop": drop} for name, drop in drops.items()]
-            if repeat == 0:
-                gathered.models[f"{label}_{recipe.selection}"] = dumps(fitted.pipeline)
 
 
 def _of(table: pd.DataFrame, protocol: str) -> pd.DataFrame:
@@ -144,14 +139,15 @@ def _harmonised(parts: _Parts, names: list[str], protocol: str, reference: str) 
     return test.drop(columns=names).join(harmonise(test[names], of, onto))
 
 
-def _part(table: pd.DataFrame, names: list[str], grades: tuple[int, ...]) -> Part:
+def part_of(table: pd.DataFrame, names: list[str], grades: tuple[int, ...]) -> Part:
+    """Features (rows, features) of radiographs, and the place of each one's grade among `grades` (rows,)."""
     return table[names], np.searchsorted(grades, table["grade"].to_numpy())
 
 
 def _predict(fitted: Fitted, recipe: _Recipe, grades: tuple[int, ...]) -> pd.DataFrame:
     """The predictions of all tests of a recipe, one below the other."""
     table = joined(rows.assign(scenario=name, tested_on=on) for name, on, rows in recipe.tests)
-    features, truth = _part(table, recipe.names, grades)
+    features, truth = part_of(table, recipe.names, grades)
     probability = fitted.pipeline.predict_proba(features) if len(table) else np.empty((0, len(grades)))
     tested = table[["radiograph", "knee", "subject", "protocol", "scenario", "tested_on"]].assign(truth=truth)
     return tested.assign(**{f"p{k}": probability[:, k].astype(np.float64) for k in range(len(grades))})

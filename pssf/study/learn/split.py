@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,27 +19,27 @@ _SHARES = (0.70, 0.15, 0.15)
 class Split:
     """Subjects of each part, sorted; no subject is in two."""
 
-    training: NDArray[np.int64]
-    validation: NDArray[np.int64]
-    test: NDArray[np.int64]
+    training: NDArray[Any]
+    validation: NDArray[Any]
+    test: NDArray[Any]
 
     def table(self) -> pd.DataFrame:
         """subject, part: one row a subject, sorted"""
-        rows = [(int(subject), part) for part in PARTS for subject in getattr(self, part)]
+        rows = [(subject, part) for part in PARTS for subject in getattr(self, part).tolist()]
         return pd.DataFrame(sorted(rows), columns=["subject", "part"])
 
 
-def split_subjects(subjects: Sequence[int], grades: Sequence[int], *, seed: int, repeat: int = 0) -> Split:
+def split_subjects(subjects: Sequence[Any], grades: Sequence[int], *, seed: int, repeat: int = 0) -> Split:
     """70/15/15 per cent of the subjects, with every grade in every part.
 
-    subjects  (rows,) subject of each radiograph or knee
+    subjects  (rows,) subject of each radiograph or knee, by number or as text
     grades    (rows,) its grade; a subject counts under the highest of its knees
     repeat    another split of the same seed; it does not depend on how many there are
     raises    InputError for a grade of fewer than three subjects
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(repeat,)))
     worst = worst_grades(subjects, grades)
-    parts: dict[str, list[int]] = {part: [] for part in PARTS}
+    parts: dict[str, list[Any]] = {part: [] for part in PARTS}
     for grade in sorted(set(worst)):
         members = worst.index[worst == grade].to_numpy()
         if len(members) < len(PARTS):
@@ -47,8 +48,9 @@ def split_subjects(subjects: Sequence[int], grades: Sequence[int], *, seed: int,
             )
         order = rng.permutation(members)
         for part, chosen in zip(PARTS, np.split(order, _cuts(len(members))), strict=True):
-            parts[part].extend(int(subject) for subject in chosen)
-    return Split(*(np.array(sorted(parts[part]), dtype=np.int64) for part in PARTS))
+            parts[part].extend(chosen.tolist())
+    kind = worst.index.to_numpy().dtype
+    return Split(*(np.array(sorted(parts[part]), dtype=kind) for part in PARTS))
 
 
 def _cuts(count: int) -> list[int]:

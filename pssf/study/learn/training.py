@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from time import process_time
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -74,7 +75,7 @@ def one_job(
     return outcome, part["subject"].nunique(), process_time() - began
 
 
-def share_of(table: pd.DataFrame, share: float) -> list[int]:
+def share_of(table: pd.DataFrame, share: float) -> list[Any]:
     """The first subjects of each grade, the highest of their knees; a share of them, rounded down."""
     worst = worst_grades(table["subject"], table["grade"])
     return [s for _, members in worst.groupby(worst) for s in members.index[: int(share * len(members))]]

@@ -1,14 +1,15 @@
 """One HTML page with everything in it: no style, script or picture is fetched from anywhere."""
 
 from base64 import b64encode
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from typing import Any
 
 import jinja2
 import pandas as pd
 
-from ..predictions import BASELINES, NONE, TASKS
+from ..external import External
+from ..predictions import BASELINES, GRADES, NONE, TASKS
 from ..settings import MODELS, SELECTIONS
 from ..statistics.intervals import MINUS_JSW
 from ..statistics.localisation import GROSS_MM
@@ -18,7 +19,6 @@ from .feature_figures import FAMILY_NAMES
 from .figures import SCENARIOS
 
 _SHORT = {"lr": "Logistic", "rf": "Forest", "xgb": "XGBoost"} | BASELINES
-GRADES = {"0": "normal", "1": "doubtful OA", "2": "mild OA"}
 # Alzubaidi & Al-Bayaty, arXiv 2601.11642: what is printed beside, never aimed at.
 PAPER = {"stable": 43, "features": 107, "within": 0.92, "cross": 0.78, "multi": "0.88–0.90"}
 
@@ -54,6 +54,7 @@ class Findings:
     families      share of importance of each family, a column a model; and the drop of AUC, "<model> drop"
     screened      how many features were stable in the training subjects of each split
     models        names of the saved models
+    external      of `external.tested_on_films`, or None without films
     stable        of `reliability.count_stable`
     leading       model, feature, share, chosen, drop: the features that count most
     degenerate    names of features that are the same in every radiograph
@@ -72,7 +73,6 @@ class Findings:
     calibration: pd.DataFrame
     families: pd.DataFrame
     screened: list[int]
-    models: list[str]
     stable: pd.DataFrame
     leading: pd.DataFrame
     degenerate: list[str]
@@ -84,6 +84,8 @@ class Findings:
     workers: int
     features: int
     test_subjects: tuple[int, int]
+    models: list[str] = field(default_factory=list)
+    external: External | None = None
 
 
 def render(findings: Findings) -> str:

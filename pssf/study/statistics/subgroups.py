@@ -1,5 +1,7 @@
 """How well models do in women and men, and in younger and older subjects: grade 0 against 2, within protocol."""
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 
@@ -32,7 +34,7 @@ def subgroups(predictions: pd.DataFrame, parameters: pd.DataFrame, settings: Stu
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
-def _groups(parameters: pd.DataFrame) -> dict[str, set[int]]:
+def _groups(parameters: pd.DataFrame) -> dict[str, set[Any]]:
     """group -> its subjects"""
     people, chosen = parameters.drop_duplicates("subject"), dict[str, pd.Series]()
     if "female" in people:

@@ -1,6 +1,7 @@
 """Subjects by their worst knee, and samples of them."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -8,10 +9,10 @@ import pandas as pd
 from ...core.checks import Array
 
 
-def worst_grades(subjects: Sequence[int], grades: Sequence[int]) -> pd.Series:
+def worst_grades(subjects: Sequence[Any], grades: Sequence[int]) -> pd.Series:
     """subject -> the highest grade of its rows, which it counts under; by subject, in order
 
-    subjects, grades  (rows,) of each radiograph or knee
+    subjects, grades  (rows,) of each radiograph or knee; subjects by number or as text
     """
     return pd.Series(np.asarray(grades)).groupby(np.asarray(subjects)).max()
 

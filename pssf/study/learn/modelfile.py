@@ -1,0 +1,193 @@
+"""A model as one file: a skops file that anybody's skops loads, with a card and the templates beside its parts.
+
+The card says all that a film is read by: how regions are found and measured, what the classes are called, what the
+model has learnt from, and by which code.
+"""
+
+import json
+import lzma
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.metadata import version
+from typing import Any
+
+import msgspec
+import numpy as np
+import pandas as pd
+from sklearn.pipeline import Pipeline
+
+from ...core.checks import Array, InputError
+from ...data.code import code_digest, differing
+from ...data.records import Record
+from ...radiomics.patches import Template
+from .refit import Kept
+from .saving import dumps, loads, unzipped, zipped
+
+SUFFIX = ".skops"
+READS = ("linear", "display")
+_FORMAT = "pssf model 1"
+_CARD = "pssf/model.json"
+# What the probabilities of a film depend on.
+_CODE = ("core", "data", "detector", "io", "radiomics", "study")
+_LIBRARIES = (
+    *("pssf", "numpy", "pyradiomics", "scikit-image", "scikit-learn", "scipy", "simpleitk", "skops", "xgboost-cpu"),
+)
+
+
+class TrainedOn(Record, frozen=True):
+    """A protocol that a model has learnt from: pitch of its detector, and its distances."""
+
+    protocol: str
+    pixel_mm: float
+    sdd_mm: float
+    sod_mm: float
+
+
+class Place(Record, frozen=True):
+    """A template but for its pixels; see `radiomics.patches.Template`."""
+
+    shape: tuple[int, int]
+    row: float
+    col: float
+    pixel_mm: float
+    plateau_mm: float | None
+
+
+class Made(Record, frozen=True):
+    """What made a model: versions of libraries, hashes of the package's parts."""
+
+    versions: dict[str, str]
+    code: dict[str, str]
+
+
+class Card(Record, frozen=True):
+    """What a model file says of its model.
+
+    reads       linear: it has learnt from linear pixels; display: from radiographs as displayed, under one tone
+    grades      in the order of the classes, and grade_names likewise
+    features    that it reads, in its order
+    parameters  of the classifier
+    pixel_mm    pitch that regions are measured at, region_px their side at it
+    """
+
+    format: str
+    name: str
+    reads: str
+    task: str
+    grades: tuple[int, ...]
+    grade_names: tuple[str, ...]
+    model: str
+    selection: str
+    parameters: dict[str, float]
+    features: tuple[str, ...]
+    families: tuple[str, ...]
+    bins: int
+    pixel_mm: float
+    region_px: int
+    trained_on: tuple[TrainedOn, ...]
+    subjects: int
+    radiographs: int
+    seed: int
+    templates: tuple[Place, ...]
+    made_by: Made
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SavedModel:
+    """A model of a file, and what it needs to read films."""
+
+    card: Card
+    pipeline: Pipeline
+    templates: tuple[Template, ...]
+
+    def probabilities(self, features: pd.DataFrame) -> Array:
+        """(rows, classes) of the card's grades, from a table with the card's features"""
+        return np.asarray(self.pipeline.predict_proba(features[list(self.card.features)]), np.float64)
+
+
+def made_here() -> Made:
+    """Versions and code of this process."""
+    return Made(versions={name: version(name) for name in _LIBRARIES}, code=dict(code_digest(_CODE)))
+
+
+def pack(kept: Kept, templates: Sequence[Template], **said: Any) -> bytes:
+    """A model as a file; the same model and code give the same bytes.
+
+    templates  of `radiomics.compact`
+    said       the entries of `Card` that are not of the model itself: reads, grade_names, families, bins, pixel_mm,
+               region_px, trained_on, seed
+    """
+    card = Card(
+        format=_FORMAT,
+        name=kept.name,
+        task=kept.task,
+        grades=kept.grades,
+        model=kept.model,
+        selection=kept.selection,
+        parameters=kept.fitted.parameters,
+        features=kept.features,
+        subjects=kept.subjects,
+        radiographs=kept.radiographs,
+        templates=tuple(_place(template) for template in templates),
+        made_by=made_here(),
+        **said,
+    )
+    text = json.dumps(msgspec.to_builtins(card), indent=1).encode()
+    pixels = {
+        _pixels(at): _packed(template.pixels.astype(np.float32).tobytes()) for at, template in enumerate(templates)
+    }
+    return zipped({**unzipped(dumps(kept.fitted.pipeline)), _CARD: text, **pixels})
+
+
+def unpack(content: bytes, name: str) -> SavedModel:
+    """The model of a file.
+
+    name    how the file is called in a refusal
+    raises  InputError for a file that is none of `pack`, or of another format
+    """
+    allowed = f"allowed: a model that a study of pssf has saved ({SUFFIX})"
+    try:
+        files = unzipped(content)
+        card = msgspec.json.decode(files[_CARD], type=Card)
+        if card.format != _FORMAT:
+            raise InputError(f"{name}: format = {card.format!r}; allowed: {_FORMAT!r}, of this version of pssf")
+        templates = tuple(_template(place, files[_pixels(at)]) for at, place in enumerate(card.templates))
+        return SavedModel(card=card, pipeline=loads(content), templates=templates)
+    except InputError:
+        raise
+    except (zipfile.BadZipFile, KeyError, ValueError, TypeError, lzma.LZMAError, msgspec.MsgspecError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"{name}: no model, or damaged ({reason}); {allowed}") from None
+
+
+def differences(card: Card) -> str:
+    """What a model was made by that is not what is here: versions, and parts of the code; "" where nothing is."""
+    here = made_here()
+    was, now = card.made_by.versions, here.versions
+    versions = [f"{name} {was.get(name, 'none')}, here {now[name]}" for name in now if was.get(name) != now[name]]
+    code = differing(card.made_by.code, here.code)
+    return "; ".join([*versions, *([f"other code of pssf ({code})"] if code else [])])
+
+
+def _place(template: Template) -> Place:
+    rows, cols = template.pixels.shape
+    place = {name: float(getattr(template, name)) for name in ("row", "col", "pixel_mm")}
+    plateau_mm = None if template.plateau_mm is None else float(template.plateau_mm)
+    return Place(shape=(rows, cols), plateau_mm=plateau_mm, **place)
+
+
+def _template(place: Place, packed: bytes) -> Template:
+    pixels = np.frombuffer(lzma.decompress(packed), np.float32).reshape(place.shape)
+    return Template(pixels=pixels, row=place.row, col=place.col, pixel_mm=place.pixel_mm, plateau_mm=place.plateau_mm)
+
+
+def _pixels(at: int) -> str:
+    return f"pssf/template_{at}.xz"
+
+
+@lru_cache(maxsize=16)
+def _packed(pixels: bytes) -> bytes:
+    # Half the size that ZIP's own compression gives.
+    return lzma.compress(pixels)

@@ -1,0 +1,131 @@
+"""A cohort of knees of blocks, drawn in no time, as a study is given it; and films of such knees."""
+
+import hashlib
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from made_up import PROTOCOLS
+from PIL import Image
+from scipy.ndimage import gaussian_filter, zoom
+
+from pssf.detector import present
+from pssf.io.films import FilmImage, list_films, read_film
+from pssf.radiomics.patches import Template
+from pssf.study import FilmSet, StudySettings
+
+SIZE, PIXEL_MM = 256, 0.6
+
+
+def draw(grade: int, row: float, col: float, side: str, coarse: float, gain: float, seed: int) -> np.ndarray:
+    """(256, 256) uint16: a limb with two blocks of bone; with the grade the gap narrows and the texture coarsens."""
+    rng = np.random.default_rng(seed)
+    rows, cols = np.mgrid[:SIZE, :SIZE].astype(float)
+    medial = (cols - col) * (1 if side == "right" else -1) * PIXEL_MM
+    up = (row - rows) * PIXEL_MM
+    limb = np.clip(1 - ((medial + 20) / 62) ** 2, 0, None)
+    bone = (np.abs(medial + 20) < 37 - 0.12 * np.abs(up)) & (np.abs(up) > 3.0 - 0.5 * grade + 0.08 * np.abs(medial))
+    notch = (np.abs(medial + 20) < 7) & (up > 0) & (up < 16)
+    field = gaussian_filter(rng.standard_normal((SIZE, SIZE)), coarse + 0.6 * grade)
+    inside = gaussian_filter((bone & ~notch).astype(float), 0.8)
+    signal = gain * np.exp(-2.2 * limb - inside * (0.7 + 0.05 * field / field.std()))
+    signal += np.sqrt(signal) * rng.standard_normal(signal.shape)
+    return np.clip(np.rint(signal), 1, 65535).astype(np.uint16)
+
+
+class Cohort:
+    """A manifest of 3 x `per_grade` subjects under three protocols, and pixels that are drawn when asked for."""
+
+    def __init__(self, per_grade: int) -> None:
+        rng = np.random.default_rng(11)
+        self.rows = []
+        for subject in range(3 * per_grade):
+            place = {"side": ["right", "left"][subject % 2], "subject": subject, "knee": subject, "grade": subject % 3}
+            row, col = rng.uniform(115, 140), rng.uniform(115, 140)
+            for protocol in PROTOCOLS:
+                name = f"s{subject:03d}_{protocol}"
+                truth = {"truth_medial_row_px": row, "truth_medial_col_px": col, "pixel_mm": PIXEL_MM}
+                file = {"radiograph": name, "file": name, "sha256": hashlib.sha256(name.encode()).hexdigest()}
+                self.rows.append(place | truth | file | {"protocol": protocol, "sdd_mm": 1150.0, "sod_mm": 950.0})
+        self.manifest = pd.DataFrame(self.rows)
+
+    def retest(self, knees: int) -> pd.DataFrame:
+        """The first knees taken twice more with other noise, and twice with other noise and a little further left."""
+        rows = []
+        for row in [row for row in self.rows if row["protocol"] == "reference"][:knees]:
+            for place, (kind, turn) in enumerate((k, t) for k in ("noise", "perturbation") for t in ("1", "2")):
+                name = f"{row['radiograph']}_{kind}{turn}"
+                file = {"radiograph": name, "file": name, "sha256": hashlib.sha256(name.encode()).hexdigest()}
+                moved = {"truth_medial_col_px": row["truth_medial_col_px"] - 0.4 * (kind == "perturbation")}
+                rows.append(
+                    row | file | moved | {"kind": kind, "turn": turn, "draw": 10_000 + 10 * row["knee"] + place}
+                )
+        self.rows += [row for row in rows if row["radiograph"] not in {known["radiograph"] for known in self.rows}]
+        return pd.DataFrame(rows)
+
+    def load(self, file: str) -> np.ndarray:
+        row = next(row for row in self.rows if row["file"] == file)
+        gain = {"reference": 30000, "low_dose": 6000, "geometry_shift": 25000}[row["protocol"]]
+        at = row["truth_medial_row_px"], row["truth_medial_col_px"]
+        seed = row.get("draw", 100 * row["subject"] + PROTOCOLS.index(row["protocol"]))
+        return draw(row["grade"], *at, row["side"], 1.0, gain, seed)
+
+    def display(self, file: str) -> FilmImage:
+        """One of its radiographs as a film of it would be displayed."""
+        row = next(row for row in self.rows if row["file"] == file)
+        return FilmImage(pixels=present(self.load(file), bits=16) / 65535.0, pixel_mm=PIXEL_MM, side=row["side"])
+
+
+def film(path: Path, grade: int, side: str, seed: int, *, polarity: str = "bone bright", zoomed: float = 0.8) -> Path:
+    """Write a film of a knee of blocks as a PNG of 8 bit, of `zoomed` as many pixels."""
+    rng = np.random.default_rng(seed)
+    pixels = draw(grade, *rng.uniform(120, 136, 2), side, 1.0, 30000, 1000 + seed)
+    shown = np.clip(zoom(present(pixels).astype(float), zoomed, order=1), 0, 255).astype(np.uint8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(255 - shown if polarity == "bone dark" else shown).save(path)
+    return path
+
+
+TEMPLATE = Template(
+    pixels=draw(0, 128, 140, "right", 3.0, 60000, 0), row=128, col=140, pixel_mm=PIXEL_MM, plateau_mm=74.0
+)
+SMALL = StudySettings(region_px=80, bins=32, repeats=2, replicates=200, selections=("l1",), models=("lr", "rf"))
+# One protocol, two grades, two families: what a study of films needs at least.
+LIGHT = StudySettings(
+    region_px=80, bins=32, repeats=1, replicates=100, selections=("l1",), models=("lr",), families=("shape2D", "glcm")
+)
+
+
+@cache
+def cohort() -> Cohort:
+    return Cohort(5)
+
+
+def text_subjects() -> pd.DataFrame:
+    """The reference's radiographs of grades 0 and 2, of subjects who are called by texts."""
+    manifest = cohort().manifest
+    part = manifest[(manifest["protocol"] == "reference") & (manifest["grade"] != 1)]
+    return part.assign(subject=[f"P-{subject:02d}" for subject in part["subject"]])
+
+
+def films(folder: Path) -> Path:
+    """A folder of films by grade, and three that no region can be cut out of."""
+    for place, grade in enumerate((0, 0, 2, 2, 3, 3, 1)):
+        name = f"p{place:03d}{'RL'[place % 2]}.png"
+        polarity = "bone dark" if place % 3 == 1 else "bone bright"
+        film(folder / str(grade) / name, min(grade, 2), ("right", "left")[place % 2], place, polarity=polarity)
+    whole = Image.open(folder / "0" / "p000R.png")
+    # The joint line is some 100 pixels below the upper edge, and a region reaches 30 to either side.
+    whole.crop((0, 80, whole.width, whole.height)).save(folder / "0" / "n000R.png")
+    rng = np.random.default_rng(0)
+    Image.fromarray(rng.integers(90, 110, (200, 200)).astype(np.uint8)).save(folder / "0" / "air1R.png")
+    (folder / "2" / "torn2R.png").write_bytes(b"torn")
+    return folder
+
+
+def film_set(folder: Path, **more: Any) -> FilmSet:
+    """The films of a folder, with the cohort's radiographs as displayed."""
+    how = {"protocol": "reference", "load": lambda file: read_film(folder / file), "load_cohort": cohort().display}
+    return FilmSet(films=list_films(folder), **how | more)
