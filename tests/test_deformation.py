@@ -62,7 +62,12 @@ def test_a_shape_is_written_and_read_and_zeros_at_its_end_say_nothing():
 
 @pytest.mark.parametrize(
     ("shape", "line"),
-    [((3.5,), "shape score"), ((0.0,) * (MODES + 1), "numbers, one a mode"), ("12", "numbers, one a mode"), (("a",), "a")],
+    [
+        ((3.5,), "shape score"),
+        ((0.0,) * (MODES + 1), "numbers, one a mode"),
+        ("12", "numbers, one a mode"),
+        (("a",), "a"),
+    ],
 )
 def test_a_shape_that_is_none_is_refused(shape, line):
     with pytest.raises(pssf.InputError, match=line):

@@ -217,9 +217,9 @@ def tibia(build: Build, grown: BoneWithOsteophytes) -> Bone:
     return Bone(
         outer=standing(grown.outer, build),
         inner=standing(grown.filled(marrow, s).simplify(INNER_MM / s), build, 2.0),
-        canal=leaned(
-            deformed(canal, build, "tibia"), table.shaft_pivot_z_mm * s, build.tibia_varus_deg, -1
-        ).simplify(_CANAL_MM),
+        canal=leaned(deformed(canal, build, "tibia"), table.shaft_pivot_z_mm * s, build.tibia_varus_deg, -1).simplify(
+            _CANAL_MM
+        ),
     )
 
 

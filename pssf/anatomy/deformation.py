@@ -38,7 +38,9 @@ def deformations(table: ShapeTable) -> Deformations:
             shaft=rows.shaft,
         )
         texts = enumerate(rows.modes_mm, start=1)
-        modes_mm[bone] = np.array([read_displacements(text, rows.counts, f"shapes {bone} mode {k}") for k, text in texts])
+        modes_mm[bone] = np.array(
+            [read_displacements(text, rows.counts, f"shapes {bone} mode {k}") for k, text in texts]
+        )
     return Deformations(means, modes_mm)
 
 

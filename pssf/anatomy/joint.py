@@ -163,7 +163,9 @@ def _lower(femur: Manifold, build: Build) -> tuple[Array, Indices]:
     """Vertices and edges of the lower end of a femur at the mean man's size, in this knee's."""
     mesh = mesh_of(femur)
     edges = edges_of(mesh.faces)
-    return displaced(mesh.vertices, build.lattices["femur"]) * build.scale, edges[(mesh.vertices[edges, 2] < _FEMUR_BELOW_MM).any(axis=1)]
+    return displaced(mesh.vertices, build.lattices["femur"]) * build.scale, edges[
+        (mesh.vertices[edges, 2] < _FEMUR_BELOW_MM).any(axis=1)
+    ]
 
 
 def _upper(tibia: Manifold) -> tuple[Array, Indices]:
