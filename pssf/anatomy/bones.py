@@ -139,12 +139,16 @@ def deformed(solid: Manifold, build: Build, bone: str) -> Manifold:
 
 def grown_femur(build: Build, osteophytes: tuple[Osteophyte, ...]) -> BoneWithOsteophytes:
     """The outer femur at the mean man's size with a straight shaft, osteophytes and all."""
-    return grow(osteophytes, mean_femur(build.shape.femur), build.shape.osteophytes.femur, build.scale)
+    return grow(
+        osteophytes, mean_femur(build.shape.femur), build.shape.osteophytes.femur, build.scale, build.lattices["femur"]
+    )
 
 
 def grown_tibia(build: Build, osteophytes: tuple[Osteophyte, ...]) -> BoneWithOsteophytes:
     """The outer tibia at the mean man's size with a straight shaft and a level plateau, osteophytes and all."""
-    return grow(osteophytes, mean_tibia(build.shape.tibia), build.shape.osteophytes.tibia, build.scale)
+    return grow(
+        osteophytes, mean_tibia(build.shape.tibia), build.shape.osteophytes.tibia, build.scale, build.lattices["tibia"]
+    )
 
 
 def femur(build: Build, grown: BoneWithOsteophytes) -> Bone:

@@ -1,5 +1,6 @@
 """Osteophytes: beaks at the joint margins and on the spines that flow into the bone, each with a cortex of its own."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..core.checks import Array
 from ..data.bones import Margin
+from ..geometry.freeform import Lattice, displaced
 from ..model.knee import Osteophyte
 from .implicit import blend
 from .mean_bone import MeanBone
@@ -22,6 +24,8 @@ BONE = {"femur": "femur", "tibia": "tibia", "spine": "tibia"}
 # Rounds of evening out the mesh; cones that stand for the hull of tip and feet.
 _ROUNDS = 2
 _CONES = 17
+# Turns in which a tip is moved to where it belongs, and the step of the slopes that this takes.
+_TURNS, _STEP_MM = 12, 1e-3
 
 
 @dataclass(frozen=True)
@@ -85,11 +89,14 @@ class BoneWithOsteophytes:
         return inner
 
 
-def grow(osteophytes: tuple[Osteophyte, ...], mean: MeanBone, margin: Margin, scale: float) -> BoneWithOsteophytes:
+def grow(
+    osteophytes: tuple[Osteophyte, ...], mean: MeanBone, margin: Margin, scale: float, lattice: Lattice
+) -> BoneWithOsteophytes:
     """A bone with the osteophytes that belong to it.
 
-    margin  where they are
-    scale   of the knee, whose osteophytes are as large as they say
+    margin   where they are
+    scale    of the knee, whose osteophytes are as large as they say
+    lattice  that the bone is deformed by afterwards, whose stretching is taken back here
     """
     beaks = []
     for osteophyte in osteophytes:
@@ -97,9 +104,9 @@ def grow(osteophytes: tuple[Osteophyte, ...], mean: MeanBone, margin: Margin, sc
         if BONE[where] == mean.name:
             direction, size_mm = 1.0 if side == "medial" else -1.0, osteophyte.size_mm / scale
             if where == "spine":
-                beaks.append(_on_spine(direction, mean.outer, size_mm))
+                beaks.append(_on_spine(direction, mean.outer, size_mm, lattice))
             else:
-                beaks.append(_at_margin(margin, direction, mean.outer, size_mm))
+                beaks.append(_at_margin(margin, direction, mean.outer, size_mm, lattice))
     if not beaks:
         return BoneWithOsteophytes(mean.outer)
 
@@ -121,25 +128,51 @@ def grow(osteophytes: tuple[Osteophyte, ...], mean: MeanBone, margin: Margin, sc
     return BoneWithOsteophytes(checked(even, f"{mean.name} with osteophytes"), tuple(beaks))
 
 
-def _at_margin(table: Margin, direction: float, bare: Manifold, size_mm: float) -> OsteophyteShape:
+def _at_margin(table: Margin, direction: float, bare: Manifold, size_mm: float, lattice: Lattice) -> OsteophyteShape:
     points = mesh_of(bare).vertices
     band = points[(points[:, 2] >= table.band_z[0]) & (points[:, 2] <= table.band_z[1])]
     margin = float((band[:, 0] * direction).max())
     tip_mm, foot_mm, width = 0.35 + 0.15 * size_mm, 1.6 + 0.5 * size_mm, 4.0 + 2.0 * size_mm
     inward = margin - foot_mm - 1.2 - 1.5 * np.array([1.0, 0.0, 1.0])
     feet = np.column_stack((direction * inward, [-width, 0.0, width], np.full(3, table.foot_z)))
-    tip = np.array([direction * (margin + size_mm - tip_mm), 0.0, table.tip_z])
-    return OsteophyteShape(feet, foot_mm, tip, tip_mm, size_mm, np.array([direction, 0.0, 0.0]))
+
+    def shape(stands_mm: float, out: Array) -> OsteophyteShape:
+        tip = np.array([direction * (margin + stands_mm - tip_mm), 0.0, table.tip_z])
+        return OsteophyteShape(feet, foot_mm, tip, tip_mm, size_mm, out)
+
+    way = np.array([direction, 0.0, 0.0])
+    return _standing_out(shape, way, float((displaced(band, lattice) @ way).max()), size_mm, lattice)
 
 
-def _on_spine(direction: float, bare: Manifold, size_mm: float) -> OsteophyteShape:
+def _on_spine(direction: float, bare: Manifold, size_mm: float, lattice: Lattice) -> OsteophyteShape:
     points = mesh_of(bare).vertices
     side = points[points[:, 0] * direction > 1.0]
-    top = side[side[:, 2].argmax()]
+    height = displaced(side, lattice)[:, 2]
+    top = side[height.argmax()]
     tip_mm, foot_mm = 0.35 + 0.15 * size_mm, 1.0 + 0.3 * size_mm
     feet = top - [0.0, 0.0, foot_mm + 0.6] + np.array([[0.0, -3.0, -0.6], [0.0, 0.0, 0.0], [0.0, 3.0, -0.6]])
-    tip = top + np.array([0.0, 0.0, size_mm - tip_mm])
-    return OsteophyteShape(feet, foot_mm, tip, tip_mm, size_mm, np.array([0.0, 0.0, 1.0]))
+
+    def shape(stands_mm: float, out: Array) -> OsteophyteShape:
+        tip = top + np.array([0.0, 0.0, stands_mm - tip_mm])
+        return OsteophyteShape(feet, foot_mm, tip, tip_mm, size_mm, out)
+
+    return _standing_out(shape, np.array([0.0, 0.0, 1.0]), float(height.max()), size_mm, lattice)
+
+
+def _standing_out(
+    shape: Callable[[float, Array], OsteophyteShape], way: Array, margin_mm: float, size_mm: float, lattice: Lattice
+) -> OsteophyteShape:
+    """The shape whose farthest point, deformed, stands out by its size along a way beyond the deformed bare bone."""
+    stands_mm, out = size_mm, way
+    for _ in range(_TURNS):
+        beak = shape(stands_mm, out)
+        near = beak.farthest + np.vstack((np.zeros(3), _STEP_MM * np.eye(3)))
+        reach = displaced(near, lattice) @ way
+        # On the ball, the point is farthest at which the ball's normal is the gradient of the deformed place.
+        slope = reach[1:] - reach[0]
+        out = slope / np.linalg.norm(slope)
+        stands_mm += size_mm - (float(reach[0]) - margin_mm)
+    return shape(stands_mm, out)
 
 
 def _cones(points: Array, feet: Array, foot_mm: float, tip: Array, tip_mm: float) -> Array:
