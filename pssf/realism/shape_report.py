@@ -187,7 +187,7 @@ def main(
 def _table(path: Path, rows: Sequence[Row]) -> None:
     table = pd.DataFrame(list(rows))
     save_table(path, table)
-    print(table.to_string(index=False, float_format="%.3f"), flush=True)
+    print(table.to_string(index=False, float_format="{:.3f}".format), flush=True)
 
 
 if __name__ == "__main__":
