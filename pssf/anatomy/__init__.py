@@ -4,6 +4,7 @@ built        the object that carries them                       joint        the
 bones        femur, tibia, fibula, patella as nested solids     osteophytes  beaks that flow into the bone
 femur, tibia their outer shapes, blended                        mean_bone    their solids at the mean man's size
 implicit     fields, blends, settling onto them                 remesh       smoothed, refined, without folds
+shape        lattices that give bones people's form
 soft         skin, fat, muscle                                  planes       fat planes, fat pad, patellar tendon
 cartilage    cartilage and menisci                              tissues      all of these, carved clear of each other
 trabeculae   density of the spongy bone within                  solids       lofts, hulls, height fields, checks

@@ -34,7 +34,7 @@ def draw(bones: Mapping[str, tuple[Mesh, Array]], most_mm: float) -> bytes:
     for row, (name, (mesh, off_mm)) in zip(axes, bones.items(), strict=True):
         views = _VIEWS | {"from below" if name in _END else "from above": _END.get(name, _UPPER_END)}
         for axis, (title, (up, eye)) in zip(row, views.items(), strict=True):
-            axis.add_collection(_seen(mesh, off_mm, np.array([np.cross(up, eye), up, eye], np.float64), colours))
+            axis.add_collection(seen(mesh, off_mm, np.array([np.cross(up, eye), up, eye], np.float64), colours))
             axis.autoscale()
             axis.set(aspect="equal", xticks=[], yticks=[], title=f"{name}, {title}")
             axis.set_frame_on(False)
@@ -44,10 +44,11 @@ def draw(bones: Mapping[str, tuple[Mesh, Array]], most_mm: float) -> bytes:
     return stream.getvalue()
 
 
-def _seen(mesh: Mesh, off_mm: Array, axes: Array, colours: ScalarMappable) -> PolyCollection:
-    """The triangles that face the eye, far ones first, a little darker where they turn away.
+def seen(mesh: Mesh, off_mm: Array, axes: Array, colours: ScalarMappable) -> PolyCollection:
+    """The triangles of a mesh that face the eye, far ones first, a little darker where they turn away.
 
-    axes  (3, 3)  to the right, up, and towards the eye
+    off_mm  (n,)    of its vertices, shown as colour
+    axes    (3, 3)  to the right, up, and towards the eye
     """
     corners = (mesh.vertices @ axes.T)[mesh.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
