@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import pssf
-from pssf.anatomy.deformation import deformations, lattices_of
+from pssf.anatomy.shape import knee_form, lattices_of
 from pssf.data.shapes import shape_table
 from pssf.geometry.freeform import least_jacobian
 from pssf.model.knee import MOST_SD, knee_from, knee_table
@@ -39,14 +39,14 @@ def test_another_shape_moves_the_bones_by_millimetres_and_a_left_one_is_its_mirr
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_no_mode_folds_a_bone_at_its_farthest(side):
-    shapes = deformations(shape_table())
+    shapes = knee_form(shape_table())
     for number in range(MODES):
         for lattice in lattices_of((0.0,) * number + (side * MOST_SD,), shapes).values():
             assert least_jacobian(lattice) > 0.1
 
 
 def test_scores_move_control_points_in_proportion_and_add_up():
-    shapes = deformations(shape_table())
+    shapes = knee_form(shape_table())
     mean, one, two, both = (
         lattices_of(scores, shapes)["femur"].displacements_mm for scores in ((), (1.0,), (0.0, -2.0), (1.0, -2.0))
     )

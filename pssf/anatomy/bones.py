@@ -12,11 +12,11 @@ from ..data.records import Rows
 from ..data.shapes import shape_table
 from ..geometry.freeform import Lattice, displaced
 from ..model.knee import Knee, Osteophyte
-from .deformation import deformations, lattices_of
 from .femur import mean_femur
 from .implicit import project_solid
 from .mean_bone import INNER_MM
 from .osteophytes import BoneWithOsteophytes, grow
+from .shape import knee_form, lattices_of
 from .solids import checked, column
 from .tibia import above, mean_tibia
 
@@ -67,7 +67,7 @@ def build_of(knee: Knee, shape: BoneShape) -> Build:
     sex_scale = size.female_over_male if knee.sex == "female" else 1.0
     return Build(
         shape=shape,
-        lattices=lattices_of(knee.shape, deformations(shape_table())),
+        lattices=lattices_of(knee.shape, knee_form(shape_table())),
         scale=sex_scale * knee.bone_scale * knee.stature_mm / getattr(size.stature_mm, knee.sex),
         cortex=knee.cortex_scale,
         plate=knee.subchondral_plate,

@@ -1,6 +1,6 @@
 """The form of a knee's bones: scores of people's modes of variation -> lattices that deform the mean man's bones."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -51,6 +51,16 @@ def knee_form(table: ShapeTable) -> KneeForm:
     return KneeForm(
         bones={name: _bone_form(of, len(table.modes), name) for name, of in lattices.items()}, modes=table.modes
     )
+
+
+def lattices_of(scores: Sequence[float], form: KneeForm) -> dict[str, Lattice]:
+    """Bone -> the lattice that moves the mean man's to a person's.
+
+    scores  in standard deviations, in the order of the modes; those left out are 0, the mean
+    """
+    all_scores = np.zeros(len(form.modes))
+    all_scores[: len(scores)] = scores
+    return {name: bone.lattice(all_scores) for name, bone in form.bones.items()}
 
 
 def _bone_form(table: LatticeTable, modes: int, name: str) -> BoneForm:
