@@ -83,8 +83,8 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
     """Draw a cohort.
 
     Both knees of a subject have one body (sex, stature, size and shape of bones, cortex, limb, fat, age) and one grade.
-    Given these, joint space, alignment, osteophytes, pose and trabeculae are drawn for each knee apart: they are alike by
-    their grade alone. In people they correlate within a grade too; the ranges that are drawn from do not say by how
+    Given these, joint space, alignment, osteophytes, pose and trabeculae are drawn for each knee apart: they are alike
+    by their grade alone. In people they correlate within a grade too; the ranges that are drawn from do not say by how
     much, and a number of our own is not put in their place.
 
     preset     a name of `data/presets.toml`
