@@ -17,6 +17,7 @@ from pssf.realism.bones import BONES
 from pssf.realism.freeform_fit import deformable, fit_lattice, lattice_around
 from pssf.realism.shape_fit import table_text
 from pssf.realism.shape_frames import mean_bones, stand, unstand
+from pssf.realism.shape_measures import femur_measures, patella_measures, tibia_measures
 from pssf.realism.shape_modes import (
     MeanFit,
     displacements,
@@ -205,6 +206,19 @@ def test_the_mean_forms_bones_of_the_width_that_the_package_has(form):
     formed = displaced(built, form.bones["tibia"].mean)
     widths = [np.ptp(points[points[:, 2] > points[:, 2].max() - 25][:, 0]) for points in (built, formed)]
     assert_allclose(widths[1], widths[0], atol=0.5)
+
+
+def test_measures_of_form_follow_what_is_done_to_a_bone(form):
+    bones = {name: displaced(bone.vertices, form.bones[name].mean) for name, bone in mean_bones().items()}
+    deeper = femur_measures(bones["femur"] * [1.0, 1.05, 1.0])["femoral condyles' depth over width"]
+    assert_allclose(deeper, 1.05 * femur_measures(bones["femur"])["femoral condyles' depth over width"], rtol=1e-9)
+    tilted = bones["tibia"].copy()
+    tilted[:, 2] -= np.tan(np.deg2rad(3.0)) * tilted[:, 1]
+    for what in ("medial plateau's fall backwards", "lateral plateau's fall backwards"):
+        # The vertices that count as the plateau change a little with it.
+        assert_allclose(tibia_measures(tilted)[what] - tibia_measures(bones["tibia"])[what], 3.0, atol=1.0)
+    taller = patella_measures(bones["patella"] * [1.0, 1.0, 1.1])["patella's height over width"]
+    assert_allclose(taller, 1.1 * patella_measures(bones["patella"])["patella's height over width"], rtol=1e-9)
 
 
 def test_a_table_with_a_mode_too_few_or_an_unknown_entry_is_refused():
