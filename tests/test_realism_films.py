@@ -12,9 +12,10 @@ from pssf.realism import domains, films_section
 from pssf.realism.films import centred, measured
 from pssf.realism.form import PITCH_MM, PLATEAU_MM, Place, field_of, joint_pixel, stretched
 from pssf.realism.outline import cheapest_path, trace_outline
-from pssf.realism.page import Figure, Section, Table, render
+from pssf.realism.page import Section, Table, render
 from pssf.realism.shape_features import plateau_edges, shape_groups
 from pssf.realism.sheets import sheet
+from pssf.study.report.page import Picture
 
 HALF_MM = PLATEAU_MM / 2
 
@@ -189,7 +190,7 @@ def test_the_part_on_films_counts_compares_and_shows():
 
 
 def test_the_page_holds_what_it_is_given_and_fetches_nothing():
-    picture = Figure(name="p", png=sheet([("row", [np.zeros((8, 9), np.uint8)])]), alt="alt <text>", caption="c")
+    picture = Picture(name="p", png=sheet([("row", [np.zeros((8, 9), np.uint8)])]), alt="alt <text>", caption="c")
     rows = [{"a": 1.23456, "b": float("nan")}, {"a": None, "c": "x & y"}]
     section = Section(
         name="Part", line="line", text="t", tables=(Table(name="n", rows=rows, caption="k"),), figures=(picture,)

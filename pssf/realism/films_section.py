@@ -9,10 +9,11 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from ..core.checks import Array
+from ..study.report.page import Picture
 from .domains import ALL, effects, told_apart, transferred
 from .films import FINE, TONE, Record, learnable
 from .form import Place, field_of, stretched
-from .page import Figure, Section, Table
+from .page import Section, Table
 from .sheets import sheet
 
 Row = dict[str, Any]
@@ -139,7 +140,7 @@ def quantity_rows(records: Mapping[str, Sequence[Record]], group: str) -> list[R
     return rows
 
 
-def contact_sheets(records: Mapping[str, Sequence[Record]], read: Reading) -> tuple[Figure, ...]:
+def contact_sheets(records: Mapping[str, Sequence[Record]], read: Reading) -> tuple[Picture, ...]:
     """One sheet a grade: a row of films of every source, spread over the list, at one scale."""
     figures = []
     grades = sorted({int(one["grade"]) for of in records.values() for one in of})
@@ -150,7 +151,7 @@ def contact_sheets(records: Mapping[str, Sequence[Record]], read: Reading) -> tu
             if chosen:
                 rows.append((f"{name}, {_called(grade)}", [_form(read(name, one["file"]), one) for one in chosen]))
         if rows:
-            figures.append(Figure(
+            figures.append(Picture(
                 name=f"sheet_{'unknown' if grade < 0 else grade}", png=sheet(rows),
                 alt=f"Real and simulated knees, {_called(grade)}, in rows",
                 caption=f"(e) {_called(grade).capitalize()}: a row a source, one scale, all as right knees.",

@@ -8,9 +8,9 @@ from ..accuracy.texture import texture
 from ..core.checks import Array
 from .form import PITCH_MM
 from .outline import Outline
-from .shape_features import Features, plateau_edges
+from .shape_features import Features, plateau_edges, plateau_shares
 
-_PATCH_MM = 16.0
+PATCH_MM = 16.0
 # Middle of each patch: shares of the plateau's width from its middle (medial positive), mm above its bone's contour.
 PATCHES = {
     "medial_subchondral": ("tibia", 0.25, -11.0),
@@ -40,24 +40,29 @@ def grey_groups(film: Array, outline: Outline) -> dict[str, Features]:
 
 def patch_of(film: Array, outline: Outline, bone: str, share: float, above_mm: float) -> Array:
     """(side, side) square about a place told from a bone's contour, moved inwards where it would leave the film."""
-    left, right = plateau_edges(outline)
-    col = (left + right) / 2 + share * (right - left)
-    contour = outline.femur if bone == "femur" else outline.tibia
-    # The spines are no plateau: in the middle the line between its sides is meant.
-    level = np.median(contour) if share == 0 else np.interp(col, outline.columns, contour)
-    side = round(_PATCH_MM / PITCH_MM)
+    level, col = patch_base(outline, bone, share)
+    side = round(PATCH_MM / PITCH_MM)
     top = int(np.clip(round(level - above_mm / PITCH_MM - side / 2), 0, film.shape[0] - side))
     start = int(np.clip(round(col - side / 2), 0, film.shape[1] - side))
     return film[top : top + side, start : start + side]
 
 
+def patch_base(outline: Outline, bone: str, share: float) -> tuple[float, float]:
+    """Row of a bone's contour, and column, at a share of the plateau's width from its middle."""
+    left, right = plateau_edges(outline)
+    col = (left + right) / 2 + share * (right - left)
+    contour = outline.femur if bone == "femur" else outline.tibia
+    # The spines are no plateau: in the middle the line between its sides is meant.
+    level = np.median(contour) if share == 0 else np.interp(col, outline.columns, contour)
+    return float(level), col
+
+
 def _plate(film: Array, outline: Outline) -> Features:
     """Height, depth and width of the bright band under each contour, over the grey deep in the bone."""
     values: Features = {}
-    left, right = plateau_edges(outline)
+    share = plateau_shares(outline)
     for bone, contour, way in (("tibia", outline.tibia, 1), ("femur", outline.femur, -1)):
         for name, (low, high) in (("medial", (0.12, 0.38)), ("lateral", (-0.38, -0.12))):
-            share = (outline.columns - (left + right) / 2) / (right - left)
             inside = (share > low) & (share < high)
             depth_px = np.arange(0, round(_DEEP_MM[1] / PITCH_MM) + 1)
             rows = np.clip(contour[inside].astype(int)[:, None] + way * depth_px, 0, len(film) - 1)

@@ -1,28 +1,14 @@
 """One HTML page with all that was measured; nothing in it is fetched from anywhere."""
 
-from base64 import b64encode
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import jinja2
 
+from ..study.report.page import Picture
+
 Row = dict[str, Any]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Figure:
-    """A PNG: `name` of its file, what it shows for who cannot see it, and its caption."""
-
-    name: str
-    png: bytes
-    alt: str
-    caption: str
-
-    @property
-    def uri(self) -> str:
-        """The picture as part of the page."""
-        return "data:image/png;base64," + b64encode(self.png).decode("ascii")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +42,7 @@ class Section:
     line: str
     text: str
     tables: tuple[Table, ...] = ()
-    figures: tuple[Figure, ...] = ()
+    figures: tuple[Picture, ...] = ()
     facts: dict[str, Any] = field(default_factory=dict)
 
 

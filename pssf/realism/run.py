@@ -20,10 +20,11 @@ from ..io.films import Film, list_films, read_film
 from ..io.records import read_manifest
 from ..model.knee import GRADES, Knee
 from ..model.protocol import Protocol, load_protocol
+from ..study.report.page import Picture
 from . import bones, contours
 from .films import Record, Source, measure_films
 from .films_section import SIMULATED, films_section
-from .page import Figure, Row, Section, Table, render
+from .page import Row, Section, Table, render
 
 # Tables that the READMEs show, by what must be given for them.
 SHOWN = {
@@ -135,7 +136,7 @@ def _contours(protocol: Protocol, knees: int, seed: int, execution: Execution) -
             Table(name="contours_sizes", rows=found.sizes, caption="Plateau, gaps (mm on the film), convergence."),
             Table(name="contours_modes", rows=found.modes, caption="First modes of variation, grades 0 and 1."),
         ),
-        figures=(Figure(
+        figures=(Picture(
             name="contours", png=found.figure, alt="Mean contours of drawn knees and of people with ellipses of one SD",
             caption="Mean landmarks and ellipses of one standard deviation, drawn knees and people, by grade.",
         ),),
@@ -153,7 +154,7 @@ def _bones(given: bones.Bones, knees: int, seed: int, execution: Execution) -> S
         line=line,
         text=_BONES,
         tables=(Table(name="bones", rows=found.rows, caption="Distances, mm."),),
-        figures=(Figure(
+        figures=(Picture(
             name="bones", png=found.figure, alt="Built mean bones coloured by distance",
             caption="The built mean bones; their colour is the distance from the mean of the given ones.",
         ),),

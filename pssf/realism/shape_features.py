@@ -25,11 +25,16 @@ def plateau_edges(outline: Outline) -> tuple[float, float]:
     return float(np.median(lateral)), float(np.median(medial))
 
 
+def plateau_shares(outline: Outline) -> Array:
+    """(n,)  places of an outline's columns across the plateau, as shares of its width from its middle"""
+    left, right = plateau_edges(outline)
+    return np.asarray((outline.columns - (left + right) / 2) / (right - left))
+
+
 def shape_groups(outline: Outline) -> dict[str, Features]:
     """Group -> feature -> value. Lengths are shares of the plateau's width, so that no pitch is needed."""
     left, right = plateau_edges(outline)
-    width = right - left
-    share = (outline.columns - (left + right) / 2) / width
+    width, share = right - left, plateau_shares(outline)
     tilt = _tilt(outline, share, width)
     tibia, femur = ((tilt * share - row / width) for row in (outline.tibia, outline.femur))
     level = np.mean([np.interp(at, share, tibia) for at in (-0.4, 0.4)])

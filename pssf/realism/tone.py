@@ -6,16 +6,15 @@ from scipy.ndimage import map_coordinates
 from ..accuracy.texture import texture
 from ..core.checks import Array
 from .form import PITCH_MM, Place, joint_pixel
-from .grey_features import PATCHES, patch_of
+from .grey_features import PATCH_MM, PATCHES, patch_base, patch_of
 from .outline import Outline
-from .shape_features import Features, plateau_edges
+from .shape_features import Features, plateau_shares
 
 _BESIDE_MM = (4.0, 9.0)  # of the tibia's medial side, where soft tissue is alone
 _DOWN_MM = (16.0, 26.0)  # below the joint, for bone and soft tissue
 _WITHIN_MM = (4.0, 8.0)  # inside the bones, beside the joint space
 _SHAFT_MM, _SHAFT_HALF_MM, _CANAL_MM = (55.0, 65.0), 24.0, 4.0
 _FINE_MM = 0.25  # a pitch that resolves 2 cycles/mm
-_PATCH_MM = 16.0
 
 
 def tone(film: Array, field: Array, outline: Outline, place: Place) -> Features:
@@ -42,13 +41,10 @@ def fine_texture(film: Array, outline: Outline, place: Place, pixel_mm: float) -
     """
     if pixel_mm > _FINE_MM:
         return {}
-    left, right = plateau_edges(outline)
-    side = np.arange(round(_PATCH_MM / place.pitch_mm)) * place.pitch_mm
+    side = np.arange(round(PATCH_MM / place.pitch_mm)) * place.pitch_mm
     values: Features = {}
     for name, (bone, share, above_mm) in PATCHES.items():
-        contour = outline.femur if bone == "femur" else outline.tibia
-        col = (left + right) / 2 + share * (right - left)
-        level = np.median(contour) if share == 0 else np.interp(col, outline.columns, contour)
+        level, col = patch_base(outline, bone, share)
         row, middle = joint_pixel()
         below = side - side.mean() + (level - row) * PITCH_MM - above_mm
         medial = side - side.mean() + (col - middle) * PITCH_MM
@@ -73,8 +69,7 @@ def _soft(field: Array, outline: Outline) -> float:
 
 def _joint_space(field: Array, outline: Outline) -> float:
     """(bone - space) / (bone + space) of the medial compartment."""
-    left, right = plateau_edges(outline)
-    share = (outline.columns - (left + right) / 2) / (right - left)
+    share = plateau_shares(outline)
     chosen = (share > 0.15) & (share < 0.38)
     cols, femur, tibia = (part[chosen].astype(int) for part in (outline.columns, outline.femur, outline.tibia))
     space = field[(femur + tibia) // 2, cols].mean()
@@ -86,8 +81,7 @@ def _joint_space(field: Array, outline: Outline) -> float:
 
 def _plate(field: Array, outline: Outline) -> float:
     """Brightest mean row within 4 mm of the medial plateau's contour."""
-    left, right = plateau_edges(outline)
-    share = (outline.columns - (left + right) / 2) / (right - left)
+    share = plateau_shares(outline)
     chosen = (share > 0.15) & (share < 0.38)
     cols, tibia = (part[chosen].astype(int) for part in (outline.columns, outline.tibia))
     deep = np.arange(round(4.0 / PITCH_MM) + 1)[:, None]
