@@ -15,8 +15,8 @@ from ..geometry.view import view_of
 from ..model.knee import Knee
 from ..model.protocol import Protocol, load_protocol
 from ..model.radiograph import Truth
-from . import bones, soft
-from .joint import KneeAssembly, assemble
+from . import bones, small_bones, soft
+from .joint import KneeAssembly, assemble, moved
 from .solids import checked, mesh_of
 from .tissues import between
 from .trabeculae import BONES, Trabeculae, trabeculae
@@ -68,28 +68,31 @@ def build(knee: Knee) -> BuiltKnee:
     if not isinstance(knee, Knee):
         raise InputError(f"knee = {knee!r}; allowed: a Knee")
     assembly = assemble(knee, mean_shape(), view_of(load_protocol("reference")))
-    placed = _bones(assembly)
+    placed = _bones(knee, assembly)
     scene = Scene(_surfaces(knee, assembly, placed, trabecular_bone()))
-    return BuiltKnee(knee=knee, scene=scene, assembly=assembly, bones=placed)
+    return BuiltKnee(
+        knee=knee, scene=scene, assembly=assembly, bones={name: part.solids for name, part in placed.items()}
+    )
 
 
 def _surfaces(
-    knee: Knee, assembly: KneeAssembly, placed: dict[str, bones.Bone], spongy_bone: TrabecularBone
+    knee: Knee, assembly: KneeAssembly, placed: "dict[str, _Placed]", spongy_bone: TrabecularBone
 ) -> list[Surface]:
     shape, pose = assembly.build, assembly.pose
-    points_mm = np.vstack([part.outer.to_mesh64().vert_properties[:, :3] for part in placed.values()])
+    solids = {name: part.solids for name, part in placed.items()}
+    points_mm = np.vstack([part.outer.to_mesh64().vert_properties[:, :3] for part in solids.values()])
     limb = soft.layers(knee, shape, points_mm @ pose.soft()[:, :3])
     wraps = {name: solid.transform(pose.soft()) for name, solid in limb.items()}
-    _check_nesting(placed, wraps["muscle"])
+    _check_nesting(solids, wraps["muscle"])
     surfaces = [
         _surface(wraps["skin"], "skin", "air", "skin", knee),
         _surface(wraps["adipose"], "adipose", "skin", "adipose", knee),
         _surface(wraps["muscle"], "muscle", "adipose", "muscle", knee),
     ]
-    for tissue in between(knee, assembly, placed, wraps["muscle"]):
+    for tissue in between(knee, assembly, solids, wraps["muscle"]):
         surfaces.append(_sided(tissue.mesh, tissue.material, "muscle", tissue.name, knee))
-    for name, part in placed.items():
-        density = _texture(knee, name, spongy_bone, shape.scale, pose.bone(name))
+    for name, part in solids.items():
+        density = _texture(knee, name, spongy_bone, shape.scale, placed[name].frame)
         surfaces.append(_surface(part.outer, "cortical_bone", "muscle", name, knee))
         spongy = ("trabecular_bone", "cortical_bone", f"{name}_trabecular")
         surfaces.append(_surface(part.inner, *spongy, knee, inside_density=density))
@@ -99,16 +102,35 @@ def _surfaces(
     return surfaces
 
 
-def _bones(assembly: KneeAssembly) -> dict[str, bones.Bone]:
-    """Femur, tibia, fibula and patella of a right knee as it stands, by name."""
-    shape = assembly.build
+@dataclass(frozen=True)
+class _Placed:
+    """Solids of a bone in the knee frame, and the (3, 4) transform into it from the frame of its trabeculae."""
+
+    solids: bones.Bone
+    frame: Array
+
+
+def _bones(knee: Knee, assembly: KneeAssembly) -> dict[str, _Placed]:
+    """Femur, tibia, fibula, patella and fabella, if there is one, of a right knee as it stands, by name."""
+    build, pose = assembly.build, assembly.pose
+    femur, tibia = bones.femur(build, assembly.femur), bones.tibia(build, assembly.tibia)
+    patella = small_bones.patella(build)
+    in_femur = small_bones.patella_place(knee, build, patella.outer, femur.outer, pose)
     parts = {
-        "femur": bones.femur(shape, assembly.femur),
-        "tibia": bones.tibia(shape, assembly.tibia),
-        "fibula": bones.fibula(shape),
-        "patella": bones.patella(shape),
+        "femur": (femur, pose.femur()),
+        "tibia": (tibia, pose.tibia()),
+        "fibula": (small_bones.fibula(knee, build, tibia.outer), pose.tibia()),
+        "patella": (patella, _after(in_femur, pose.femur())),
     }
-    return {name: _placed(part, assembly.pose.bone(name)) for name, part in parts.items()}
+    fabella = small_bones.fabella(knee, build, femur.outer)
+    if fabella is not None:
+        parts["fabella"] = (fabella, pose.femur())
+    return {name: _Placed(_placed(part, frame), frame) for name, (part, frame) in parts.items()}
+
+
+def _after(first: Array, then: Array) -> Array:
+    """(3, 4)  one transform after another"""
+    return np.column_stack((then[:, :3] @ first[:, :3], moved(first[None, :, 3], then)[0]))
 
 
 def _texture(knee: Knee, bone: str, table: TrabecularBone, scale: float, frame: Array) -> Trabeculae:

@@ -46,20 +46,37 @@ class Gap:
         return (float(np.interp(self.middle_col_px, self.columns_px, rows)), self.middle_col_px)
 
 
+def turned_px(points_px: Array, view: View, angle_deg: float) -> Array:
+    """(n, 2)  places on the detector turned about where the origin is seen, from columns' end towards rows' start
+
+    points_px  (n, 2)  row, column
+    """
+    middle = project(np.zeros((1, 3)), view)[0]
+    row, col = (np.asarray(points_px) - middle).T
+    sin, cos = np.sin(np.deg2rad(angle_deg)), np.cos(np.deg2rad(angle_deg))
+    return np.column_stack((row * cos + col * sin, col * cos - row * sin)) + middle
+
+
 def measure_gap(
-    femur: tuple[Array, Indices], tibia: tuple[Array, Indices], view: View, side_x: int, half_ml_mm: float
+    femur: tuple[Array, Indices],
+    tibia: tuple[Array, Indices],
+    view: View,
+    side_x: int,
+    half_ml_mm: float,
+    lean_deg: float = 0.0,
 ) -> Gap:
     """The joint space of a compartment as a detector at `view` sees it.
 
     femur, tibia  vertices (n, 3) and edges (m, 2)
     side_x        +1 for the compartment at x > 0, -1 for the other
     half_ml_mm    half the medio-lateral width of the tibial plateau
+    lean_deg      of the leg about y: rows and columns are told as if it had none
     """
     ends = np.array([[side_x * f * half_ml_mm, 0.0, 0.0] for f in COMPARTMENT])
     first, last = np.sort(project(ends, view)[:, 1])
     columns = np.arange(np.ceil(first), np.floor(last) + 1)
     outline = [
-        envelope(project(vertices, view), edges, int(columns[0]), len(columns), lowest)
+        envelope(turned_px(project(vertices, view), view, -lean_deg), edges, int(columns[0]), len(columns), lowest)
         for (vertices, edges), lowest in ((femur, 1.0), (tibia, -1.0))
     ]
     return Gap(columns, outline[0], outline[1], view.pixel_mm / magnification(view), float(first + last) / 2)

@@ -11,8 +11,10 @@ from manifold3d import Manifold
 
 from ..core.checks import Array
 from ..data.bones import Condyle, FemurShape, Notch
+from ..data.shapes import shape_table
 from .implicit import Column, Field, blend, carve, ellipsoid, lengths, meet
 from .mean_bone import MeanBone
+from .shape import knee_form
 from .solids import checked, column, hull, loft
 
 _POWER = 2.3
@@ -23,7 +25,8 @@ _END_MM = 285.0
 @lru_cache(maxsize=4)
 def mean_femur(shape: FemurShape) -> MeanBone:
     """The mean man's femur."""
-    return MeanBone("femur", field_of(shape), partial(_rough, shape), shape.edge_mm, shape.tolerance_mm)
+    form = knee_form(shape_table()).bones["femur"]
+    return MeanBone("femur", field_of(shape), partial(_rough, shape), shape.edge_mm, shape.tolerance_mm, form)
 
 
 # manifold3d says on standard error what of it still stands when Python has ended.

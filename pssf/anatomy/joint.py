@@ -8,11 +8,11 @@ from manifold3d import Manifold
 
 from ..core.checks import Array, InputError
 from ..data.bones import BoneShape
-from ..geometry.freeform import displaced
 from ..geometry.mesh import Indices
 from ..geometry.view import View, magnification, project
 from ..model.knee import Knee
-from .bones import Build, build_of, grown_femur, grown_tibia, stand_femur, stand_tibia, standing
+from .bones import grown_femur, grown_tibia
+from .build import Build, build_of, formed, stand_femur, stand_tibia, stood
 from .contours import measure_gap
 from .femur import mean_femur
 from .mean_bone import MeanBone
@@ -21,11 +21,16 @@ from .solids import edges_of, mesh_of
 from .tibia import mean_tibia
 
 _TOLERANCE_MM = 1e-4
+# Of the mean man's femur: about here it flexes, the middle of the condyles' round backs.
+_PIVOT_MM = (0.0, 2.0, 23.0)
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Where the bones go: the femur is flexed, tilted about y and raised; all is then moved and turned about z."""
+    """Where the bones go: the femur is flexed, tilted about y and raised; all is then moved, turned about z and leant.
+
+    lean_deg  of the whole leg about y, in the plane of the film, after all else
+    """
 
     tilt_deg: float
     raise_mm: float
@@ -33,32 +38,40 @@ class Pose:
     flexion_deg: float
     rotation_deg: float
     pivot_mm: tuple[float, float, float]
+    lean_deg: float = 0.0
 
     def femur(self) -> Array:
-        """(3, 4)  transform of femur and patella into the knee frame"""
+        """(3, 4)  transform of the femur into the knee frame"""
+        return self._leg(self.femur_on_tibia())
+
+    def femur_on_tibia(self) -> Array:
+        """(3, 4)  transform of the femur into the tibia's frame"""
         flex = _turn(0, -self.flexion_deg)
         pivot = np.asarray(self.pivot_mm)
         matrix = np.column_stack((flex, pivot - flex @ pivot))
         matrix = _turn(1, self.tilt_deg) @ matrix
         matrix[2, 3] += self.raise_mm
-        return self._leg(matrix)
+        return matrix
 
     def tibia(self) -> Array:
         """(3, 4)  transform of tibia and fibula into the knee frame"""
         return self._leg(np.eye(3, 4))
 
     def bone(self, name: str) -> Array:
-        """(3, 4)  transform of a bone into the knee frame; patella and fibula go with femur and tibia"""
-        return self.femur() if name in ("femur", "patella") else self.tibia()
+        """(3, 4)  transform of a bone into the knee frame; patella and fabella go with the femur"""
+        return self.femur() if name in ("femur", "patella", "fabella") else self.tibia()
 
     def soft(self) -> Array:
         """(3, 4)  transform of the soft tissue into the knee frame"""
-        return np.column_stack((_turn(2, self.rotation_deg), np.zeros(3)))
+        return np.column_stack((self._turned(), np.zeros(3)))
 
     def _leg(self, matrix: Array) -> Array:
         moved = matrix.copy()
         moved[2, 3] += self.shift_mm
-        return _turn(2, self.rotation_deg) @ moved
+        return self._turned() @ moved
+
+    def _turned(self) -> Array:
+        return _turn(1, self.lean_deg) @ _turn(2, self.rotation_deg)
 
 
 def _turn(axis: int, degrees: float) -> Array:
@@ -115,9 +128,11 @@ def assemble(knee: Knee, shape: BoneShape, reference: View) -> KneeAssembly:
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(MeanBone.prepare, (mean_femur(shape.femur), mean_tibia(shape.tibia))))
     femur, tibia = grown_femur(build, knee.osteophytes), grown_tibia(build, knee.osteophytes)
-    pose = solve_pose(knee, build, femur.outer, standing(tibia.outer, build), reference)
+    pose = solve_pose(knee, build, femur.outer, stood(tibia.outer, build, "tibia"), reference)
     # The femur's tilt closes the joint; its shaft gives that tilt back, so that varus_deg is the angle of the shafts.
     build = replace(build, femur_valgus_deg=build.femur_valgus_deg + pose.tilt_deg)
+    # Spaces are measured along the leg, however it leans; so its lean comes last.
+    pose = replace(pose, lean_deg=build.tibia_varus_deg - knee.lean_deg)
     return KneeAssembly(reference, build, femur, tibia, pose)
 
 
@@ -130,9 +145,8 @@ def solve_pose(knee: Knee, build: Build, femur: Manifold, tibia: Manifold, view:
     """
     meshes = [_lower(femur, build), _upper(tibia)]
     wanted = np.array([knee.jsw_medial_mm, knee.jsw_lateral_mm])
-    pose = Pose(
-        0.0, wanted.mean() + 2.0, 0.0, knee.flexion_deg, knee.rotation_deg, (0.0, 2.0 * build.scale, 23.0 * build.scale)
-    )
+    _, y, z = (formed(np.array([_PIVOT_MM]), build.femur)[0] * build.scale).tolist()
+    pose = Pose(0.0, wanted.mean() + 2.0, 0.0, knee.flexion_deg, knee.rotation_deg, (0.0, y, z))
     for _ in range(40):
         placed = [(moved(v, t), e) for (v, e), t in zip(meshes, (pose.femur(), pose.tibia()), strict=True)]
         gaps = [measure_gap(placed[0], placed[1], view, side, build.half_ml_mm) for side in (+1, -1)]
@@ -163,9 +177,8 @@ def _lower(femur: Manifold, build: Build) -> tuple[Array, Indices]:
     """Vertices and edges of the lower end of a femur at the mean man's size, in this knee's."""
     mesh = mesh_of(femur)
     edges = edges_of(mesh.faces)
-    return displaced(mesh.vertices, build.lattices["femur"]) * build.scale, edges[
-        (mesh.vertices[edges, 2] < _FEMUR_BELOW_MM).any(axis=1)
-    ]
+    lower = edges[(mesh.vertices[edges, 2] < _FEMUR_BELOW_MM).any(axis=1)]
+    return formed(mesh.vertices, build.femur) * build.scale, lower
 
 
 def _upper(tibia: Manifold) -> tuple[Array, Indices]:

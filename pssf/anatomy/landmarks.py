@@ -24,7 +24,7 @@ import numpy as np
 from ..core.checks import Array
 from ..geometry.mesh import Indices, Mesh
 from ..geometry.view import View, project
-from .contours import envelope
+from .contours import envelope, turned_px
 
 TIBIAL = (
     "tibia_lateral_edge", "tibia_lateral_1", "tibia_lateral_2", "lateral_spine", "between_spines",
@@ -79,24 +79,26 @@ class _Contour:
         return float(self.x_mm[index]), float(self.y_mm[index])
 
 
-def contour_landmarks(femur: Mesh, tibia: Mesh, view: View, medial: int) -> dict[str, tuple[float, float]]:
+def contour_landmarks(
+    femur: Mesh, tibia: Mesh, view: View, medial: int, lean_deg: float = 0.0
+) -> dict[str, tuple[float, float]]:
     """Name -> (row, column) of the sixteen contour landmarks.
 
     femur, tibia  in the knee frame, mm
     medial        +1 where medial is towards greater x (a right knee), -1 otherwise
+    lean_deg      of the leg about y, as it is seen: landmarks go by the leg's own axes
     """
-    tibial = _on_tibia(_seen(tibia.vertices, view, medial), tibia)
-    femoral = _on_femur(_seen(femur.vertices, view, medial), _sides(femur))
+    tibial = _on_tibia(_seen(tibia.vertices, view, medial, lean_deg), tibia)
+    femoral = _on_femur(_seen(femur.vertices, view, medial, lean_deg), _sides(femur))
     rows, cols = (view.rows - 1) / 2, (view.cols - 1) / 2
-    return {
-        name: (rows - y / view.pixel_mm, cols + medial * x / view.pixel_mm)
-        for name, (x, y) in zip(CONTOUR_LANDMARKS, tibial + femoral, strict=True)
-    }
+    upright = [(rows - y / view.pixel_mm, cols + medial * x / view.pixel_mm) for x, y in tibial + femoral]
+    places = turned_px(np.array(upright), view, lean_deg)
+    return {name: (float(row), float(col)) for name, (row, col) in zip(CONTOUR_LANDMARKS, places, strict=True)}
 
 
-def _seen(vertices: Array, view: View, medial: int) -> Array:
-    """(n, 2)  where vertices are seen: x towards medial and y proximal, mm from the detector's centre"""
-    seen = project(vertices, view)
+def _seen(vertices: Array, view: View, medial: int, lean_deg: float) -> Array:
+    """(n, 2)  where vertices are seen, upright: x towards medial and y proximal, mm from the detector's centre"""
+    seen = turned_px(project(vertices, view), view, -lean_deg)
     x = (seen[:, 1] - (view.cols - 1) / 2) * view.pixel_mm * medial
     return np.column_stack((x, ((view.rows - 1) / 2 - seen[:, 0]) * view.pixel_mm))
 

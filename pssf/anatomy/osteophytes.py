@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from ..core.checks import Array
 from ..data.bones import Margin
-from ..geometry.freeform import Lattice, displaced
 from ..model.knee import Osteophyte
 from .implicit import blend
 from .mean_bone import MeanBone
@@ -21,6 +20,7 @@ _CORTEX_MM = 0.5
 _THICKENING = 0.06
 # Bone of each kind of site.
 BONE = {"femur": "femur", "tibia": "tibia", "spine": "tibia"}
+Deform = Callable[[Array], Array]
 # Rounds of evening out the mesh; cones that stand for the hull of tip and feet.
 _ROUNDS = 2
 _CONES = 17
@@ -90,13 +90,13 @@ class BoneWithOsteophytes:
 
 
 def grow(
-    osteophytes: tuple[Osteophyte, ...], mean: MeanBone, margin: Margin, scale: float, lattice: Lattice
+    osteophytes: tuple[Osteophyte, ...], mean: MeanBone, margin: Margin, scale: float, deform: Deform
 ) -> BoneWithOsteophytes:
     """A bone with the osteophytes that belong to it.
 
     margin   where they are
     scale    of the knee, whose osteophytes are as large as they say
-    lattice  that the bone is deformed by afterwards, whose stretching is taken back here
+    deform   what the bone is deformed by afterwards, (n, 3) -> (n, 3), whose stretching is taken back here
     """
     beaks = []
     for osteophyte in osteophytes:
@@ -104,9 +104,9 @@ def grow(
         if BONE[where] == mean.name:
             direction, size_mm = 1.0 if side == "medial" else -1.0, osteophyte.size_mm / scale
             if where == "spine":
-                beaks.append(_on_spine(direction, mean.outer, size_mm, lattice))
+                beaks.append(_on_spine(direction, mean.outer, size_mm, deform))
             else:
-                beaks.append(_at_margin(margin, direction, mean.outer, size_mm, lattice))
+                beaks.append(_at_margin(margin, direction, mean.outer, size_mm, deform))
     if not beaks:
         return BoneWithOsteophytes(mean.outer)
 
@@ -128,7 +128,7 @@ def grow(
     return BoneWithOsteophytes(checked(even, f"{mean.name} with osteophytes"), tuple(beaks))
 
 
-def _at_margin(table: Margin, direction: float, bare: Manifold, size_mm: float, lattice: Lattice) -> OsteophyteShape:
+def _at_margin(table: Margin, direction: float, bare: Manifold, size_mm: float, deform: Deform) -> OsteophyteShape:
     points = mesh_of(bare).vertices
     band = points[(points[:, 2] >= table.band_z[0]) & (points[:, 2] <= table.band_z[1])]
     margin = float((band[:, 0] * direction).max())
@@ -141,13 +141,13 @@ def _at_margin(table: Margin, direction: float, bare: Manifold, size_mm: float, 
         return OsteophyteShape(feet, foot_mm, tip, tip_mm, size_mm, out)
 
     way = np.array([direction, 0.0, 0.0])
-    return _standing_out(shape, way, float((displaced(band, lattice) @ way).max()), size_mm, lattice)
+    return _standing_out(shape, way, float((deform(band) @ way).max()), size_mm, deform)
 
 
-def _on_spine(direction: float, bare: Manifold, size_mm: float, lattice: Lattice) -> OsteophyteShape:
+def _on_spine(direction: float, bare: Manifold, size_mm: float, deform: Deform) -> OsteophyteShape:
     points = mesh_of(bare).vertices
     side = points[points[:, 0] * direction > 1.0]
-    height = displaced(side, lattice)[:, 2]
+    height = deform(side)[:, 2]
     top = side[height.argmax()]
     tip_mm, foot_mm = 0.35 + 0.15 * size_mm, 1.0 + 0.3 * size_mm
     feet = top - [0.0, 0.0, foot_mm + 0.6] + np.array([[0.0, -3.0, -0.6], [0.0, 0.0, 0.0], [0.0, 3.0, -0.6]])
@@ -156,18 +156,18 @@ def _on_spine(direction: float, bare: Manifold, size_mm: float, lattice: Lattice
         tip = top + np.array([0.0, 0.0, stands_mm - tip_mm])
         return OsteophyteShape(feet, foot_mm, tip, tip_mm, size_mm, out)
 
-    return _standing_out(shape, np.array([0.0, 0.0, 1.0]), float(height.max()), size_mm, lattice)
+    return _standing_out(shape, np.array([0.0, 0.0, 1.0]), float(height.max()), size_mm, deform)
 
 
 def _standing_out(
-    shape: Callable[[float, Array], OsteophyteShape], way: Array, margin_mm: float, size_mm: float, lattice: Lattice
+    shape: Callable[[float, Array], OsteophyteShape], way: Array, margin_mm: float, size_mm: float, deform: Deform
 ) -> OsteophyteShape:
     """The shape whose farthest point, deformed, stands out by its size along a way beyond the deformed bare bone."""
     stands_mm, out = size_mm, way
     for _ in range(_TURNS):
         beak = shape(stands_mm, out)
         near = beak.farthest + np.vstack((np.zeros(3), _STEP_MM * np.eye(3)))
-        reach = displaced(near, lattice) @ way
+        reach = deform(near) @ way
         # On the ball, the point is farthest at which the ball's normal is the gradient of the deformed place.
         slope = reach[1:] - reach[0]
         out = slope / np.linalg.norm(slope)

@@ -21,14 +21,15 @@ def fat_pad(part: FatPad, scale: float, tibia_frame: Array) -> Manifold:
     return Manifold.sphere(1.0, 36).scale(half).translate(centre).transform(tibia_frame)
 
 
-def tendon(part: Tendon, scale: float, femur_frame: Array, tibia_frame: Array) -> Manifold:
+def tendon(part: Tendon, scale: float, apex_mm: Array, tibia_frame: Array) -> Manifold:
     """The patellar tendon, a strap from the patella's apex to the tuberosity, before bones are taken out of it.
 
-    femur_frame, tibia_frame  (3, 4)  transforms of the bones into the knee frame, mm
+    apex_mm      (3,)    of the patella, in the knee frame
+    tibia_frame  (3, 4)  transform of the tibia into the knee frame, mm
     """
+    on_apex = apex_mm + np.array(part.from_apex) * scale
     ends = []
-    for end, frame in ((part.patella, femur_frame), (part.tuberosity, tibia_frame)):
-        place = moved(np.array([end]) * scale, frame)[0]
+    for place in (on_apex, moved(np.array([part.tuberosity]) * scale, tibia_frame)[0]):
         ends.append(Manifold.sphere(1.0, 32).scale(np.array(part.half) * scale).translate(place))
     return checked(Manifold.batch_hull(ends), "patellar tendon")
 

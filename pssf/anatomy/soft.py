@@ -6,7 +6,7 @@ from scipy import ndimage
 
 from ..core.checks import Array
 from ..model.knee import Knee
-from .bones import Build, lean
+from .build import Build, eased
 from .solids import column
 
 _POWER = 2.25
@@ -71,6 +71,11 @@ def _hold(sections: Array, points_mm: Array) -> Array:
 
 def _follow_shafts(sections: Array, knee: Knee, build: Build) -> Array:
     """Thigh and calf lean with their bones."""
-    leaning = lean(lean(sections, 40.0, -build.femur_valgus_deg * 0.6, +1), -25.0, build.tibia_varus_deg, -1)
-    swapped = leaning[:, [0, 1, 2, 4, 3]]
-    return lean(swapped, 20.0, knee.flexion_deg, +1)[:, [0, 1, 2, 4, 3]]
+    leaning = sections.copy()
+    for axis, from_mm, degrees, end in (
+        (4, 40.0, -build.femur_valgus_deg * 0.6, +1),
+        (4, -25.0, build.tibia_varus_deg, -1),
+        (3, 20.0, knee.flexion_deg, +1),
+    ):
+        leaning[:, axis] += np.tan(np.deg2rad(degrees)) * eased(end * (sections[:, 0] - from_mm))
+    return leaning

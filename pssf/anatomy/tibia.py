@@ -11,8 +11,10 @@ from manifold3d import Manifold
 
 from ..core.checks import Array
 from ..data.bones import Bell, TibiaShape
+from ..data.shapes import shape_table
 from .implicit import Column, Field, blend, ellipsoid, meet
 from .mean_bone import MeanBone
+from .shape import knee_form
 from .solids import checked, column, height_field
 
 _POWER = 2.3
@@ -22,7 +24,8 @@ _END_MM = -285.0
 @lru_cache(maxsize=4)
 def mean_tibia(shape: TibiaShape) -> MeanBone:
     """The mean man's tibia, with a level plateau."""
-    return MeanBone("tibia", field_of(shape), partial(_rough, shape), shape.edge_mm, shape.tolerance_mm)
+    form = knee_form(shape_table()).bones["tibia"]
+    return MeanBone("tibia", field_of(shape), partial(_rough, shape), shape.edge_mm, shape.tolerance_mm, form)
 
 
 # manifold3d says on standard error what of it still stands when Python has ended.
@@ -46,6 +49,11 @@ def above(points: Array, relief: tuple[Bell, ...]) -> Array:
     """(n,)  approximate distance of points (n, 3) above the plateau's relief, mm"""
     height, slope_x, slope_y = _relief(points[:, 0], points[:, 1], relief)
     return (points[:, 2] - height) / np.sqrt(1 + slope_x**2 + slope_y**2)
+
+
+def plateau_height(x: Array, y: Array, relief: tuple[Bell, ...]) -> Array:
+    """(n,)  height of a level plateau's surface at places x and y (n,), mm"""
+    return _relief(x, y, relief)[0]
 
 
 def _evenly_deep(points: Array, shape: TibiaShape) -> Array:
@@ -77,5 +85,5 @@ def _rough(shape: TibiaShape) -> Manifold:
         shaft += Manifold.sphere(1.0, 48).scale(part.half).translate(part.centre)
     x, y = np.linspace(-45, 45, 61), np.linspace(-36, 32, 46)
     gx, gy = np.meshgrid(x, y, indexing="ij")
-    top = _relief(gx.ravel(), gy.ravel(), shape.relief)[0].reshape(gx.shape)
+    top = plateau_height(gx.ravel(), gy.ravel(), shape.relief).reshape(gx.shape)
     return checked(shaft ^ height_field(x, y, top, _END_MM - 10.0, "tibial plateau"), "tibia")

@@ -7,6 +7,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from ..core.checks import Array
+from ..data.bones import PatellaShape
 from ..geometry.mesh import Mesh
 from ..model.knee import Knee
 from . import bones, cartilage
@@ -49,12 +50,13 @@ def between(knee: Knee, assembly: KneeAssembly, placed: dict[str, bones.Bone], m
         mesh = Mesh(move(vertices[used]), number.reshape(-1, 3))
         parts.append(Part(name, "cartilage", mesh))
         keep.append(_near(layer.covered(), move))
-    keep += [_cut(placed[name].outer) for name in ("patella", "fibula")]
+    keep += [_cut(placed[name].outer) for name in placed if name not in ("femur", "tibia")]
     rings = [solid.transform(pose.tibia()) for solid in cartilage.menisci(shape.menisci, s)]
     joint = [
+        ("patella_cartilage", "cartilage", _behind(placed["patella"].outer, shape.patella, s, pose.femur())),
         ("medial_meniscus", "cartilage", rings[0]),
         ("lateral_meniscus", "cartilage", rings[1]),
-        ("patellar_tendon", "tendon", tendon(shape.tendon, s, pose.femur(), pose.tibia())),
+        ("patellar_tendon", "tendon", tendon(shape.tendon, s, _apex(placed["patella"].outer), pose.tibia())),
         ("fat_pad", "adipose", fat_pad(shape.fat_pad, s, pose.tibia())),
     ]
     sheets = [
@@ -76,6 +78,22 @@ def _carved(wanted: list[tuple[str, str, Manifold]], keep: list[Manifold], muscl
             parts.append(Part(name, material, mesh_of(left)))
             taken.append(left)
     return parts
+
+
+def _apex(patella: Manifold) -> Array:
+    points = mesh_of(patella).vertices
+    return points[points[:, 2].argmin()]
+
+
+def _behind(patella: Manifold, table: PatellaShape, scale: float, frame: Array) -> Manifold:
+    """What lies behind a patella, as thick as its cartilage, before bones are taken out of it.
+
+    frame  (3, 4)  transform of the femur into the knee frame, mm
+    """
+    back, up = frame[:, 1], frame[:, 2]
+    heights = mesh_of(patella).vertices @ up
+    least = float(heights.min() + table.cartilage_from * np.ptp(heights))
+    return patella.translate(tuple(table.cartilage_mm * scale * back)).trim_by_plane(tuple(up), least)
 
 
 def _near(solid: Manifold, move: Callable[[Array], Array]) -> Manifold:

@@ -17,7 +17,9 @@ from ..data.spongy import Lattice, TrabecularBone
 from .integrate import Region, Steps, Struts, integrate_density
 from .lattice import lattice
 
-BONES = ("femur", "tibia", "fibula", "patella")
+BONES = ("femur", "tibia", "fibula", "patella", "fabella")
+# Spongy as another bone.
+_AS = {"fabella": "patella"}
 # Samples a voxel of the lattice, and samples over which the smooth part is taken as straight.
 FINE, PIECE = 1, 20
 
@@ -113,7 +115,13 @@ def _region(
     sex: str,
 ) -> Region:
     """chance  uniform numbers: height of the scar, how strong it is, and where"""
-    part, hard, scar, ageing, tissue = getattr(table, bone), table.sclerosis, table.scar, table.ageing, table.tissue
+    part, hard, scar, ageing, tissue = (
+        getattr(table, _AS.get(bone, bone)),
+        table.sclerosis,
+        table.scar,
+        table.ageing,
+        table.tissue,
+    )
     excess = part.sclerosis * hard.per_plate * (sclerosis - 1)
     plates = [max(0.0, (1 + part.plate) * (1 + excess * share) - 1) for share in (1.0, hard.lateral_share)]
     years = age_years - ageing.reference_years

@@ -9,7 +9,7 @@ from ..geometry.scene import Scene
 from ..geometry.view import View, project
 from ..model.knee import Knee
 from ..model.radiograph import Truth
-from .contours import Gap, measure_gap
+from .contours import Gap, measure_gap, turned_px
 from .femur import mean_femur
 from .implicit import project_solid
 from .joint import KneeAssembly
@@ -39,7 +39,9 @@ def labels(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> Trut
         jsw_lateral_mm=knee.jsw_lateral_mm,
         jsw_at_mm=_jsw_at_mm(knee, assembly, of_reference),
         grade=knee.grade,
-        landmarks_px=_joint_lines(gaps) | _widest(knee, assembly, view) | _on_contours(knee, scene, view),
+        landmarks_px=_joint_lines(gaps, view, _lean_deg(knee, assembly))
+        | _widest(knee, assembly, view)
+        | _on_contours(knee, assembly, scene, view),
     )
 
 
@@ -86,7 +88,8 @@ def _gaps(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> tuple
     """The medial and the lateral joint space as a detector sees them."""
     femur, tibia = ((mesh.vertices, edges_of(mesh.faces)) for mesh in _outer(scene))
     medial, half = _medial(knee), assembly.build.half_ml_mm
-    return measure_gap(femur, tibia, view, medial, half), measure_gap(femur, tibia, view, -medial, half)
+    lean = _lean_deg(knee, assembly)
+    return measure_gap(femur, tibia, view, medial, half, lean), measure_gap(femur, tibia, view, -medial, half, lean)
 
 
 def _outer(scene: Scene) -> tuple[Mesh, Mesh]:
@@ -95,16 +98,16 @@ def _outer(scene: Scene) -> tuple[Mesh, Mesh]:
     return meshes["femur"], meshes["tibia"]
 
 
-def _on_contours(knee: Knee, scene: Scene, view: View) -> dict[str, tuple[float, float]]:
+def _on_contours(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> dict[str, tuple[float, float]]:
     """The sixteen contour landmarks; the top of the notch goes by its older name too."""
-    spots = contour_landmarks(*_outer(scene), view, _medial(knee))
+    spots = contour_landmarks(*_outer(scene), view, _medial(knee), _lean_deg(knee, assembly))
     return {**spots, "notch": spots["notch_top"]}
 
 
-def _joint_lines(gaps: tuple[Gap, Gap]) -> dict[str, tuple[float, float]]:
-    lines = {"medial_joint_line": gaps[0].middle_px(), "lateral_joint_line": gaps[1].middle_px()}
-    row, col = np.mean(list(lines.values()), axis=0)
-    return {**lines, "joint_centre": (float(row), float(col))}
+def _joint_lines(gaps: tuple[Gap, Gap], view: View, lean_deg: float) -> dict[str, tuple[float, float]]:
+    lines = turned_px(np.array([gap.middle_px() for gap in gaps]), view, lean_deg)
+    names = ("medial_joint_line", "lateral_joint_line", "joint_centre")
+    return {name: _place(place) for name, place in zip(names, (*lines, lines.mean(axis=0)), strict=True)}
 
 
 def _jsw_at_mm(knee: Knee, assembly: KneeAssembly, gaps: tuple[Gap, Gap]) -> dict[float, float]:
@@ -121,7 +124,7 @@ def _jsw_at_mm(knee: Knee, assembly: KneeAssembly, gaps: tuple[Gap, Gap]) -> dic
 
 def _widest(knee: Knee, assembly: KneeAssembly, view: View) -> dict[str, tuple[float, float]]:
     """Where the bones are widest, without their osteophytes."""
-    shape, medial = assembly.build.shape, _medial(knee)
+    shape, medial, lean = assembly.build.shape, _medial(knee), _lean_deg(knee, assembly)
     femur, tibia = (mesh_of(bone.outer) for bone in (mean_femur(shape.femur), mean_tibia(shape.tibia)))
     spots: dict[str, tuple[float, float]] = {}
     for side, sign in (("medial", +1), ("lateral", -1)):
@@ -133,12 +136,18 @@ def _widest(knee: Knee, assembly: KneeAssembly, view: View) -> dict[str, tuple[f
             points = mesh.vertices
             near = (points[:, 2] > band[0]) & (points[:, 2] < band[1]) & (points[:, 0] * sign > 0)
             seen = project(_mirrored(move(points[near]), knee), view)
-            spots[f"{side}_{name}"] = _place(seen, (seen[:, 1] * sign * medial).argmax())
+            upright = turned_px(seen, view, -lean)
+            spots[f"{side}_{name}"] = _place(seen[(upright[:, 1] * sign * medial).argmax()])
     return spots
 
 
-def _place(seen: Array, which: np.intp) -> tuple[float, float]:
-    return (float(seen[which, 0]), float(seen[which, 1]))
+def _place(seen: Array) -> tuple[float, float]:
+    return (float(seen[0]), float(seen[1]))
+
+
+def _lean_deg(knee: Knee, assembly: KneeAssembly) -> float:
+    """By how much the leg leans on the film, from columns' end towards rows' start."""
+    return assembly.pose.lean_deg * _medial(knee)
 
 
 def _medial(knee: Knee) -> int:

@@ -18,7 +18,10 @@ _SHAPE, _NOISE, _RETEST, _BODY = 0, 3, 4, 2**31
 # Off by which a knee is placed anew: what a careful radiographer is said to keep to (judgement).
 _ROTATION_DEG, _FLEXION_DEG, _BEAM_DEG = 2.0, 2.0, 1.0
 # What the two knees of a subject share.
-_BODY_FIELDS = ("sex", "stature_mm", "bone_scale", "cortex_scale", "limb_ap_mm", "fat_mm", "age_years", "shape")
+_BODY_FIELDS = (
+    "sex", "stature_mm", "bone_scale", "cortex_scale", "limb_ap_mm", "fat_mm", "age_years", "shape",
+    "fibular_tip_mm", "insall_salvati", "fabella_mm",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -82,10 +85,10 @@ def preset_names() -> list[str]:
 def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None = None) -> Plan:
     """Draw a cohort.
 
-    Both knees of a subject have one body (sex, stature, size and shape of bones, cortex, limb, fat, age) and one grade.
-    Given these, joint space, alignment, osteophytes, pose and trabeculae are drawn for each knee apart: they are alike
-    by their grade alone. In people they correlate within a grade too; the ranges that are drawn from do not say by how
-    much, and a number of our own is not put in their place.
+    Both knees of a subject have one body (sex, stature, size and shape of bones, height of fibula and patella, fabella,
+    cortex, limb, fat, age) and one grade. Given these, joint space, alignment, osteophytes, pose and trabeculae are
+    drawn for each knee apart: they are alike by their grade alone. In people they correlate within a grade too; the
+    ranges that are drawn from do not say by how much, and a number of our own is not put in their place.
 
     preset     a name of `data/presets.toml`
     overrides  entries that replace the preset's, such as {"knees": [2, 2, 2]} or {"protocols": ["reference"]}

@@ -103,14 +103,31 @@ class FibulaShape(Record, frozen=True):
     sections: Rows
     cortex: Rows
     gap_to_tibia_mm: float
+    joint_mm: Triple
+    faces: Triple
 
 
 class PatellaShape(Record, frozen=True):
-    """Patella; sections about its middle, which lies at `centre_mm` in the femur's frame."""
+    """Patella; sections about its middle, which lies at `centre_mm` in the frame of the mean man's femur."""
 
     sections: Rows
     centre_mm: Triple
+    tendon_end_mm: float
+    gap_to_femur_mm: float
+    cartilage_mm: float
+    cartilage_from: float
     cortex: Rows
+
+
+class FabellaShape(Record, frozen=True):
+    """Fabella: where behind the femur it is looked for, how far behind it lies, half axes over half its size."""
+
+    x: float
+    z: float
+    reach_mm: float
+    behind_mm: float
+    form: Triple
+    cortex_mm: float
 
 
 class Margin(Record, frozen=True):
@@ -184,9 +201,9 @@ class FatPad(Record, frozen=True):
 
 
 class Tendon(Record, frozen=True):
-    """The patellar tendon: its ends in the frames of femur and tibia, and the half axes of its section."""
+    """The patellar tendon: its start from the patella's apex, its end in the tibia's frame, its section's half axes."""
 
-    patella: Triple
+    from_apex: Triple
     tuberosity: Triple
     half: Triple
 
@@ -231,6 +248,7 @@ class BoneShape(Record, frozen=True):
     osteophytes: Margins
     fibula: FibulaShape
     patella: PatellaShape
+    fabella: FabellaShape
     cartilage: Cartilage
     menisci: Menisci
     fat_pad: FatPad

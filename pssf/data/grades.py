@@ -17,17 +17,27 @@ class GradeRanges(Record, frozen=True):
     varus_deg: Pair
 
 
+class Fabellae(Record, frozen=True):
+    """Share of knees that have a fabella, and bounds of its size."""
+
+    share: float
+    size_mm: Pair
+
+
 class Grades(Record, frozen=True):
     """All of a table of grades.
 
     grade  name -> its ranges
     body   field of a knee -> mean and standard deviation, of both sexes or of each
     pose   field of a knee -> bounds
+    form   as body, of what is drawn with the scores of the shape
     """
 
     grade: dict[str, GradeRanges]
     body: dict[str, Pair | dict[str, Pair]]
     pose: dict[str, Pair]
+    form: dict[str, Pair | dict[str, Pair]]
+    fabella: Fabellae
 
 
 @cache

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..core.checks import InputError, from_table, require, require_choice, require_whole
 from ..data.fields import check_fields
-from ..data.grades import grades
+from ..data.grades import Grades, grades
 from ..data.records import Pair
 from ..data.shapes import shape_table
 
@@ -47,6 +47,12 @@ class Knee:
     shape              scores of the bones' shape, in standard deviations of people's: one a mode of
                        `data/shapes.toml`, in its order; those left out are 0, the mean
     cortex_scale       cortical thickness relative to the mean
+    lean_deg           of the tibial shaft on the film; positive: the foot towards medial
+    fibular_tip_mm     of the fibula below the middle of the plateau
+    insall_salvati     length of the patellar tendon over that of the patella
+    patellar_shift_mm  of the patella's middle from the femur's, laterally
+    patellar_tilt_deg  of the patella about its long axis; positive: its lateral edge backwards
+    fabella_mm         height of the fabella; 0 where there is none
     limb_ap_mm         antero-posterior thickness of the limb at the joint
     fat_mm             subcutaneous fat, medial and lateral
     age_years          thins the trabeculae
@@ -69,6 +75,12 @@ class Knee:
     shape: tuple[float, ...] = ()
     cortex_scale: float = 1.0
     tibial_slope_deg: float = 5.0
+    lean_deg: float = 0.0
+    fibular_tip_mm: float = 12.0
+    insall_salvati: float = 1.14
+    patellar_shift_mm: float = 3.0
+    patellar_tilt_deg: float = 3.0
+    fabella_mm: float = 0.0
     limb_ap_mm: float = 120.0
     fat_mm: float = 8.0
     age_years: float = 55.0
@@ -137,22 +149,30 @@ def draw_knee(*, grade: int, rng: np.random.Generator, **fixed: Any) -> Knee:
     require_choice("sex", sex, ("male", "female"))
     drawn: dict[str, Any] = {"sex": sex, "grade": int(grade), "side": "right" if rng.random() < 0.5 else "left"}
     for name, law in table.body.items():
-        mean, sd = law[sex] if isinstance(law, dict) else law
-        drawn[name] = round(mean + sd * min(2.0, max(-2.0, rng.standard_normal())), 4)
+        drawn[name] = _normal(rng, law, sex)
     for name in ("jsw_medial_mm", "jsw_lateral_mm", "subchondral_plate", "varus_deg"):
         drawn[name] = _uniform(rng, getattr(ranges, name))
     for name, bounds in table.pose.items():
         drawn[name] = _uniform(rng, bounds)
     drawn["texture_seed"] = int(rng.spawn(1)[0].integers(2**63))
     # From a child of its own, so that all else is drawn as it would be without.
-    drawn["shape"] = _draw_shape(rng.spawn(1)[0])
+    drawn |= _draw_form(rng.spawn(1)[0], table, sex)
     drawn["osteophytes"] = _draw_osteophytes(rng, ranges.osteophyte_count, ranges.largest_osteophyte_mm)
     return from_table(Knee, {**drawn, **fixed}, "draw_knee")
 
 
-def _draw_shape(rng: np.random.Generator) -> tuple[float, ...]:
+def _draw_form(rng: np.random.Generator, table: Grades, sex: str) -> dict[str, Any]:
+    """Scores of the shape, and how the small bones lie."""
     scores = rng.standard_normal(len(shape_table().modes)).clip(-MOST_SD, MOST_SD)
-    return tuple(round(float(score), 4) for score in scores)
+    form: dict[str, Any] = {"shape": tuple(round(float(score), 4) for score in scores)}
+    form |= {name: _normal(rng, law, sex) for name, law in table.form.items()}
+    has, size_mm = rng.random() < table.fabella.share, _uniform(rng, table.fabella.size_mm)
+    return form | {"fabella_mm": size_mm if has else 0.0}
+
+
+def _normal(rng: np.random.Generator, law: Pair | dict[str, Pair], sex: str) -> float:
+    mean, sd = law[sex] if isinstance(law, dict) else law
+    return round(mean + sd * min(2.0, max(-2.0, rng.standard_normal())), 4)
 
 
 def _draw_osteophytes(

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from ..anatomy.bones import build_of, patella, stand_femur, stand_tibia
+from ..anatomy.build import build_of, stand_femur, stand_tibia
 from ..anatomy.femur import mean_femur
+from ..anatomy.small_bones import patella
 from ..anatomy.solids import mesh_of
 from ..anatomy.tibia import mean_tibia
 from ..core.checks import Array, InputError, require_whole

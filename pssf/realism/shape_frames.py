@@ -1,17 +1,20 @@
 """People's bones brought into the frames of the mean man's: size, pose, slope and lean of the shaft taken out."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..anatomy.bones import build_of, patella, stand_femur, stand_tibia
+from ..anatomy.build import Build, Form, build_of, stand_femur, stand_tibia
 from ..anatomy.femur import mean_femur
+from ..anatomy.small_bones import patella
 from ..anatomy.solids import mesh_of
 from ..anatomy.tibia import mean_tibia
 from ..core.checks import Array
 from ..data.bones import mean_shape
+from ..geometry.freeform import Lattice, with_displacements
 from ..geometry.mesh import Mesh
 from ..model.knee import Knee
 from .bones import fit_bone
@@ -29,16 +32,41 @@ def mean_bones() -> dict[str, Mesh]:
     return {
         "femur": mesh_of(mean_femur(shape.femur).outer),
         "tibia": mesh_of(mean_tibia(shape.tibia).outer),
-        "patella": mesh_of(patella(build_of(Knee(), shape)).outer),
+        "patella": _placed(mesh_of(patella(_mean_man()).outer)),
     }
 
 
+def _mean_man() -> Build:
+    """The mean man, whose bones no lattice deforms."""
+    build = build_of(Knee(), mean_shape())
+    none = {
+        name: with_displacements(lattice, 0 * lattice.displacements_mm) for name, lattice in _lattices(build).items()
+    }
+    return replace(
+        build,
+        femur=Form(none["femur"], +1, (0.0, 0.0)),
+        tibia=Form(none["tibia"], -1, (0.0, 0.0)),
+        patella=none["patella"],
+        femur_valgus_deg=build.shape.femur.valgus_deg,
+        tibia_varus_deg=0.0,
+    )
+
+
+def _lattices(build: Build) -> dict[str, Lattice]:
+    return {"femur": build.femur.lattice, "tibia": build.tibia.lattice, "patella": build.patella}
+
+
+def _placed(patella: Mesh) -> Mesh:
+    """The mean man's patella in the frame of his femur, where its lattice acts."""
+    return Mesh(patella.vertices + mean_shape().patella.centre_mm, patella.faces)
+
+
 def stand(points_mm: Array, name: str) -> Array:
-    """(n, 3)  places of the mean man's bone as it stands in the knee of default parameters
+    """(n, 3)  places of the mean man's bone as it stands, undeformed
 
     points_mm  (n, 3)
     """
-    build = build_of(Knee(), mean_shape())
+    build = _mean_man()
     how = {"femur": stand_femur, "tibia": stand_tibia}.get(name)
     return how(points_mm, build) if how else points_mm
 

@@ -1,0 +1,177 @@
+"""Build: what makes one knee's bones of the mean man's, and where a place of his bones is in them.
+
+A bone is made in its own frame at the mean man's size, with a straight shaft. A lattice deforms it into this person's;
+its shaft goes straight on beyond the lattice and is set upright, seen from the side; the tibia's plateau gets its
+slope, and each shaft its lean in the frontal plane. So an angle of a knee is that of its bones, whatever their form.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from manifold3d import Manifold
+
+from ..core.checks import Array
+from ..data.bones import BoneShape
+from ..data.shapes import shape_table
+from ..geometry.freeform import Lattice, displaced
+from ..model.knee import Knee
+from .shape import knee_form, lattices_of
+from .tibia import plateau_height
+
+# Along a shaft from here on a lattice's own lean is looked for (mean man's size); beyond, it fades and is carried on.
+_LEAN_FROM_MM, _LEAN_TO_MM = 55.0, 85.0
+# A lean begins smoothly over this, which keeps the metaphysis free of a kink.
+_EASE_MM = 15.0
+# Places of the plateau, to the sides and to front and back of its middle, between which its fall is measured.
+_PLATEAU_X_MM, _PLATEAU_Y_MM = 22.0, 13.0
+# Of a tibia: a slope reaches down to here, below the tuberosity.
+_SLOPE_TO_MM = 60.0
+
+
+@dataclass(frozen=True)
+class Form:
+    """How a person's femur or tibia differs from the mean man's.
+
+    lattice  that deforms it, at the mean man's size, in the bone's frame
+    end      +1: the shaft goes up from the joint; -1: down
+    lean     (x, y) by which the shaft then leans, a millimetre away from the joint
+    """
+
+    lattice: Lattice
+    end: int
+    lean: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Build:
+    """What shapes the bones of one knee: size over the mean man's, relative cortex and plate, angles in degrees.
+
+    shape             of the mean man's bones
+    femur, tibia      this person's form of them
+    patella           the lattice of this person's
+    slope_deg         by which the plateau falls backwards, mean of both sides
+    femur_valgus_deg  by which the femoral shaft leans laterally, proximally
+    tibia_varus_deg   by which the tibial shaft leans medially, distally
+    """
+
+    shape: BoneShape
+    femur: Form
+    tibia: Form
+    patella: Lattice
+    scale: float
+    cortex: float
+    plate: float
+    slope_deg: float
+    femur_valgus_deg: float
+    tibia_varus_deg: float
+
+    @property
+    def half_ml_mm(self) -> float:
+        """Half the medio-lateral width of the tibial plateau."""
+        return self.shape.size.male_tibial_ml_mm / 2 * self.scale
+
+
+def build_of(knee: Knee, shape: BoneShape) -> Build:
+    """What a knee's parameters make of the mean man's bones."""
+    size = shape.size
+    sex_scale = size.female_over_male if knee.sex == "female" else 1.0
+    lattices = lattices_of(knee.shape, knee_form(shape_table()))
+    femur, tibia = _form(lattices["femur"], +1), _form(lattices["tibia"], -1)
+    # Each shaft leans as this person's does, and both give as much as makes the angle between them the one wanted.
+    valgus = shape.femur.valgus_deg - float(np.rad2deg(np.arctan(femur.lean[0])))
+    varus = float(np.rad2deg(np.arctan(tibia.lean[0])))
+    given = (shape.femur.valgus_deg - knee.varus_deg - (valgus - varus)) / 2
+    return Build(
+        shape=shape,
+        femur=femur,
+        tibia=tibia,
+        patella=lattices["patella"],
+        scale=sex_scale * knee.bone_scale * knee.stature_mm / getattr(size.stature_mm, knee.sex),
+        cortex=knee.cortex_scale,
+        plate=knee.subchondral_plate,
+        slope_deg=knee.tibial_slope_deg,
+        femur_valgus_deg=valgus + given,
+        tibia_varus_deg=varus - given,
+    )
+
+
+def _form(lattice: Lattice, end: int) -> Form:
+    along = np.linspace(_LEAN_FROM_MM, _LEAN_TO_MM, 7)
+    axis = np.column_stack((np.zeros((7, 2)), end * along))
+    slopes = np.polyfit(along, (displaced(axis, lattice) - axis)[:, :2], 1)[0]
+    return Form(lattice, end, (float(slopes[0]), float(slopes[1])))
+
+
+def formed(points: Array, form: Form) -> Array:
+    """(n, 3)  places of the mean man's bone in a person's, at the mean man's size, its shaft upright from the side
+
+    points  (n, 3)  mm
+    """
+    places = displaced(points, form.lattice)
+    # Beyond the lattice displacements stay the same; a shaft goes straight on.
+    on = eased(form.end * points[:, 2] - _LEAN_TO_MM)
+    places[:, :2] += on[:, None] * form.lean
+    turn = form.end * np.arctan(form.lean[1])
+    y, z = places[:, 1].copy(), places[:, 2].copy()
+    places[:, 1], places[:, 2] = y * np.cos(turn) - z * np.sin(turn), y * np.sin(turn) + z * np.cos(turn)
+    return places
+
+
+def eased(beyond_mm: Array) -> Array:
+    """(n,)  distances beyond a place where a lean begins, 0 before it, with a smooth start"""
+    beyond = np.maximum(beyond_mm, 0.0)
+    return np.where(beyond < _EASE_MM, beyond**2 / (2 * _EASE_MM), beyond - _EASE_MM / 2)
+
+
+def stand_femur(points: Array, build: Build) -> Array:
+    """(n, 3)  places of the mean man's femur in this one: in its form, at its size, shaft leaning
+
+    points  (n, 3)  mm
+    """
+    slope = -np.tan(np.deg2rad(build.femur_valgus_deg)) - build.femur.lean[0]
+    return _leaning(formed(points, build.femur) * build.scale, build, build.shape.femur.shaft_pivot_z_mm, +1, slope)
+
+
+def stand_tibia(points: Array, build: Build) -> Array:
+    """(n, 3)  places of the mean man's tibia in this one: in its form, at its size, plateau falling, shaft leaning
+
+    points  (n, 3)  mm
+    """
+    places = sloped(formed(points, build.tibia) * build.scale, build)
+    slope = np.tan(np.deg2rad(build.tibia_varus_deg)) - build.tibia.lean[0]
+    return _leaning(places, build, build.shape.tibia.shaft_pivot_z_mm, -1, slope)
+
+
+def _leaning(places: Array, build: Build, pivot_mm: float, end: int, slope: float) -> Array:
+    places[:, 0] += slope * eased(end * (places[:, 2] - pivot_mm * build.scale))
+    return places
+
+
+def sloped(points_mm: Array, build: Build) -> Array:
+    """(n, 3)  places of a tibia whose plateau falls backwards; below the tuberosity the shaft stays as it is
+
+    points_mm  (n, 3)
+    """
+    places = points_mm.copy()
+    fade = np.clip(1 + places[:, 2] / (_SLOPE_TO_MM * build.scale), 0.0, 1.0) ** 2
+    places[:, 2] -= (np.tan(np.deg2rad(build.slope_deg)) - _fall(build)) * places[:, 1] * fade
+    return places
+
+
+def _fall(build: Build) -> float:
+    """By how much a person's plateau falls a millimetre backwards before it is sloped, mean of both sides."""
+    x, y = np.meshgrid([_PLATEAU_X_MM, -_PLATEAU_X_MM], [-_PLATEAU_Y_MM, _PLATEAU_Y_MM])
+    places = np.column_stack((x.ravel(), y.ravel(), plateau_height(x.ravel(), y.ravel(), build.shape.tibia.relief)))
+    front, back = formed(places, build.tibia).reshape(2, 2, 3)
+    return float(np.mean((front[:, 2] - back[:, 2]) / (back[:, 1] - front[:, 1])))
+
+
+def stood(solid: Manifold, build: Build, bone: str) -> Manifold:
+    """A solid of the mean man's femur or tibia as it stands in this knee."""
+    stand = {"femur": stand_femur, "tibia": stand_tibia}[bone]
+    return solid.warp_batch(lambda points: stand(np.array(points), build))
+
+
+def scaled(sections: object, scale: float) -> Array:
+    """(n, m)  a table of lengths, scaled"""
+    return np.asarray(sections, dtype=np.float64) * scale
