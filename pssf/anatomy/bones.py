@@ -10,8 +10,8 @@ from manifold3d import Manifold
 from ..core.checks import Array
 from ..data.records import Rows
 from ..model.knee import Osteophyte
-from .build import Build, formed, scaled, stood
-from .femur import mean_femur
+from .bone_build import Build, formed, scaled, stood
+from .femur import mean_femur, notch_field
 from .implicit import project_solid
 from .osteophytes import BoneWithOsteophytes, grow
 from .solids import checked, column
@@ -73,7 +73,10 @@ def femur(build: Build, grown: BoneWithOsteophytes) -> Bone:
 
     def depth(points: Array) -> Array:
         share = np.clip((table.plate_below_z - points[:, 2]) / 4.0, 0.0, 1.0)
-        return ((1 - share) * cortex(points[:, 2] * s) + share * plate) / s
+        shell = (1 - share) * cortex(points[:, 2] * s) + share * plate
+        # The notch bears no weight: its walls are thin, and pass into the condyles' plate over 3 mm.
+        within = np.clip(1 - notch_field(points, table.notch) / 3.0, 0.0, 1.0)
+        return (shell + within * (table.notch.cortex_mm * build.cortex - shell)) / s
 
     marrow = project_solid(mean.coarser, mean.field, depth_mm=depth, steps=_INWARD_STEPS)
     heights = levels(table.canal_from_z_mm, (SHAFT_END_MM + _SPARE_MM) / s, 2.5)

@@ -45,7 +45,7 @@ def field_of(shape: FemurShape) -> Field:
             whole = blend(whole, condyle_field(points, condyle), shape.fillet_mm)
         for part in shape.bumps:
             whole = blend(whole, ellipsoid(points, part.centre, part.half), part.fillet_mm)
-        whole = carve(whole, _notch_field(points, shape.notch), shape.notch.fillet_mm)
+        whole = carve(whole, notch_field(points, shape.notch), shape.notch.fillet_mm)
         for part in shape.hollows:
             whole = carve(whole, ellipsoid(points, part.centre, part.half), part.fillet_mm)
         return whole
@@ -85,7 +85,8 @@ def _notch_at(y_mm: Array, notch: Notch) -> tuple[Array, Array, Array]:
     return roof, bend, half
 
 
-def _notch_field(points: Array, notch: Notch) -> Array:
+def notch_field(points: Array, notch: Notch) -> Array:
+    """(n,)  approximate distance of points (n, 3), mm, from the notch, negative within it"""
     roof, bend, half = _notch_at(points[:, 1], notch)
     across = points[:, 0]
     under = (points[:, 2] - roof + bend * across**2) / np.sqrt(1.29 + (2 * bend * across) ** 2)

@@ -8,7 +8,7 @@ from ..core.checks import Array
 from ..geometry.freeform import displaced
 from ..model.knee import Knee
 from .bones import SHAFT_END_MM, Bone, levels, thickness, trimmed
-from .build import Build, eased, formed, scaled
+from .bone_build import Build, eased, formed, scaled
 from .joint import Pose, moved
 from .solids import checked, column, mesh_of
 
@@ -20,6 +20,8 @@ _JOINT_PLATE_MM = 0.7
 _FIBULA_LEANS_BELOW_MM = -25.0
 # The part of the femur that a patella can lie on, and what of it faces the front: as much as the sides of the trochlea.
 _FRONT_BELOW_MM, _FACES_FRONT = 90.0, 0.3
+# The gap to the femur is that at so small a share of the patella's places, and at none less than such a share of it.
+_NEAR_SHARE, _LEAST_SHARE = 0.1, 0.6
 # Turns in which height and depth of the patella are made to agree, which in flexion depend on each other.
 _TURNS = 2
 
@@ -62,13 +64,15 @@ def patella(build: Build) -> Bone:
     outer = column(sections, np.zeros_like, levels(low, high, 1.0), "patella", power=2.1)
     inner = column(sections, cortex, levels(low + 1.2, high - 1.2, 1.0), "patella marrow", power=2.1)
 
-    def person(solid: Manifold, tolerance_mm: float) -> Manifold:
+    def formed_as(solid: Manifold) -> Manifold:
         middle = np.array(table.centre_mm)
-        return solid.simplify(tolerance_mm).warp_batch(
-            lambda points: (displaced(np.array(points) + middle, build.patella) - middle) * s
-        )
+        return solid.warp_batch(lambda points: (displaced(np.array(points) + middle, build.patella) - middle) * s)
 
-    return Bone(outer=person(outer, _COARSER_MM / 2), inner=person(inner, _COARSER_MM))
+    # Simplified only when they are deformed: flat places do not stay flat.
+    return Bone(
+        outer=checked(formed_as(outer).simplify(_COARSER_MM / 2), "patella"),
+        inner=checked(formed_as(inner).simplify(_COARSER_MM), "patella marrow"),
+    )
 
 
 def patella_place(knee: Knee, build: Build, patella: Manifold, femur: Manifold, pose: Pose) -> Array:
@@ -92,9 +96,10 @@ def patella_place(knee: Knee, build: Build, patella: Manifold, femur: Manifold, 
         # Height in the leg's frame is linear in the place: solved for z.
         rest = moved(np.array([[place[0], place[1], 0.0]]), to_leg)[0, 2]
         place[2] = (apex_mm - rest) / to_leg[2, 2] - low
-        # The least space between them front to back, nan beside the femur.
+        # The space between them front to back, nan beside the femur; where they are closest cartilage is thinner.
         space = front((turned + place)[:, [0, 2]]) - turned[:, 1]
-        place[1] = np.nanmin(space) - table.gap_to_femur_mm
+        near = float(np.nanquantile(space, _NEAR_SHARE))
+        place[1] = min(near - table.gap_to_femur_mm, float(np.nanmin(space)) - table.gap_to_femur_mm * _LEAST_SHARE)
     return np.column_stack((turn, place))
 
 

@@ -6,7 +6,7 @@ from scipy import ndimage
 
 from ..core.checks import Array
 from ..model.knee import Knee
-from .build import Build, eased
+from .bone_build import Build, eased
 from .solids import column
 
 _POWER = 2.25

@@ -21,6 +21,7 @@ class Notch(Record, frozen=True):
     """The intercondylar notch. sections: y, height of the roof, curvature of its arch (1/mm), half width."""
 
     fillet_mm: float
+    cortex_mm: float
     sections: Rows
     flare: float
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from ..anatomy.build import build_of, stand_femur, stand_tibia
+from ..anatomy.bone_build import build_of, stand_femur, stand_tibia
 from ..anatomy.femur import mean_femur
 from ..anatomy.small_bones import patella
 from ..anatomy.solids import mesh_of

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..anatomy.build import Build, Form, build_of, stand_femur, stand_tibia
+from ..anatomy.bone_build import Build, Form, build_of, stand_femur, stand_tibia
 from ..anatomy.femur import mean_femur
 from ..anatomy.small_bones import patella
 from ..anatomy.solids import mesh_of

@@ -24,6 +24,7 @@ _LEAN_FROM_MM, _LEAN_TO_MM = 55.0, 85.0
 _EASE_MM = 15.0
 # Places of the plateau, to the sides and to front and back of its middle, between which its fall is measured.
 _PLATEAU_X_MM, _PLATEAU_Y_MM = 22.0, 13.0
+_PLATEAU_TURNS = 4
 # Of a tibia: a slope reaches down to here, below the tuberosity.
 _SLOPE_TO_MM = 60.0
 
@@ -77,10 +78,9 @@ def build_of(knee: Knee, shape: BoneShape) -> Build:
     sex_scale = size.female_over_male if knee.sex == "female" else 1.0
     lattices = lattices_of(knee.shape, knee_form(shape_table()))
     femur, tibia = _form(lattices["femur"], +1), _form(lattices["tibia"], -1)
-    # Each shaft leans as this person's does, and both give as much as makes the angle between them the one wanted.
-    valgus = shape.femur.valgus_deg - float(np.rad2deg(np.arctan(femur.lean[0])))
+    # The tibia leans as this person's does; the femur as makes the angle between them the one of a straight leg. Of an
+    # angle beyond that each has half.
     varus = float(np.rad2deg(np.arctan(tibia.lean[0])))
-    given = (shape.femur.valgus_deg - knee.varus_deg - (valgus - varus)) / 2
     return Build(
         shape=shape,
         femur=femur,
@@ -90,8 +90,8 @@ def build_of(knee: Knee, shape: BoneShape) -> Build:
         cortex=knee.cortex_scale,
         plate=knee.subchondral_plate,
         slope_deg=knee.tibial_slope_deg,
-        femur_valgus_deg=valgus + given,
-        tibia_varus_deg=varus - given,
+        femur_valgus_deg=shape.femur.valgus_deg + varus - knee.varus_deg / 2,
+        tibia_varus_deg=varus + knee.varus_deg / 2,
     )
 
 
@@ -160,10 +160,14 @@ def sloped(points_mm: Array, build: Build) -> Array:
 
 def _fall(build: Build) -> float:
     """By how much a person's plateau falls a millimetre backwards before it is sloped, mean of both sides."""
-    x, y = np.meshgrid([_PLATEAU_X_MM, -_PLATEAU_X_MM], [-_PLATEAU_Y_MM, _PLATEAU_Y_MM])
-    places = np.column_stack((x.ravel(), y.ravel(), plateau_height(x.ravel(), y.ravel(), build.shape.tibia.relief)))
-    front, back = formed(places, build.tibia).reshape(2, 2, 3)
-    return float(np.mean((front[:, 2] - back[:, 2]) / (back[:, 1] - front[:, 1])))
+    x, y = np.repeat([_PLATEAU_X_MM, -_PLATEAU_X_MM], 2), np.tile([-_PLATEAU_Y_MM, _PLATEAU_Y_MM], 2)
+    places = np.column_stack((x, y, plateau_height(x, y, build.shape.tibia.relief)))
+    # Of this person's plateau at these places, not of where a form takes the mean man's.
+    for _ in range(_PLATEAU_TURNS):
+        places[:, :2] -= formed(places, build.tibia)[:, :2] - np.column_stack((x, y))
+        places[:, 2] = plateau_height(places[:, 0], places[:, 1], build.shape.tibia.relief)
+    heights = formed(places, build.tibia)[:, 2]
+    return float(np.mean(heights[::2] - heights[1::2]) / (2 * _PLATEAU_Y_MM))
 
 
 def stood(solid: Manifold, build: Build, bone: str) -> Manifold:
