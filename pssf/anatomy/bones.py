@@ -11,11 +11,10 @@ from ..core.checks import Array
 from ..data.records import Rows
 from ..model.knee import Osteophyte
 from .bone_build import Build, formed, scaled, stood
-from .femur import mean_femur, notch_field
-from .implicit import project_solid
+from .femur import mean_femur
 from .osteophytes import BoneWithOsteophytes, grow
-from .solids import checked, column
-from .tibia import above, mean_tibia
+from .solids import checked, column, thickness
+from .tibia import mean_tibia
 
 # Shafts end here, outside the beam of any protocol in the package and within the soft tissue's own length.
 SHAFT_END_MM = 180.0
@@ -23,8 +22,6 @@ SHAFT_END_MM = 180.0
 _SPARE_MM = 20.0
 # Canals, whose edge trabeculae blur, are drawn with fewer triangles, within this.
 _CANAL_MM = 0.05
-# Steps of 1.5 mm at most, down to the inside of the thickest cortex.
-_INWARD_STEPS = 6
 
 
 @dataclass(frozen=True)
@@ -34,13 +31,6 @@ class Bone:
     outer: Manifold
     inner: Manifold
     canal: Manifold | None = None
-
-
-def thickness(table: Rows, scale: float, factor: float) -> Callable[[Array], Array]:
-    """Cortical thickness (mm) as a function of height (mm), from a table of height and thickness."""
-    rows = np.asarray(table, dtype=np.float64)
-    rows = rows[np.argsort(rows[:, 0])]
-    return lambda z_mm: np.interp(z_mm, rows[:, 0] * scale, rows[:, 1]) * factor * scale
 
 
 def levels(low_mm: float, high_mm: float, step_mm: float) -> Array:
@@ -68,36 +58,18 @@ def grown_tibia(build: Build, osteophytes: tuple[Osteophyte, ...]) -> BoneWithOs
 def femur(build: Build, grown: BoneWithOsteophytes) -> Bone:
     """Distal femur; z = 0 near the condyles' distal end, shaft leaning laterally by `femur_valgus_deg`."""
     table, s, mean = build.shape.femur, build.scale, mean_femur(build.shape.femur)
-    cortex = thickness(table.cortex, s, build.cortex)
-    plate = table.plate_mm * build.cortex * build.plate
-
-    def depth(points: Array) -> Array:
-        share = np.clip((table.plate_below_z - points[:, 2]) / 4.0, 0.0, 1.0)
-        shell = (1 - share) * cortex(points[:, 2] * s) + share * plate
-        # The notch bears no weight: its walls are thin, and pass into the condyles' plate over 3 mm.
-        within = np.clip(1 - notch_field(points, table.notch) / 3.0, 0.0, 1.0)
-        return (shell + within * (table.notch.cortex_mm * build.cortex - shell)) / s
-
-    marrow = project_solid(mean.coarser, mean.field, depth_mm=depth, steps=_INWARD_STEPS)
+    marrow = mean.inner(build.cortex, build.cortex * build.plate / s)
     heights = levels(table.canal_from_z_mm, (SHAFT_END_MM + _SPARE_MM) / s, 2.5)
-    canal = _canal(table.sections, thickness(table.cortex, 1.0, build.cortex), heights, table.canal_full_z_mm)
+    canal = _canal(table.sections, thickness(table.cortex, build.cortex), heights, table.canal_full_z_mm)
     return _standing(build, "femur", Bone(grown.outer, grown.filled(marrow, s), canal))
 
 
 def tibia(build: Build, grown: BoneWithOsteophytes) -> Bone:
     """Proximal tibia; z = 0 near the middle of the plateau, shaft leaning medially by `tibia_varus_deg`."""
     table, s, mean = build.shape.tibia, build.scale, mean_tibia(build.shape.tibia)
-    cortex = thickness(table.cortex, s, build.cortex)
-    plate = table.plate_mm * build.cortex * build.plate
-
-    def depth(points: Array) -> Array:
-        # The plate under the cartilage passes into the cortex of the sides over its own first millimetres.
-        share = np.clip(1 + above(points, table.relief) / 3.0, 0.0, 1.0)
-        return ((1 - share) * cortex(points[:, 2] * s) + share * plate) / s
-
-    marrow = project_solid(mean.coarser, mean.field, depth_mm=depth, steps=_INWARD_STEPS)
+    marrow = mean.inner(build.cortex, build.cortex * build.plate / s)
     heights = levels(-(SHAFT_END_MM + _SPARE_MM) / s, table.canal_from_z_mm, 2.5)
-    canal = _canal(table.sections, thickness(table.cortex, 1.0, build.cortex), heights, table.canal_full_z_mm)
+    canal = _canal(table.sections, thickness(table.cortex, build.cortex), heights, table.canal_full_z_mm)
     return _standing(build, "tibia", Bone(grown.outer, grown.filled(marrow, s), canal))
 
 

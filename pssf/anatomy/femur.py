@@ -15,7 +15,7 @@ from ..data.shapes import shape_table
 from .implicit import Column, Field, blend, carve, ellipsoid, lengths, meet
 from .mean_bone import MeanBone
 from .shape import knee_form
-from .solids import checked, column, hull, loft
+from .solids import checked, column, hull, loft, thickness
 
 _POWER = 2.3
 # Cut flat here, outside the beam of any protocol in the package.
@@ -26,7 +26,15 @@ _END_MM = 285.0
 def mean_femur(shape: FemurShape) -> MeanBone:
     """The mean man's femur."""
     form = knee_form(shape_table()).bones["femur"]
-    return MeanBone("femur", field_of(shape), partial(_rough, shape), shape.edge_mm, shape.tolerance_mm, form)
+    return MeanBone(
+        name="femur",
+        field=field_of(shape),
+        shell=partial(_shell, shape),
+        rough=partial(_rough, shape),
+        edge_mm=shape.edge_mm,
+        tolerance_mm=shape.tolerance_mm,
+        form=form,
+    )
 
 
 # manifold3d says on standard error what of it still stands when Python has ended.
@@ -91,6 +99,15 @@ def notch_field(points: Array, notch: Notch) -> Array:
     across = points[:, 0]
     under = (points[:, 2] - roof + bend * across**2) / np.sqrt(1.29 + (2 * bend * across) ** 2)
     return meet(under, np.abs(across) - half - notch.flare * np.maximum(roof - points[:, 2], 0.0), 5.0)
+
+
+def _shell(shape: FemurShape, points: Array, cortex: float, plate: float) -> Array:
+    """(n,)  thickness of cortex or plate at points (n, 3), mm; cortex and plate over the mean man's"""
+    share = np.clip((shape.plate_below_z - points[:, 2]) / 4.0, 0.0, 1.0)
+    shell = (1 - share) * thickness(shape.cortex, cortex)(points[:, 2]) + share * shape.plate_mm * plate
+    # The notch bears no weight: its walls are thin, and pass into the condyles' plate over 3 mm.
+    within = np.clip(1 - notch_field(points, shape.notch) / 3.0, 0.0, 1.0)
+    return np.asarray(shell + within * (shape.notch.cortex_mm * cortex - shell))
 
 
 def _rough(shape: FemurShape) -> Manifold:

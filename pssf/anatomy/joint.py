@@ -11,8 +11,8 @@ from ..data.bones import BoneShape
 from ..geometry.mesh import Indices
 from ..geometry.view import View, magnification, project
 from ..model.knee import Knee
-from .bones import grown_femur, grown_tibia
 from .bone_build import Build, build_of, formed, stand_femur, stand_tibia, stood
+from .bones import grown_femur, grown_tibia
 from .contours import measure_gap
 from .femur import mean_femur
 from .mean_bone import MeanBone

@@ -2,34 +2,40 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from functools import cached_property, partial
 
 import numpy as np
 from manifold3d import Manifold
-from numpy.typing import NDArray
 
 from ..core.checks import Array
 from ..data.store import Arrays, Origin, kept
 from ..geometry.freeform import displaced, with_displacements
 from ..geometry.mesh import Indices
-from .implicit import Field, lengths
+from .implicit import Field, lengths, project_to_surface
 from .remesh import mesh_bone
 from .shape import BoneForm
 from .solids import checked, edges_of, mesh_of, solid_of, split_edges
 
 _ORIGIN = Origin(sources=("core", "data", "geometry", "anatomy"), libraries=("manifold3d", "numpy", "scipy", "trimesh"))
 # Inner surfaces, whose edge trabeculae blur, are drawn with fewer triangles, within this.
-INNER_MM = 0.03
+_INNER_MM = 0.03
+# Depths to which vertices of the outer surface are followed inwards, past the thickest cortex; steps from one to the
+# next; and turns in which a place and the thickness there agree.
+_DEPTHS_MM = (0.0, 0.5, 1.0, 1.75, 2.75, 4.0, 5.5, 7.5)
+_STEPS, _TURNS, _SETTLED_MM = 4, 12, 0.005
 # Edges whose middles most people's forms would move off them by more are split, up to so many times.
 _BENT_MM, _SPLITS, _FAR_SD = 0.05, 5, 2.0
 
 
-@dataclass(frozen=True, eq=False)
+Shell = Callable[[Array, float, float], Array]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class MeanBone:
     """A bone with a straight shaft, at the mean man's size, in its own frame.
 
     field         approximate distance from its outer surface, mm, negative inside; points (n, 3) -> (n,)
+    shell         how thick its cortex or plate is at places: points (n, 3), relative cortex, relative plate -> (n,) mm
     rough         gives the same shape by CSG, with hard creases
     edge_mm       longest edge of its triangles, away from the shaft
     tolerance_mm  how far middles of edges may be off the field
@@ -38,6 +44,7 @@ class MeanBone:
 
     name: str
     field: Field
+    shell: Shell
     rough: Callable[[], Manifold]
     edge_mm: float
     tolerance_mm: float
@@ -46,36 +53,59 @@ class MeanBone:
     @property
     def outer(self) -> Manifold:
         """Its outer solid."""
-        return self._solids[0]
+        return self._parts[0]
 
-    @property
-    def coarser(self) -> Manifold:
-        """Its outer solid with the fewer triangles of an inner surface."""
-        return self._solids[1]
+    def inner(self, cortex: float, plate: float) -> Manifold:
+        """What its cortex and plate leave of it: vertices of a coarser outer solid on their ways inwards.
+
+        cortex, plate  thickness over the mean man's
+        """
+        _, ways, faces = self._parts
+        depth = self.shell(ways[0], cortex, plate)
+        # The shell's thickness is that at its inner side, which lies where the thickness says; halfway, so that thick
+        # plates with steep ends settle too.
+        unsettled = np.arange(len(depth))
+        for _ in range(_TURNS):
+            there = self.shell(_along(ways[:, unsettled], depth[unsettled]), cortex, plate)
+            step = (there - depth[unsettled]) / 2
+            depth[unsettled] += step
+            unsettled = unsettled[np.abs(step) > _SETTLED_MM]
+        return solid_of(_along(ways, depth), faces, f"{self.name} marrow")
 
     def prepare(self) -> None:
         """Make its solids now, or read them, where that is still to be done."""
-        _ = self._solids
+        _ = self._parts
 
     def meshed(self, tolerance_mm: float) -> Manifold:
         """Its outer solid within another tolerance; made anew at every call."""
         return checked(mesh_bone(self.rough(), self.field, self.edge_mm, (tolerance_mm,))[0], self.name)
 
     @cached_property
-    def _solids(self) -> tuple[Manifold, Manifold]:
+    def _parts(self) -> tuple[Manifold, Array, Indices]:
+        """Its outer solid; (depths, n, 3) ways inwards of a coarser one's vertices, and its faces."""
         arrays = kept(self.name, _ORIGIN, self._made)
-        outer, coarser = (
-            solid_of(arrays[f"{which}_points"], arrays[f"{which}_faces"], self.name) for which in ("outer", "coarser")
-        )
-        return outer, coarser
+        return solid_of(arrays["points"], arrays["faces"], self.name), arrays["ways"], arrays["inner_faces"]
 
     def _made(self) -> Arrays:
-        solids = mesh_bone(self.rough(), self.field, self.edge_mm, (self.tolerance_mm, INNER_MM))
-        arrays: dict[str, NDArray[Any]] = {}
-        for which, solid in zip(("outer", "coarser"), solids, strict=True):
-            mesh = mesh_of(flexible(checked(solid, self.name), self.form))
-            arrays |= {f"{which}_points": mesh.vertices, f"{which}_faces": mesh.faces}
-        return arrays
+        solids = mesh_bone(self.rough(), self.field, self.edge_mm, (self.tolerance_mm, _INNER_MM))
+        outer, coarser = (mesh_of(flexible(checked(solid, self.name), self.form)) for solid in solids)
+        ways = [coarser.vertices]
+        for depth in _DEPTHS_MM[1:]:
+            ways.append(project_to_surface(ways[-1], self.field, partial(_everywhere, depth), _STEPS))
+        return {"points": outer.vertices, "faces": outer.faces, "ways": np.array(ways), "inner_faces": coarser.faces}
+
+
+def _everywhere(depth_mm: float, points: Array) -> Array:
+    return np.full(len(points), depth_mm)
+
+
+def _along(ways: Array, depth_mm: Array) -> Array:
+    """(n, 3)  places so deep (n,) on ways inwards (depths, n, 3), which are all but straight between two of them"""
+    depths = np.array(_DEPTHS_MM)
+    level = np.clip(np.searchsorted(depths, depth_mm) - 1, 0, len(depths) - 2)
+    share = (depth_mm - depths[level]) / (depths[level + 1] - depths[level])
+    each = np.arange(len(depth_mm))
+    return ways[level, each] + share[:, None] * (ways[level + 1, each] - ways[level, each])
 
 
 def flexible(solid: Manifold, form: BoneForm) -> Manifold:

@@ -7,10 +7,10 @@ from scipy.interpolate import LinearNDInterpolator
 from ..core.checks import Array
 from ..geometry.freeform import displaced
 from ..model.knee import Knee
-from .bones import SHAFT_END_MM, Bone, levels, thickness, trimmed
 from .bone_build import Build, eased, formed, scaled
+from .bones import SHAFT_END_MM, Bone, levels, trimmed
 from .joint import Pose, moved
-from .solids import checked, column, mesh_of
+from .solids import checked, column, mesh_of, thickness
 
 # Straight shafts and what trabeculae blur are drawn with fewer triangles, within this.
 _COARSER_MM = 0.02
@@ -34,7 +34,7 @@ def fibula(knee: Knee, build: Build, tibia: Manifold) -> Bone:
     table, s = build.shape.fibula, build.scale
     sections = scaled(table.sections, s)
     sections[:, 4] += np.tan(np.deg2rad(build.tibia_varus_deg)) * eased(_FIBULA_LEANS_BELOW_MM * s - sections[:, 0])
-    cortex = thickness(table.cortex, s, build.cortex)
+    cortex = thickness(scaled(table.cortex, s), build.cortex)
     # It goes where this person's tibia has the joint for it.
     joint = np.array([table.joint_mm])
     sideways = ((formed(joint, build.tibia) - joint) * s)[0]
@@ -60,7 +60,7 @@ def patella(build: Build) -> Bone:
     table, s = build.shape.patella, build.scale
     sections = scaled(table.sections, 1.0)
     low, high = sections[:, 0].min(), sections[:, 0].max()
-    cortex = thickness(table.cortex, 1.0, build.cortex)
+    cortex = thickness(table.cortex, build.cortex)
     outer = column(sections, np.zeros_like, levels(low, high, 1.0), "patella", power=2.1)
     inner = column(sections, cortex, levels(low + 1.2, high - 1.2, 1.0), "patella marrow", power=2.1)
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from ..core.checks import Array, InputError
+from ..data.records import Rows
 from ..geometry.mesh import Indices, Mesh
 
 # Of a triangle with 1, 2 or 3 edges halved: its pieces, by corner (0 to 2) and middle (3 to 5).
@@ -146,6 +147,13 @@ def column(
     a, b = np.maximum(half_x - inset, 0.05), np.maximum(half_y - inset, 0.05)
     rings = [ring(a[i], b[i], (centre_x[i], centre_y[i], heights_mm[i]), power, count) for i in range(len(heights_mm))]
     return loft(np.array(rings), name)
+
+
+def thickness(table: Rows | Array, factor: float = 1.0) -> Callable[[Array], Array]:
+    """Cortical thickness (mm) as a function of height (mm), from rows of height and thickness."""
+    rows = np.asarray(table, dtype=np.float64)
+    rows = rows[np.argsort(rows[:, 0])]
+    return lambda z_mm: np.interp(z_mm, rows[:, 0], rows[:, 1]) * factor
 
 
 def height_field(x_mm: Array, y_mm: Array, top_mm: Array, bottom_mm: float, name: str) -> Manifold:

@@ -15,7 +15,7 @@ from ..data.shapes import shape_table
 from .implicit import Column, Field, blend, ellipsoid, meet
 from .mean_bone import MeanBone
 from .shape import knee_form
-from .solids import checked, column, height_field
+from .solids import checked, column, height_field, thickness
 
 _POWER = 2.3
 _END_MM = -285.0
@@ -25,7 +25,15 @@ _END_MM = -285.0
 def mean_tibia(shape: TibiaShape) -> MeanBone:
     """The mean man's tibia, with a level plateau."""
     form = knee_form(shape_table()).bones["tibia"]
-    return MeanBone("tibia", field_of(shape), partial(_rough, shape), shape.edge_mm, shape.tolerance_mm, form)
+    return MeanBone(
+        name="tibia",
+        field=field_of(shape),
+        shell=partial(_shell, shape),
+        rough=partial(_rough, shape),
+        edge_mm=shape.edge_mm,
+        tolerance_mm=shape.tolerance_mm,
+        form=form,
+    )
 
 
 # manifold3d says on standard error what of it still stands when Python has ended.
@@ -74,6 +82,13 @@ def _relief(x: Array, y: Array, relief: tuple[Bell, ...]) -> tuple[Array, Array,
         slope_x -= 2 * u / bell.half_x * part
         slope_y -= 2 * v / bell.half_y * part
     return height, slope_x, slope_y
+
+
+def _shell(shape: TibiaShape, points: Array, cortex: float, plate: float) -> Array:
+    """(n,)  thickness of cortex or plate at points (n, 3), mm; cortex and plate over the mean man's"""
+    # The plate under the cartilage passes into the cortex of the sides over its own first millimetres.
+    share = np.clip(1 + above(points, shape.relief) / 3.0, 0.0, 1.0)
+    return np.asarray((1 - share) * thickness(shape.cortex, cortex)(points[:, 2]) + share * shape.plate_mm * plate)
 
 
 def _rough(shape: TibiaShape) -> Manifold:
