@@ -11,7 +11,7 @@ from ..data.bones import BoneShape, Menisci, Meniscus
 from ..data.records import Pair
 from ..geometry.mesh import Indices
 from .femur import mean_femur
-from .implicit import Field, project_to_surface
+from .implicit import Field, gradient, lengths
 from .solids import dilate_rings, edges_of, loft, mesh_of, ring, solid_of
 from .tibia import above, mean_tibia
 
@@ -20,7 +20,6 @@ _BARE_MM = 0.02
 # Nor do so many rings of triangles around one.
 _RINGS = 3
 _THINNEST_MM = 0.05
-_STEPS = 4
 _THINNINGS = 12
 
 
@@ -117,17 +116,20 @@ def _layer(outer: Manifold, field: Field, zone: Field, full_mm: Field) -> Layer:
     while len(pinched := _pinched(faces, thickness > 0)):
         thickness[pinched] = _THINNEST_MM
     bearing = np.flatnonzero(thickness)
-    way = project_to_surface(points[bearing], field, lambda _: -thickness[bearing], _STEPS) - points[bearing]
-    way /= np.linalg.norm(way, axis=1)[:, None]
+    way = gradient(field, points[bearing], field(points[bearing]))
+    way /= lengths(way)[:, None]
     thickness[bearing] = np.minimum(thickness[bearing], _room(points, bearing, way, faces))
-    top = points.copy()
+    normals = np.zeros_like(points)
+    normals[bearing] = way
+    suspect = faces[(thickness[faces] > 0).any(axis=1)]
     for _ in range(_THINNINGS):
-        top[bearing] = points[bearing] + way * thickness[bearing, None]
-        folded = _folded(points, top, faces)
+        folded = _folded(points, points + normals * thickness[:, None], suspect)
         if not len(folded):
             break
         thickness[folded] /= 2
-    return Layer(points, top, faces)
+        # The others have been found not to fold, and stay.
+        suspect = suspect[np.isin(suspect, folded).any(axis=1)]
+    return Layer(points, points + normals * thickness[:, None], faces)
 
 
 def _room(points: Array, bearing: NDArray[np.int64], way: Array, faces: Indices) -> Array:
@@ -146,10 +148,9 @@ def _room(points: Array, bearing: NDArray[np.int64], way: Array, faces: Indices)
 
 def _folded(bone: Array, top: Array, faces: Indices) -> NDArray[np.int64]:
     """Vertices of triangles that a layer turns by more than 70 degrees, where a hollow is too tight for it."""
-    moved = faces[(bone[faces] != top[faces]).any(axis=(1, 2))]
-    below, above = (np.cross(p[moved[:, 1]] - p[moved[:, 0]], p[moved[:, 2]] - p[moved[:, 0]]) for p in (bone, top))
-    size = np.linalg.norm(below, axis=1) * np.linalg.norm(above, axis=1)
-    return np.unique(moved[(below * above).sum(axis=1) < 0.34 * size])
+    below, above = (np.cross(p[faces[:, 1]] - p[faces[:, 0]], p[faces[:, 2]] - p[faces[:, 0]]) for p in (bone, top))
+    size = lengths(below) * lengths(above)
+    return np.unique(faces[(below * above).sum(axis=1) < 0.34 * size])
 
 
 def _pinched(faces: Indices, thick: NDArray[np.bool_]) -> NDArray[np.int64]:
