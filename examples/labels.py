@@ -10,7 +10,13 @@ from scipy import ndimage
 import pssf
 from pssf.io.pictures import panel, side_by_side
 
-COLOURS = {"femur": (90, 200, 250), "tibia": (255, 200, 60), "fibula": (150, 220, 120), "patella": (230, 140, 255)}
+COLOURS = {
+    "femur": (90, 200, 250),
+    "tibia": (255, 200, 60),
+    "fibula": (150, 220, 120),
+    "patella": (230, 140, 255),
+    "fabella": (255, 255, 255),
+}
 OSTEOPHYTE = (255, 70, 70)
 ROWS, COLS = 720, 600
 

@@ -11,25 +11,15 @@ from numpy.testing import assert_allclose
 import pssf
 from pssf.accuracy import morphometry
 from pssf.anatomy import bones, cartilage, implicit, remesh
+from pssf.anatomy.bone_build import build_of
 from pssf.anatomy.femur import mean_femur
-from pssf.anatomy.shape import knee_form, lattices_of
 from pssf.anatomy.solids import checked, edges_of, height_field, loft, mesh_of, ring, solid_of, split_edges
 from pssf.data.bones import mean_shape
-from pssf.data.shapes import shape_table
 from pssf.model.knee import SITES
 
 REFERENCE = pssf.load_protocol("reference")
 SHAPE = mean_shape()
-MEAN = bones.Build(
-    shape=SHAPE,
-    lattices=lattices_of((), knee_form(shape_table())),
-    scale=1.0,
-    cortex=1.0,
-    plate=1.0,
-    slope_deg=5.0,
-    femur_valgus_deg=5.0,
-    tibia_varus_deg=0.0,
-)
+MEAN = build_of(pssf.Knee(), SHAPE)
 
 
 def test_a_loft_of_circles_has_the_volume_of_its_prism():

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import pssf
-from pssf.anatomy.contours import envelope
+from pssf.anatomy.contours import envelope, turned_px
 from pssf.anatomy.landmarks import CONTOUR_LANDMARKS, FEMORAL, contour_landmarks
 from pssf.anatomy.solids import edges_of, height_field, mesh_of
 from pssf.data.landmarks import landmark_reference
@@ -125,7 +125,9 @@ def test_the_notch_is_taken_three_eighths_of_the_way_up():
 def test_edges_are_where_lines_at_45_degrees_touch_the_bones(built, spots, knee):
     medial = 1 if knee.side == "right" else -1
     for bone, up in (("tibia", -1), ("femur", 1)):
-        rows, cols = project(surface(built, bone).vertices, view_of(REFERENCE)).T
+        # By the leg's own axes, however it leans on the film.
+        view, lean = view_of(REFERENCE), built.assembly.pose.lean_deg * medial
+        rows, cols = turned_px(project(surface(built, bone).vertices, view), view, -lean).T
         for side, out in (("medial", medial), ("lateral", -medial)):
-            row, col = spots[f"{bone}_{side}_edge"]
+            ((row, col),) = turned_px(np.array([spots[f"{bone}_{side}_edge"]]), view, -lean)
             assert_allclose(up * row + out * col, (up * rows + out * cols).max(), atol=1e-6)

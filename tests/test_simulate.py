@@ -65,8 +65,9 @@ def test_no_ray_is_left_unrepaired_under_any_protocol(built):
 def test_truth_carries_labels_and_the_medial_joint_line(built, small):
     truth = pssf.simulate(built, small).truth
     assert (truth.jsw_medial_mm, truth.jsw_lateral_mm, truth.grade) == (3.1, 5.0, 2)
-    row, col = truth.medial_joint_line_px
+    row, col = truth.landmarks_px["joint_centre"]
     assert row == pytest.approx(127.5, abs=2)
+    row, col = truth.medial_joint_line_px
     assert col > 140
 
 

@@ -94,6 +94,6 @@ def test_a_spectrum_from_the_folder_is_the_one_that_is_computed(folder):
 def test_the_solids_of_the_mean_femur_are_kept(folder):
     mean_femur.cache_clear()
     mean = mean_femur(mean_shape().femur)
-    assert mean.outer.num_tri() > mean.coarser.num_tri() > 1000
+    assert mean.outer.num_tri() > mean.inner(1.0, 1.0).num_tri() > 1000
     assert [path.name.split("-")[0] for path in folder.iterdir()] == ["femur"]
     mean_femur.cache_clear()

@@ -18,8 +18,8 @@ from ..model.knee import Knee
 from .shape import knee_form, lattices_of
 from .tibia import plateau_height
 
-# Along a shaft from here on a lattice's own lean is looked for (mean man's size); beyond, it fades and is carried on.
-_LEAN_FROM_MM, _LEAN_TO_MM = 55.0, 85.0
+# Along this part of a shaft its lean is looked for (mean man's size), with which it goes on beyond.
+_LEAN_FROM_MM, _LEAN_TO_MM = 65.0, 85.0
 # A lean begins smoothly over this, which keeps the metaphysis free of a kink.
 _EASE_MM = 15.0
 # Places of the plateau, to the sides and to front and back of its middle, between which its fall is measured.
@@ -107,10 +107,10 @@ def formed(points: Array, form: Form) -> Array:
 
     points  (n, 3)  mm
     """
-    places = displaced(points, form.lattice)
-    # Beyond the lattice displacements stay the same; a shaft goes straight on.
-    on = eased(form.end * points[:, 2] - _LEAN_TO_MM)
-    places[:, :2] += on[:, None] * form.lean
+    beyond = np.maximum(form.end * points[:, 2] - _LEAN_TO_MM, 0.0)
+    # Where the lattice ends its displacements stay the same; a shaft goes straight on.
+    places = displaced(points - beyond[:, None] * [0.0, 0.0, form.end], form.lattice)
+    places += beyond[:, None] * [*form.lean, form.end]
     turn = form.end * np.arctan(form.lean[1])
     y, z = places[:, 1].copy(), places[:, 2].copy()
     places[:, 1], places[:, 2] = y * np.cos(turn) - z * np.sin(turn), y * np.sin(turn) + z * np.cos(turn)

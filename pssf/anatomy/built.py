@@ -122,9 +122,9 @@ def _bones(knee: Knee, assembly: KneeAssembly) -> dict[str, _Placed]:
         "fibula": (small_bones.fibula(knee, build, tibia.outer), pose.tibia()),
         "patella": (patella, _after(in_femur, pose.femur())),
     }
-    fabella = small_bones.fabella(knee, build, femur.outer)
-    if fabella is not None:
-        parts["fabella"] = (fabella, pose.femur())
+    if knee.fabella_mm:
+        fabella, in_femur = small_bones.fabella(knee, build, femur.outer)
+        parts["fabella"] = (fabella, _after(in_femur, pose.femur()))
     return {name: _Placed(_placed(part, frame), frame) for name, (part, frame) in parts.items()}
 
 

@@ -110,13 +110,11 @@ def _front(femur: Manifold) -> LinearNDInterpolator:
     return LinearNDInterpolator(points[:, [0, 2]], points[:, 1])
 
 
-def fabella(knee: Knee, build: Build, femur: Manifold) -> Bone | None:
-    """Fabella in the femur's frame, behind the lateral condyle; none where the knee has none.
+def fabella(knee: Knee, build: Build, femur: Manifold) -> tuple[Bone, Array]:
+    """Fabella about its middle, and the (3, 4) transform into the femur's frame, behind the lateral condyle.
 
     femur  outer solid, as it stands
     """
-    if not knee.fabella_mm:
-        return None
     table, s = build.shape.fabella, build.scale
     points = mesh_of(femur).vertices / s
     beside = points[
@@ -125,5 +123,4 @@ def fabella(knee: Knee, build: Build, femur: Manifold) -> Bone | None:
     half = knee.fabella_mm / 2 * np.array(table.form)
     centre = np.array([table.x * s, beside[:, 1].max() * s + table.behind_mm + half[1], table.z * s])
     ball = Manifold.sphere(1.0, 32)
-    outer = ball.scale(half).translate(centre)
-    return Bone(outer=outer, inner=ball.scale(half - table.cortex_mm).translate(centre))
+    return Bone(outer=ball.scale(half), inner=ball.scale(half - table.cortex_mm)), np.column_stack((np.eye(3), centre))

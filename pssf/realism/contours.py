@@ -90,7 +90,7 @@ def _landmarks_of(knee: Knee, view: View) -> Array:
     assembly = assemble(knee, mean_shape(), view_of(load_protocol("reference")))
     femur, tibia = mesh_of(assembly.femur.outer), mesh_of(assembly.tibia.outer)
     placed = Mesh(assembly.femur_mm(femur.vertices), femur.faces), Mesh(assembly.tibia_mm(tibia.vertices), tibia.faces)
-    return film_mm(contour_landmarks(*placed, view, 1), "right", view.pixel_mm)
+    return film_mm(contour_landmarks(*placed, view, 1, assembly.pose.lean_deg), "right", view.pixel_mm)
 
 
 def film_mm(landmarks_px: dict[str, tuple[float, float]], side: str, pixel_mm: float) -> Array:

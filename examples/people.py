@@ -1,0 +1,35 @@
+"""Twelve drawn knees beside each other: four of each grade, as different from one another as people's bones are."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+import pssf
+from pssf.io.pictures import panel, side_by_side
+
+ROWS, COLS, HALF_MM = 360, 330, (60.0, 55.0)
+
+
+def run(out: Path, pixels: int = 1024) -> list[Path]:
+    """Write the picture; `pixels` is the side of the detector."""
+    reference = pssf.load_protocol("reference")
+    protocol = dataclasses.replace(reference, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
+    columns = []
+    for number in range(4):
+        knees = [pssf.draw_knee(grade=grade, rng=np.random.default_rng(10 * number + grade)) for grade in (0, 1, 2)]
+        columns.append(np.vstack([shown(knee, protocol) for knee in knees]))
+    return [side_by_side(columns, out / "people.png")]
+
+
+def shown(knee: pssf.Knee, protocol: pssf.Protocol) -> np.ndarray:
+    """The middle of a knee's radiograph, as a picture."""
+    radiograph = pssf.simulate(knee, protocol, seed=1)
+    magnified = protocol.sdd_mm / protocol.sod_mm / protocol.pixel_mm
+    (row, col), (tall, wide) = radiograph.truth.landmarks_px["joint_centre"], (half * magnified for half in HALF_MM)
+    part = pssf.present(radiograph.pixels)[round(row - tall) : round(row + tall), round(col - wide) : round(col + wide)]
+    return panel(part, ROWS, COLS, f"grade {knee.grade}, {knee.sex}, {knee.side}")
+
+
+if __name__ == "__main__":
+    run(Path(__file__).parent)
