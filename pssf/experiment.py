@@ -1,7 +1,7 @@
 """The whole experiment: a preset's cohort is made, then studied."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -156,15 +156,15 @@ def standard_templates(engine: str = "embree") -> "tuple[Template, ...]":
     """
     from .radiomics.patches import Template
 
-    protocol = load_protocol("reference")
+    protocol = replace(load_protocol("reference"), noise="none")
 
     def template(knee: Knee) -> Template:
-        radiograph = simulate(knee, protocol, engine=engine, keep=("noise_free",))
+        radiograph = simulate(knee, protocol, engine=engine)
         assert radiograph.truth is not None
         row, col = radiograph.truth.medial_joint_line_px
         edges = [radiograph.truth.landmarks_px[f"{side}_plateau_edge"][1] for side in ("medial", "lateral")]
         return Template(
-            pixels=radiograph.kept["noise_free"],
+            pixels=radiograph.pixels,
             row=row,
             col=col,
             pixel_mm=protocol.pixel_mm,

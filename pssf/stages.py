@@ -174,7 +174,8 @@ def blur_focal_spot(image: LatentImage, chain: Chain) -> None:
     """Blur of the whole image, as of an edge in the joint plane."""
     protocol, shape, values = chain.technique.protocol, image.mean.shape, image.transform(chain.workers)
     blur.by_focal_spot(values, shape, blur.shadow_px(protocol.focal_spot_mm, chain.technique.view))
-    image.signal = np.maximum(blur.backward(values, shape, chain.workers), 0)
+    signal = blur.backward(values, shape, chain.workers)
+    image.signal = np.maximum(signal, 0, out=signal)
 
 
 def draw_quanta(image: LatentImage, chain: Chain) -> None:

@@ -131,6 +131,21 @@ def test_two_slabs_attenuate_one_energy_as_the_product_of_each(a, b):
     assert_allclose(kev(muscle=a, water=b) * kev(), kev(muscle=a) * kev(water=b), rtol=1e-5)
 
 
+def test_every_pixel_of_a_wide_row_gets_what_passes_its_own_lengths():
+    rng = np.random.default_rng(3)
+    protocol = dataclasses.replace(pssf.load_protocol("reference"), rows=2, cols=700)
+    view, beam = view_of(protocol), beam_of(technique_of(protocol))
+    # Some pixels are empty, and some only of one.
+    lengths = {name: rng.uniform(0, 60, (2, 700)) * (rng.random((2, 700)) < 0.6) for name in ("muscle", "cartilage")}
+    path_mm = {name: length.astype(np.float32) for name, length in lengths.items()}
+    signal, empty = transmit(path_mm, beam, view), transmit({}, beam, view)
+    passed = np.exp(-sum(path_mm[m][..., None] * attenuation_per_mm(m, beam.energies_kev) for m in path_mm))
+    first = (passed * beam.photons_per_mm2 * beam.signal_kev).sum(axis=-1)
+    second = (passed * beam.photons_per_mm2 * beam.square_kev2).sum(axis=-1)
+    assert_allclose(signal.kev / empty.kev, first / (beam.photons_per_mm2 * beam.signal_kev).sum(), rtol=1e-5)
+    assert_allclose(signal.photon_kev, second / first, rtol=1e-5)
+
+
 def test_the_open_beam_falls_with_the_square_of_distance_and_the_slant():
     protocol = dataclasses.replace(pssf.load_protocol("reference"), rows=3, cols=2001, mono_kev=50.0)
     view = view_of(protocol)

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from threadpoolctl import threadpool_limits
 
 from .checks import InputError
-from .workers import WorkersLostError, one_thread
+from .workers import WorkersLostError, keep_memory, one_thread
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -135,6 +135,7 @@ def _one_pool(
 
 
 def _begin(shared: dict[str, Any]) -> None:
+    keep_memory()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     _shared.update(shared)
 

@@ -1,14 +1,31 @@
 """What every worker process keeps to, of this machine or of a cluster."""
 
+import ctypes
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 
 from threadpoolctl import threadpool_limits
 
+# Of mallopt (malloc.h): up to so many bytes, free memory stays with the process and arrays are made in it.
+_TRIM_THRESHOLD, _MMAP_THRESHOLD, _LARGE = -1, -3, 2**30
+
 
 class WorkersLostError(RuntimeError):
     """Workers were killed again and again, or a cluster was lost; what had come to stand by then stands."""
+
+
+def keep_memory() -> None:
+    """Let this process keep the memory of arrays that are gone for those that come, where the C library is GNU's.
+
+    Of one radiograph after another a tenth of the time went into handing pages back and asking for them again.
+    """
+    if sys.platform == "linux":
+        with suppress(OSError, AttributeError):
+            library = ctypes.CDLL(None)
+            library.mallopt(_TRIM_THRESHOLD, _LARGE)
+            library.mallopt(_MMAP_THRESHOLD, _LARGE)
 
 
 @contextmanager

@@ -5,6 +5,8 @@ mean square of the transfers, the signal with their mean. So noise keeps more of
 does, and the DQE falls (Lubberts 1968; Cunningham 2000).
 """
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
@@ -69,13 +71,18 @@ def by_panel(
 
     values  (rows, cols / 2 + 1)  as `forward` gives them
     """
-    f0, power = _law(detector, part)
+    values *= _passed(shape, pixel_mm, *_law(detector, part))
+
+
+@lru_cache(maxsize=2)  # the two parts of one detector
+def _passed(shape: tuple[int, ...], pixel_mm: float, f0: float, power: float) -> Map:
+    """(rows, cols / 2 + 1)  transfer of a panel at the frequencies of an image of such a shape"""
     fy, fx = (f / np.float32(pixel_mm * f0) for f in _axes(shape))
     # In place: a fresh large array costs more time than the arithmetic.
     passed = fy[:, None] ** 2 + fx**2
     np.power(passed, np.float32(power / 2), out=passed)
     passed += 1
-    values *= np.reciprocal(passed, out=passed)
+    return np.asarray(np.reciprocal(passed, out=passed))
 
 
 def transfer(detector: Detector, per_mm: NDArray[np.float64], part: str = "mtf") -> NDArray[np.float64]:

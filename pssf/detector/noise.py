@@ -28,9 +28,12 @@ def quantum_noise(kev: Map, photon_kev: Map, swank: float, seed: np.random.SeedS
         quantum = photon_kev[rows] / np.float32(swank)
         mean = np.divide(kev[rows], quantum, out=np.zeros_like(quantum), where=quantum > 0)
         many = mean > GAUSSIAN_FROM
-        count = rng.poisson(np.where(many, 0, mean)).astype(np.float32)
-        count[many] = mean[many] + np.sqrt(mean[many]) * rng.standard_normal(np.count_nonzero(many), np.float32)
-        return count * quantum
+        few, count = ~many, np.empty_like(mean)
+        count[few] = rng.poisson(mean[few])
+        mean = mean[many]
+        count[many] = mean + np.sqrt(mean) * rng.standard_normal(len(mean), np.float32)
+        count *= quantum
+        return count
 
     return in_bands(kev.shape, seed, draw, workers)
 

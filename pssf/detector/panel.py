@@ -18,16 +18,20 @@ def readout(
     """
     detector, protocol = technique.detector, technique.protocol
     electrons = kev * np.float32(detector.electrons_per_kev)
+    # In place: a fresh large array costs more time than the arithmetic.
     if seed is not None:
-        sigma = np.float32(detector.readout_electrons)
-        electrons = electrons + sigma * in_bands(
+        noise = in_bands(
             kev.shape,
             seed,
             lambda rng, rows: rng.standard_normal((rows.stop - rows.start, kev.shape[1]), np.float32),
             workers,
         )
-    per_dn = np.float32(detector.electrons_per_dn_mm2 * protocol.pixel_mm**2)
-    pixels = np.clip(np.rint(electrons / per_dn + np.float32(detector.offset_dn)), 0, 65535).astype(np.uint16)
+        noise *= np.float32(detector.readout_electrons)
+        electrons += noise
+    electrons /= np.float32(detector.electrons_per_dn_mm2 * protocol.pixel_mm**2)
+    electrons += np.float32(detector.offset_dn)
+    np.rint(electrons, out=electrons)
+    pixels = np.clip(electrons, 0, 65535, out=electrons).astype(np.uint16)
     if protocol.dead_pixels:
         pixels[dead_pixels(technique)] = 0
     return pixels

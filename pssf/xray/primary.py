@@ -16,6 +16,8 @@ from .spectrum import Beam, beam_for, heel_factor
 from .technique import Technique
 
 _BAND_ROWS = 128
+# Pixels of a row whose exponents stay in the fastest cache, and are added up side by side.
+_RUN_COLS = 256
 
 
 class _Nodes(NamedTuple):
@@ -104,30 +106,29 @@ def _transmit(
     materials, count = mu.shape
     open_signal, open_square = signal.sum(), square.sum()
     depth = rays.corner[1] - rays.source[1]
-    exponent = np.empty(count)
+    exponents, areas = np.empty((count, _RUN_COLS)), np.empty(_RUN_COLS)
     for row in range(kev.shape[0]):
         dz = rays.corner[2] - (start + row) * rays.pixel_mm - rays.source[2]
-        for col in range(kev.shape[1]):
-            dx = rays.corner[0] + col * rays.pixel_mm - rays.source[0]
-            distance2 = dx * dx + depth * depth + dz * dz
-            # Inverse square from 1 m, and the pixel seen at a slant.
-            area = rays.pixel_mm * rays.pixel_mm * 1e6 / distance2 * depth / np.sqrt(distance2)
-            exponent[:] = 0.0
-            empty = True
+        for left in range(0, kev.shape[1], _RUN_COLS):
+            width = min(_RUN_COLS, kev.shape[1] - left)
+            exponents[:] = 0.0
             for m in range(materials):
-                length = stack[m, row, col]
-                if length != 0.0:
-                    empty = False
+                lengths = stack[m, row, left : left + width]
+                for k in range(count):
+                    for n in range(width):
+                        exponents[k, n] -= mu[m, k] * lengths[n]
+            for n in range(width):
+                dx = rays.corner[0] + (left + n) * rays.pixel_mm - rays.source[0]
+                distance2 = dx * dx + depth * depth + dz * dz
+                # Inverse square from 1 m, and the pixel seen at a slant.
+                areas[n] = rays.pixel_mm * rays.pixel_mm * 1e6 / distance2 * depth / np.sqrt(distance2)
+            for n in range(width):
+                first, second = open_signal, open_square
+                if exponents[0, n] != 0.0:
+                    first, second = 0.0, 0.0
                     for k in range(count):
-                        exponent[k] -= mu[m, k] * length
-            if empty:
-                kev[row, col] = open_signal * area
-                photon_kev[row, col] = open_square / open_signal if open_signal > 0.0 else 0.0
-                continue
-            first, second = 0.0, 0.0
-            for k in range(count):
-                passed = np.exp(exponent[k])
-                first += signal[k] * passed
-                second += square[k] * passed
-            kev[row, col] = first * area
-            photon_kev[row, col] = second / first if first > 0.0 else 0.0
+                        passed = np.exp(exponents[k, n])
+                        first += signal[k] * passed
+                        second += square[k] * passed
+                kev[row, left + n] = first * areas[n]
+                photon_kev[row, left + n] = second / first if first > 0.0 else 0.0

@@ -55,19 +55,19 @@ def beam_for(technique: Technique, most_mm: Mapping[str, float], tolerance: floa
     """
     # In steps, so that like scenes share a fit.
     rounded = {name: float(_ROUND_MM * np.ceil(most / _ROUND_MM)) for name, most in most_mm.items() if most > 0}
-    same = replace(technique, protocol=replace(technique.protocol, name="beam"))
-    return _folded(same, tuple(sorted(rounded.items())), tolerance)
+    same = replace(technique, protocol=replace(technique.protocol, name="beam", mas=1.0))
+    beam = _folded(same, tuple(sorted(rounded.items())), tolerance)
+    return replace(beam, photons_per_mm2=beam.photons_per_mm2 * technique.protocol.mas)
 
 
 @lru_cache(maxsize=64)
 def _folded(technique: Technique, most_mm: tuple[tuple[str, float], ...], tolerance: float) -> Beam:
-    beam = beam_of(replace(technique, protocol=replace(technique.protocol, mas=1.0)))
+    beam = beam_of(technique)
     photons, signal, square = beam.photons_per_mm2, beam.signal_kev, beam.square_kev2
     mu = np.array([attenuation_per_mm(name, beam.energies_kev) for name, _ in most_mm]).reshape(-1, len(photons))
     most = np.array([most for _, most in most_mm])
     bins, first, second, _ = spectrum_quadrature(photons * signal, photons * square, mu, most, tolerance)
-    counts = first / signal[bins] * technique.protocol.mas
-    return Beam(beam.energies_kev[bins], counts, signal[bins], second / first * signal[bins])
+    return Beam(beam.energies_kev[bins], first / signal[bins], signal[bins], second / first * signal[bins])
 
 
 def heel_factor(technique: Technique) -> Array:

@@ -8,6 +8,7 @@ import json
 import lzma
 import zipfile
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import version
@@ -135,9 +136,9 @@ def pack(kept: Kept, templates: Sequence[Template], **said: Any) -> bytes:
         **said,
     )
     text = json.dumps(msgspec.to_builtins(card), indent=1).encode()
-    pixels = {
-        _pixels(at): _packed(template.pixels.astype(np.float32).tobytes()) for at, template in enumerate(templates)
-    }
+    with ThreadPoolExecutor() as pool:  # LZMA lets go of the lock
+        packed = list(pool.map(_packed, [template.pixels.astype(np.float32).tobytes() for template in templates]))
+    pixels = {_pixels(at): content for at, content in enumerate(packed)}
     return zipped({**unzipped(dumps(kept.fitted.pipeline)), _CARD: text, **pixels})
 
 

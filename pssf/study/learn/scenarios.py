@@ -113,10 +113,11 @@ def _follow(
         return  # all regions of a grade were refused under this protocol
     prepared = preparation(recipe.selection, rho=settings.rho, most=settings.most_features, seed=seed)
     prepared.fit(*fit_on)
+    tested = joined(rows.assign(scenario=name, tested_on=on) for name, on, rows in recipe.tests)
     for label, classifier in recipe.models.items():
         arm = {"task": parts.task, "trained_on": recipe.trained_on, "model": label, "selection": recipe.selection}
         fitted = tune(prepared, classifier, fit_on, check_on, seed=seed)
-        gathered.predictions.append(_predict(fitted, recipe, parts.grades).assign(**arm, repeat=repeat))
+        gathered.predictions.append(_predict(fitted, tested, recipe.names, parts.grades).assign(**arm, repeat=repeat))
         scenario, _, rows = recipe.tests[0]
         if recipe.selection == NONE or scenario not in ("within", "multi"):
             continue
@@ -144,10 +145,9 @@ def part_of(table: pd.DataFrame, names: list[str], grades: tuple[int, ...]) -> P
     return table[names], np.searchsorted(grades, table["grade"].to_numpy())
 
 
-def _predict(fitted: Fitted, recipe: _Recipe, grades: tuple[int, ...]) -> pd.DataFrame:
-    """The predictions of all tests of a recipe, one below the other."""
-    table = joined(rows.assign(scenario=name, tested_on=on) for name, on, rows in recipe.tests)
-    features, truth = part_of(table, recipe.names, grades)
-    probability = fitted.pipeline.predict_proba(features) if len(table) else np.empty((0, len(grades)))
-    tested = table[["radiograph", "knee", "subject", "protocol", "scenario", "tested_on"]].assign(truth=truth)
-    return tested.assign(**{f"p{k}": probability[:, k].astype(np.float64) for k in range(len(grades))})
+def _predict(fitted: Fitted, tested: pd.DataFrame, names: list[str], grades: tuple[int, ...]) -> pd.DataFrame:
+    """The predictions of all tests of a recipe, whose radiographs stand one test below the other."""
+    features, truth = part_of(tested, names, grades)
+    probability = fitted.pipeline.predict_proba(features) if len(tested) else np.empty((0, len(grades)))
+    labels = tested[["radiograph", "knee", "subject", "protocol", "scenario", "tested_on"]].assign(truth=truth)
+    return labels.assign(**{f"p{k}": probability[:, k].astype(np.float64) for k in range(len(grades))})
