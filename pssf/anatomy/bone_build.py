@@ -5,21 +5,26 @@ its shaft goes straight on beyond the lattice and is set upright, seen from the 
 slope, and each shaft its lean in the frontal plane. So an angle of a knee is that of its bones, whatever their form.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from manifold3d import Manifold
 
 from ..core.checks import Array
 from ..data.bones import BoneShape
+from ..data.records import Rows
 from ..data.shapes import shape_table
 from ..geometry.freeform import Lattice, displaced
 from ..model.knee import Knee
 from .shape import knee_form, lattices_of
+from .solids import ring
 from .tibia import plateau_height
 
-# Along this part of a shaft its lean is looked for (mean man's size), with which it goes on beyond.
-_LEAN_FROM_MM, _LEAN_TO_MM = 65.0, 85.0
+# Along this part of a shaft its lean is looked for (mean man's size), with which it goes on beyond; and where the angle
+# of shafts is measured (its own size).
+_LEAN_FROM_MM, _LEAN_TO_MM, _SHAFT_MM = 55.0, 85.0, (115.0, 165.0)
+_SHAFT_POWER, _AROUND = 2.3, 48
 # A lean begins smoothly over this, which keeps the metaphysis free of a kink.
 _EASE_MM = 15.0
 # Places of the plateau, to the sides and to front and back of its middle, between which its fall is measured.
@@ -29,18 +34,20 @@ _PLATEAU_TURNS = 4
 _SLOPE_TO_MM = 60.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Form:
     """How a person's femur or tibia differs from the mean man's.
 
     lattice  that deforms it, at the mean man's size, in the bone's frame
     end      +1: the shaft goes up from the joint; -1: down
     lean     (x, y) by which the shaft then leans, a millimetre away from the joint
+    slope    by which it leans in x once it is upright from the side
     """
 
     lattice: Lattice
     end: int
-    lean: tuple[float, float]
+    lean: tuple[float, float] = (0.0, 0.0)
+    slope: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -76,17 +83,19 @@ def build_of(knee: Knee, shape: BoneShape) -> Build:
     """What a knee's parameters make of the mean man's bones."""
     size = shape.size
     sex_scale = size.female_over_male if knee.sex == "female" else 1.0
+    scale = sex_scale * knee.bone_scale * knee.stature_mm / getattr(size.stature_mm, knee.sex)
     lattices = lattices_of(knee.shape, knee_form(shape_table()))
-    femur, tibia = _form(lattices["femur"], +1), _form(lattices["tibia"], -1)
+    femur = _form(lattices["femur"], +1, shape.femur.sections, scale)
+    tibia = _form(lattices["tibia"], -1, shape.tibia.sections, scale)
     # The tibia leans as this person's does; the femur as makes the angle between them the one of a straight leg. Of an
     # angle beyond that each has half.
-    varus = float(np.rad2deg(np.arctan(tibia.lean[0])))
+    varus = float(np.rad2deg(np.arctan(tibia.slope)))
     return Build(
         shape=shape,
         femur=femur,
         tibia=tibia,
         patella=lattices["patella"],
-        scale=sex_scale * knee.bone_scale * knee.stature_mm / getattr(size.stature_mm, knee.sex),
+        scale=scale,
         cortex=knee.cortex_scale,
         plate=knee.subchondral_plate,
         slope_deg=knee.tibial_slope_deg,
@@ -95,11 +104,26 @@ def build_of(knee: Knee, shape: BoneShape) -> Build:
     )
 
 
-def _form(lattice: Lattice, end: int) -> Form:
-    along = np.linspace(_LEAN_FROM_MM, _LEAN_TO_MM, 7)
-    axis = np.column_stack((np.zeros((7, 2)), end * along))
-    slopes = np.polyfit(along, (displaced(axis, lattice) - axis)[:, :2], 1)[0]
-    return Form(lattice, end, (float(slopes[0]), float(slopes[1])))
+def _form(lattice: Lattice, end: int, sections: Rows, scale: float) -> Form:
+    heights = np.linspace(_LEAN_FROM_MM, _LEAN_TO_MM, 5)
+    middles = _middles(sections, end * heights, lambda points: displaced(points, lattice))
+    lean_x, lean_y = np.polyfit(heights, middles, 1)[0]
+    form = Form(lattice=lattice, end=end, lean=(float(lean_x), float(lean_y)))
+    heights = np.array(_SHAFT_MM) / scale
+    far = _middles(sections, end * heights, lambda points: formed(points, form))
+    return replace(form, slope=float(np.diff(far[:, 0])[0] / np.diff(heights)[0]))
+
+
+def _middles(sections: Rows, heights: Array, move: Callable[[Array], Array]) -> Array:
+    """(n, 2)  where the middles of a shaft's sections at heights are moved to"""
+    rows = scaled(sections, 1.0)
+    rows = rows[np.argsort(rows[:, 0])]
+    middles = []
+    for z in heights:
+        half_x, half_y, y, x = (float(np.interp(z, rows[:, 0], rows[:, k])) for k in range(1, 5))
+        places = move(ring(half_x, half_y, (x, y, z), _SHAFT_POWER, _AROUND))[:, :2]
+        middles.append((places.min(axis=0) + places.max(axis=0)) / 2)
+    return np.array(middles)
 
 
 def formed(points: Array, form: Form) -> Array:
@@ -128,7 +152,7 @@ def stand_femur(points: Array, build: Build) -> Array:
 
     points  (n, 3)  mm
     """
-    slope = -np.tan(np.deg2rad(build.femur_valgus_deg)) - build.femur.lean[0]
+    slope = -np.tan(np.deg2rad(build.femur_valgus_deg)) - build.femur.slope
     return _leaning(formed(points, build.femur) * build.scale, build, build.shape.femur.shaft_pivot_z_mm, +1, slope)
 
 
@@ -138,7 +162,7 @@ def stand_tibia(points: Array, build: Build) -> Array:
     points  (n, 3)  mm
     """
     places = sloped(formed(points, build.tibia) * build.scale, build)
-    slope = np.tan(np.deg2rad(build.tibia_varus_deg)) - build.tibia.lean[0]
+    slope = np.tan(np.deg2rad(build.tibia_varus_deg)) - build.tibia.slope
     return _leaning(places, build, build.shape.tibia.shaft_pivot_z_mm, -1, slope)
 
 

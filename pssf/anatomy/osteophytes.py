@@ -26,6 +26,7 @@ _ROUNDS = 2
 _CONES = 17
 # Turns in which a tip is moved to where it belongs, and the step of the slopes that this takes.
 _TURNS, _STEP_MM = 12, 1e-3
+_EDGE_MM = 2.0
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,8 @@ class BoneWithOsteophytes:
     def filled(self, inner: Manifold, scale: float) -> Manifold:
         """The trabecular solid of the bone with what is inside its beaks."""
         for beak in self.beaks:
-            inner = inner + beak.solid(_CORTEX_MM / scale + _THICKENING * beak.size_mm)
+            # With edges short enough to bend with the bone.
+            inner = inner + beak.solid(_CORTEX_MM / scale + _THICKENING * beak.size_mm).refine_to_length(_EDGE_MM)
         return inner
 
 

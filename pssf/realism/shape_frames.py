@@ -44,8 +44,8 @@ def _mean_man() -> Build:
     }
     return replace(
         build,
-        femur=Form(none["femur"], +1, (0.0, 0.0)),
-        tibia=Form(none["tibia"], -1, (0.0, 0.0)),
+        femur=Form(lattice=none["femur"], end=+1),
+        tibia=Form(lattice=none["tibia"], end=-1),
         patella=none["patella"],
         femur_valgus_deg=build.shape.femur.valgus_deg,
         tibia_varus_deg=0.0,
