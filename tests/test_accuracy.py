@@ -139,7 +139,7 @@ def test_texture_of_a_made_field_is_what_it_was_made_of():
 
 @pytest.fixture(scope="module")
 def drawn_texture():
-    return {row["quantity"]: row for row in texture.spread_rows(4, 1)}
+    return {row["quantity"]: row for row in texture.spread_rows(8, 1)}
 
 
 # Quantum noise at 2 mAs lies over the texture there: the slope is flatter than that of real full frames.
@@ -154,7 +154,7 @@ _NOISY = pytest.mark.xfail(
 )
 def test_a_drawn_knee_of_grade_0_has_texture_like_a_real_one(drawn_texture, quantity):
     row = drawn_texture[quantity]
-    # The mean of four lies within the band, which a quarter of the knees' own spread may carry it beyond.
+    # The mean of eight lies within the band, which chance, some 1.8 of its standard error, may carry it beyond.
     chance = (row["p90"] - row["p10"]) / 4
     assert row["real_low"] - chance <= row["mean"] <= row["real_high"] + chance
 
@@ -166,8 +166,11 @@ def test_knees_measure_about_what_is_published():
     assert labels["error of varus_deg"] < 0.1
     sizes = [row for row in rows if row["reference"]]
     assert len(sizes) > 30
-    # Of four knees of a sex the mean is within two standard errors, 1.0, of the half deviation allowed.
-    assert all(abs(row["off_sd"]) < 1.5 for row in sizes), [row for row in sizes if abs(row["off_sd"]) >= 1.5]
+    # Of four knees of a sex the mean is within two standard errors, 1.0, of the half deviation allowed; from what was
+    # published, or where people's bones measure otherwise, from those.
+    for row in sizes:
+        known = [row["reference"]] + ([row["people"]] if row["people"] != "" else [])
+        assert min(abs(row["value"] - size) for size in known) < 1.5 * row["reference_sd"], row
 
 
 def test_random_knees_build():

@@ -77,7 +77,8 @@ def test_an_osteophyte_belongs_to_the_contour(spots, knee):
     beyond = (spots["tibia_medial_edge"][1] - spots["medial_plateau_edge"][1]) * mm
     assert 0.4 * beak.size_mm < beyond < 1.1 * beak.size_mm
     bare = (spots["lateral_plateau_edge"][1] - spots["tibia_lateral_edge"][1]) * mm
-    assert -3.0 < bare < 0.0
+    # People's rims are rounder than a line at 45 degrees is steep: it touches some millimetres inwards.
+    assert -5.0 < bare < 0.0
 
 
 def dished(rim_mm, tilt=0.0):

@@ -24,11 +24,11 @@ CAPTION = rf"\*20\d\d-\d\d-\d\d, {MACHINE}, `uv run [^`]+`(, ({NOTES}))?\*"
 ORIGIN = readme.Origin(day="2026-11-22", machine="2 cores, x86-64, Linux, Python 3.11", options={"knees": 7})
 ROWS = [
     {"quantity": "error of varus_deg", "sex": "", "value": 0.05, "sd": "", "reference": "", "reference_sd": "",
-     "off_sd": "", "knees": 7, "source": ""},
+     "off_sd": "", "people": "", "knees": 7, "source": ""},
     {"quantity": "tibial_ml_mm", "sex": "male", "value": 77.71, "sd": 4.1, "reference": 77.5, "reference_sd": 4.0,
-     "off_sd": 0.05, "knees": 4, "source": "a | b"},
+     "off_sd": 0.05, "people": 12.5, "knees": 4, "source": "a | b"},
     {"quantity": "tibial_ml_mm", "sex": "female", "value": 68.7, "sd": 3.6, "reference": 68.5, "reference_sd": 3.6,
-     "off_sd": -0.061, "knees": 3, "source": "a | b"},
+     "off_sd": -0.061, "people": "", "knees": 3, "source": "a | b"},
 ]  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from ..anatomy.joint import KneeAssembly
 from ..anatomy.solids import mesh_of
 from ..core.checks import Array
 from ..core.parallel import ordered_map
-from ..data.references import references
+from ..data.references import Size, references
 from ..model.knee import Knee, draw_knee
 from ..model.protocol import load_protocol
 from .engines import Row
@@ -23,6 +23,7 @@ def knee_rows(count: int, workers: int) -> list[Row]:
     """One row a quantity, over drawn knees of all grades: errors of the labels, and sizes measured on the meshes.
 
     off_sd  mean minus reference over the reference's standard deviation
+    people  the size of people's bones by the same measure, at the reference's width of the plateau, mm
     """
     knees = [draw_knee(grade=k % 3, rng=np.random.default_rng(k)) for k in range(count)]
     sizes = ordered_map(measured, knees, shared={}, workers=workers)
@@ -40,9 +41,19 @@ def knee_rows(count: int, workers: int) -> list[Row]:
             rows.append({
                 "quantity": name, "sex": sex, "value": round(float(values.mean()), 2),
                 "sd": round(float(values.std(ddof=1)), 2), "knees": len(values), "reference": mean,
-                "reference_sd": sd, "off_sd": round(float(values.mean() - mean) / sd, 2), "source": known.source,
+                "reference_sd": sd, "off_sd": round(float(values.mean() - mean) / sd, 2), "people": _people(known, sex),
+                "source": known.source,
             })  # fmt: skip
     return [{name: row.get(name, "") for name in rows[-1]} for row in rows]
+
+
+def _people(known: Size, sex: str) -> float | str:
+    """A size of people's bones at the mean width of the plateau of a sex, or of both; "" where none was measured."""
+    plateau = references().morphometry["tibial_ml_mm"]
+    wide = [
+        part[0] for name, part in (("male", plateau.male), ("female", plateau.female)) if part and sex in (name, "both")
+    ]
+    return "" if known.people is None else round(known.people * float(np.mean(wide)), 1)
 
 
 def measured(knee: Knee) -> Sizes:

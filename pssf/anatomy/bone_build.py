@@ -25,6 +25,8 @@ from .tibia import plateau_height
 # of shafts is measured (its own size).
 _LEAN_FROM_MM, _LEAN_TO_MM, _SHAFT_MM = 55.0, 85.0, (115.0, 165.0)
 _SHAFT_POWER, _AROUND = 2.3, 48
+# The bone next to the joint is about so far from its end.
+_JOINT_MM = 15.0
 # A lean begins smoothly over this, which keeps the metaphysis free of a kink.
 _EASE_MM = 15.0
 # Places of the plateau, to the sides and to front and back of its middle, between which its fall is measured.
@@ -48,6 +50,18 @@ class Form:
     end: int
     lean: tuple[float, float] = (0.0, 0.0)
     slope: float = 0.0
+
+    def upright(self) -> Array:
+        """(3, 3)  rotation about x that sets the shaft upright, seen from the side"""
+        turn = self.end * np.arctan(self.lean[1])
+        cos, sin = np.cos(turn), np.sin(turn)
+        return np.array([[1.0, 0.0, 0.0], [0.0, cos, -sin], [0.0, sin, cos]])
+
+    def frame(self, scale: float) -> Array:
+        """(3, 4)  rigid transform from the mean man's frame that what lies in the bone next to the joint follows"""
+        joint = np.array([[0.0, 0.0, self.end * _JOINT_MM]])
+        turn = self.upright()
+        return np.column_stack((turn, (formed(joint, self) - joint @ turn.T)[0] * scale))
 
 
 @dataclass(frozen=True)
@@ -135,10 +149,7 @@ def formed(points: Array, form: Form) -> Array:
     # Where the lattice ends its displacements stay the same; a shaft goes straight on.
     places = displaced(points - beyond[:, None] * [0.0, 0.0, form.end], form.lattice)
     places += beyond[:, None] * [*form.lean, form.end]
-    turn = form.end * np.arctan(form.lean[1])
-    y, z = places[:, 1].copy(), places[:, 2].copy()
-    places[:, 1], places[:, 2] = y * np.cos(turn) - z * np.sin(turn), y * np.sin(turn) + z * np.cos(turn)
-    return places
+    return places @ form.upright().T
 
 
 def eased(beyond_mm: Array) -> Array:

@@ -116,16 +116,17 @@ def _bones(knee: Knee, assembly: KneeAssembly) -> dict[str, _Placed]:
     femur, tibia = bones.femur(build, assembly.femur), bones.tibia(build, assembly.tibia)
     patella = small_bones.patella(build)
     in_femur = small_bones.patella_place(knee, build, patella.outer, femur.outer, pose)
+    still = np.eye(3, 4)
     parts = {
-        "femur": (femur, pose.femur()),
-        "tibia": (tibia, pose.tibia()),
-        "fibula": (small_bones.fibula(knee, build, tibia.outer), pose.tibia()),
-        "patella": (patella, _after(in_femur, pose.femur())),
+        "femur": (femur, pose.femur(), build.femur.frame(build.scale)),
+        "tibia": (tibia, pose.tibia(), build.tibia.frame(build.scale)),
+        "fibula": (small_bones.fibula(knee, build, tibia.outer), pose.tibia(), still),
+        "patella": (patella, _after(in_femur, pose.femur()), still),
     }
     if knee.fabella_mm:
         fabella, in_femur = small_bones.fabella(knee, build, femur.outer)
-        parts["fabella"] = (fabella, _after(in_femur, pose.femur()))
-    return {name: _Placed(_placed(part, frame), frame) for name, (part, frame) in parts.items()}
+        parts["fabella"] = (fabella, _after(in_femur, pose.femur()), still)
+    return {name: _Placed(_placed(part, at), _after(inner, at)) for name, (part, at, inner) in parts.items()}
 
 
 def _after(first: Array, then: Array) -> Array:

@@ -15,9 +15,13 @@ class Known(Record, frozen=True):
 
 
 class Size(Record, frozen=True):
-    """Mean and standard deviation of a size, of men and women or of both together; mm, degrees."""
+    """Mean and standard deviation of a size, of men and women or of both together; mm, degrees.
+
+    people  over the plateau's width, of people's bones by the same measure
+    """
 
     source: str
+    people: float | None = None
     male: Pair | None = None
     female: Pair | None = None
     both: Pair | None = None
