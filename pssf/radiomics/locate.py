@@ -14,7 +14,7 @@ from .patches import LINEAR_MM, SIDES, WAYS, Template, density_of, poses
 from .region import region_fits
 from .search import Match, matches, score_maps, vertex
 
-STATUSES = ("found", "no knee", "upside down", "wrong scale", "wrong side", "low score", "leaves image")
+STATUSES = ("found", "no knee", "upside down", "wrong side", "wrong scale", "low score", "leaves image")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -253,8 +253,8 @@ def _status(found: Located, shape: tuple[int, ...], region_px: int | None, table
     reasons = {
         "no knee": found.score < limit.score,
         "upside down": found.way != WAYS[0],
-        "wrong scale": found.pixel_from == "given" and not limit.scale[0] <= found.scale <= limit.scale[1],
         "wrong side": found.side_evidence < -limit.side,
+        "wrong scale": found.pixel_from == "given" and not limit.scale[0] <= found.scale <= limit.scale[1],
         "low score": found.narrow < limit.narrow or found.apart_mm > limit.apart_mm,
         "leaves image": not region_fits(shape, found.row, found.col, 1 if region_px is None else region_px),
     }
