@@ -8,6 +8,7 @@ import numpy as np
 from ..anatomy import build
 from ..core.checks import InputError
 from ..core.parallel import ordered_map
+from ..data.shapes import shape_table
 from ..geometry.scene import Scene
 from ..model.knee import SITES, Knee, Osteophyte, draw_knee
 from ..model.protocol import load_protocol
@@ -28,7 +29,15 @@ _RANGES = {
     "tibial_slope_deg": (0.0, 12.0),
     "limb_ap_mm": (90.0, 160.0),
     "fat_mm": (3.0, 25.0),
+    "lean_deg": (-12.0, 12.0),
+    "fibular_tip_mm": (5.0, 22.0),
+    "insall_salvati": (0.7, 1.6),
+    "patellar_shift_mm": (-5.0, 10.0),
+    "patellar_tilt_deg": (-8.0, 14.0),
+    "fabella_mm": (4.0, 14.0),
 }
+# Standard deviations at which every mode of the shape stands, to either side.
+_SHAPE_SD = 3.0
 
 
 def build_rows(count: int, workers: int) -> list[Row]:
@@ -82,4 +91,5 @@ def wide_knee(rng: np.random.Generator) -> Knee:
     fields: dict[str, Any] = {name: float(rng.uniform(*bounds)) for name, bounds in _RANGES.items()}
     beaks = tuple(Osteophyte(site=str(site), size_mm=float(rng.uniform(0.2, 3.0))) for site in sites)
     side, sex = rng.choice(["left", "right"]), rng.choice(["male", "female"])
-    return Knee(side=str(side), sex=str(sex), osteophytes=beaks, **fields)
+    shape = tuple(_SHAPE_SD * float(sign) for sign in rng.choice([-1.0, 1.0], len(shape_table().modes)))
+    return Knee(side=str(side), sex=str(sex), osteophytes=beaks, shape=shape, **fields)
