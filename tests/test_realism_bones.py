@@ -10,6 +10,7 @@ import pssf
 from pssf.geometry.mesh import Mesh
 from pssf.io.bones import read_bones
 from pssf.realism import bones
+from pssf.realism.forms import compare_forms
 from pssf.realism.surfaces import Similarity, fit_similarity, measured, surface_distance, trimmed
 
 
@@ -252,3 +253,15 @@ def test_a_folder_without_bones_and_damaged_files_are_refused(tmp_path):
     archive(tmp_path)
     with pytest.raises(pssf.InputError, match="npz files = 2"):
         read_bones(tmp_path)
+
+
+def test_forms_of_the_same_bones_are_alike_and_a_stretched_one_is_off():
+    built = bones.built_bones(pssf.Knee())
+    drawn = {
+        name: [bones.built_bones(pssf.Knee(shape=(score,)))[name] for score in (-1.0, 1.0)] for name in bones.BONES
+    }
+    for row in compare_forms(drawn, built, drawn):
+        assert abs(row["off_sd"]) < 1e-9 or row["sd"] < 1e-9
+    high = {**drawn, "patella": [Mesh(one.vertices * [1.0, 1.0, 1.2], one.faces) for one in drawn["patella"]]}
+    row = next(r for r in compare_forms(drawn, built, high) if r["measure"] == "patella's height over width")
+    assert row["drawn_mean"] / row["mean"] == pytest.approx(1.2, rel=0.02)

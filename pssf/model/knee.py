@@ -75,7 +75,7 @@ class Knee:
     shape: tuple[float, ...] = ()
     cortex_scale: float = 1.0
     tibial_slope_deg: float = 5.0
-    lean_deg: float = 0.0
+    lean_deg: float = 3.0
     fibular_tip_mm: float = 12.0
     insall_salvati: float = 1.14
     patellar_shift_mm: float = 3.0

@@ -24,12 +24,13 @@ from ..study.report.page import Picture
 from . import bones, contours
 from .films import Record, Source, measure_films
 from .films_section import SIMULATED, films_section
+from .forms import compare_forms
 from .page import Row, Section, Table, render
 
 # Tables that the READMEs show, by what must be given for them.
 SHOWN = {
     "contours": ("contours_outside",),
-    "bones": ("bones",),
+    "bones": ("bones", "bones_forms"),
     "films": ("films_domains", "films_transfer", "films_effects"),
 }
 # Read as text wherever films are listed.
@@ -147,13 +148,18 @@ def _contours(protocol: Protocol, knees: int, seed: int, execution: Execution) -
 def _bones(given: bones.Bones, knees: int, seed: int, execution: Execution) -> Section:
     with execution.timer.stage("bones", "knees", knees):
         drawn = bones.drawn_bones(min(knees, 50), seed)
-        found = bones.compare(given, bones.built_bones(Knee()), drawn, execution.workers)
+        built = bones.built_bones(Knee())
+        found = bones.compare(given, built, drawn, execution.workers)
+        forms = compare_forms(given, built, drawn, execution.workers)
     line = "; ".join(f"{row['bone']} {row['what']} {row['rms_mm']:.2f} mm" for row in found.rows)
     return Section(
         name="Bones",
         line=line,
         text=_BONES,
-        tables=(Table(name="bones", rows=found.rows, caption="Distances, mm."),),
+        tables=(
+            Table(name="bones", rows=found.rows, caption="Distances, mm."),
+            Table(name="bones_forms", rows=forms, caption="Measures of form, at one size.", shown=30),
+        ),
         figures=(Picture(
             name="bones", png=found.figure, alt="Built mean bones coloured by distance",
             caption="The built mean bones; their colour is the distance from the mean of the given ones.",
