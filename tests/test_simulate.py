@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import pssf
 from pssf.anatomy.trabeculae import Trabeculae
 from pssf.stages import Chain, LatentImage, expose
+from pssf.xray.spectrum import TOLERANCE
 from pssf.xray.technique import technique_of
 
 DIGEST = """
@@ -170,7 +171,12 @@ def test_another_texture_seed_changes_spongy_bone_alone(knee, small):
     ]
     spongy = images[0].kept["path_mm"]["trabecular_bone"] > 0
     assert (images[0].pixels[spongy] != images[1].pixels[spongy]).mean() > 0.5
-    assert_array_equal(images[0].pixels[~spongy], images[1].pixels[~spongy])
+    one, two = (image.kept["path_mm"] for image in images)
+    for material in set(one) - {"trabecular_bone"}:
+        assert_array_equal(one[material], two[material])
+    # The few energies that a spectrum is folded to follow the longest path in spongy bone, within the fold's tolerance.
+    outside = [image.pixels[~spongy].astype(np.float64) for image in images]
+    assert_allclose(*outside, rtol=TOLERANCE, atol=1.0)
 
 
 def test_a_sampled_focal_spot_blurs_by_depth(small):
