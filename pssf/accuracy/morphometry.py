@@ -50,9 +50,7 @@ def knee_rows(count: int, workers: int) -> list[Row]:
 def _people(known: Size, sex: str) -> float | str:
     """A size of people's bones at the mean width of the plateau of a sex, or of both; "" where none was measured."""
     plateau = references().morphometry["tibial_ml_mm"]
-    wide = [
-        part[0] for name, part in (("male", plateau.male), ("female", plateau.female)) if part and sex in (name, "both")
-    ]
+    wide = [getattr(plateau, name)[0] for name in ("male", "female") if sex in (name, "both")]
     return "" if known.people is None else round(known.people * float(np.mean(wide)), 1)
 
 

@@ -12,19 +12,19 @@ import numpy as np
 from manifold3d import Manifold
 
 from ..core.checks import Array
-from ..data.bones import BoneShape
+from ..data.bones import BoneShape, TibiaShape
 from ..data.records import Rows
 from ..data.shapes import shape_table
 from ..geometry.freeform import Lattice, displaced
 from ..model.knee import Knee
 from .shape import knee_form, lattices_of
-from .solids import ring
+from .solids import SHAFT_POWER, ring
 from .tibia import plateau_height
 
 # Along this part of a shaft its lean is looked for (mean man's size), with which it goes on beyond; and where the angle
 # of shafts is measured (its own size).
 _LEAN_FROM_MM, _LEAN_TO_MM, _SHAFT_MM = 55.0, 85.0, (115.0, 165.0)
-_SHAFT_POWER, _AROUND = 2.3, 48
+_AROUND = 48
 # The bone next to the joint is about so far from its end.
 _JOINT_MM = 15.0
 # A lean begins smoothly over this, which keeps the metaphysis free of a kink.
@@ -72,6 +72,7 @@ class Build:
     femur, tibia      this person's form of them
     patella           the lattice of this person's
     slope_deg         by which the plateau falls backwards, mean of both sides
+    fall              by how much it falls a millimetre before it is sloped
     femur_valgus_deg  by which the femoral shaft leans laterally, proximally
     tibia_varus_deg   by which the tibial shaft leans medially, distally
     """
@@ -84,6 +85,7 @@ class Build:
     cortex: float
     plate: float
     slope_deg: float
+    fall: float
     femur_valgus_deg: float
     tibia_varus_deg: float
 
@@ -113,6 +115,7 @@ def build_of(knee: Knee, shape: BoneShape) -> Build:
         cortex=knee.cortex_scale,
         plate=knee.subchondral_plate,
         slope_deg=knee.tibial_slope_deg,
+        fall=plateau_fall(tibia, shape.tibia),
         femur_valgus_deg=shape.femur.valgus_deg + varus - knee.varus_deg / 2,
         tibia_varus_deg=varus + knee.varus_deg / 2,
     )
@@ -135,7 +138,7 @@ def _middles(sections: Rows, heights: Array, move: Callable[[Array], Array]) -> 
     middles = []
     for z in heights:
         half_x, half_y, y, x = (float(np.interp(z, rows[:, 0], rows[:, k])) for k in range(1, 5))
-        places = move(ring(half_x, half_y, (x, y, z), _SHAFT_POWER, _AROUND))[:, :2]
+        places = move(ring(half_x, half_y, (x, y, z), SHAFT_POWER, _AROUND))[:, :2]
         middles.append((places.min(axis=0) + places.max(axis=0)) / 2)
     return np.array(middles)
 
@@ -189,19 +192,19 @@ def sloped(points_mm: Array, build: Build) -> Array:
     """
     places = points_mm.copy()
     fade = np.clip(1 + places[:, 2] / (_SLOPE_TO_MM * build.scale), 0.0, 1.0) ** 2
-    places[:, 2] -= (np.tan(np.deg2rad(build.slope_deg)) - _fall(build)) * places[:, 1] * fade
+    places[:, 2] -= (np.tan(np.deg2rad(build.slope_deg)) - build.fall) * places[:, 1] * fade
     return places
 
 
-def _fall(build: Build) -> float:
+def plateau_fall(form: Form, shape: TibiaShape) -> float:
     """By how much a person's plateau falls a millimetre backwards before it is sloped, mean of both sides."""
     x, y = np.repeat([_PLATEAU_X_MM, -_PLATEAU_X_MM], 2), np.tile([-_PLATEAU_Y_MM, _PLATEAU_Y_MM], 2)
-    places = np.column_stack((x, y, plateau_height(x, y, build.shape.tibia.relief)))
+    places = np.column_stack((x, y, plateau_height(x, y, shape.relief)))
     # Of this person's plateau at these places, not of where a form takes the mean man's.
     for _ in range(_PLATEAU_TURNS):
-        places[:, :2] -= formed(places, build.tibia)[:, :2] - np.column_stack((x, y))
-        places[:, 2] = plateau_height(places[:, 0], places[:, 1], build.shape.tibia.relief)
-    heights = formed(places, build.tibia)[:, 2]
+        places[:, :2] -= formed(places, form)[:, :2] - np.column_stack((x, y))
+        places[:, 2] = plateau_height(places[:, 0], places[:, 1], shape.relief)
+    heights = formed(places, form)[:, 2]
     return float(np.mean(heights[::2] - heights[1::2]) / (2 * _PLATEAU_Y_MM))
 
 

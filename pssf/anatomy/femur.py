@@ -4,20 +4,17 @@ In the frame of the bone at the mean man's size: x medial, y posterior, z = 0 at
 """
 
 import atexit
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 from manifold3d import Manifold
 
 from ..core.checks import Array
 from ..data.bones import Condyle, FemurShape, Notch
-from ..data.shapes import shape_table
 from .implicit import Column, Field, blend, carve, ellipsoid, lengths, meet
-from .mean_bone import MeanBone
-from .shape import knee_form
-from .solids import checked, column, hull, loft, thickness
+from .mean_bone import MeanBone, mean_bone
+from .solids import SHAFT_POWER, checked, column, hull, loft, thickness
 
-_POWER = 2.3
 # Cut flat here, outside the beam of any protocol in the package.
 _END_MM = 285.0
 
@@ -25,16 +22,7 @@ _END_MM = 285.0
 @lru_cache(maxsize=4)
 def mean_femur(shape: FemurShape) -> MeanBone:
     """The mean man's femur."""
-    form = knee_form(shape_table()).bones["femur"]
-    return MeanBone(
-        name="femur",
-        field=field_of(shape),
-        shell=partial(_shell, shape),
-        rough=partial(_rough, shape),
-        edge_mm=shape.edge_mm,
-        tolerance_mm=shape.tolerance_mm,
-        form=form,
-    )
+    return mean_bone("femur", shape, field_of(shape), _shell, _rough)
 
 
 # manifold3d says on standard error what of it still stands when Python has ended.
@@ -43,7 +31,7 @@ atexit.register(mean_femur.cache_clear)
 
 def field_of(shape: FemurShape) -> Field:
     """Points (n, 3) -> (n,)  approximate distance from the femur's outer surface, mm, negative inside"""
-    shaft_field = Column(np.array(shape.sections), _POWER)
+    shaft_field = Column(np.array(shape.sections), SHAFT_POWER)
 
     def field(points: Array) -> Array:
         end = shape.trochlea_end_z - shape.trochlea_end_bend * points[:, 0] ** 2
@@ -114,7 +102,7 @@ def _rough(shape: FemurShape) -> Manifold:
     """The same parts by CSG, with hard creases."""
     sections = np.array(shape.sections)
     heights = np.concatenate((np.arange(sections[:, 0].min(), 70.0, 2.5), np.linspace(70.0, _END_MM, 54)))
-    solid = column(sections, np.zeros_like, heights, "femur shaft", power=_POWER, count=72)
+    solid = column(sections, np.zeros_like, heights, "femur shaft", count=72)
     for side in ("medial", "lateral"):
         solid += _rough_condyle(getattr(shape.condyles, side), side)
     return checked(solid - _rough_notch(shape.notch), "femur")

@@ -11,7 +11,7 @@ from ..data.bones import BoneShape
 from ..geometry.mesh import Indices
 from ..geometry.view import View, magnification, project
 from ..model.knee import Knee
-from .bone_build import Build, build_of, formed, stand_femur, stand_tibia, stood
+from .bone_build import Build, build_of, formed, stand_femur, stand_tibia
 from .bones import grown_femur, grown_tibia
 from .contours import measure_gap
 from .femur import mean_femur
@@ -56,10 +56,6 @@ class Pose:
     def tibia(self) -> Array:
         """(3, 4)  transform of tibia and fibula into the knee frame"""
         return self._leg(np.eye(3, 4))
-
-    def bone(self, name: str) -> Array:
-        """(3, 4)  transform of a bone into the knee frame; patella and fabella go with the femur"""
-        return self.femur() if name in ("femur", "patella", "fabella") else self.tibia()
 
     def soft(self) -> Array:
         """(3, 4)  transform of the soft tissue into the knee frame"""
@@ -128,7 +124,7 @@ def assemble(knee: Knee, shape: BoneShape, reference: View) -> KneeAssembly:
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(MeanBone.prepare, (mean_femur(shape.femur), mean_tibia(shape.tibia))))
     femur, tibia = grown_femur(build, knee.osteophytes), grown_tibia(build, knee.osteophytes)
-    pose = solve_pose(knee, build, femur.outer, stood(tibia.outer, build, "tibia"), reference)
+    pose = solve_pose(knee, build, femur.outer, tibia.outer, reference)
     # The femur's tilt closes the joint; its shaft gives that tilt back, so that varus_deg is the angle of the shafts.
     build = replace(build, femur_valgus_deg=build.femur_valgus_deg + pose.tilt_deg)
     # Spaces are measured along the leg, however it leans; so its lean comes last.
@@ -139,11 +135,10 @@ def assemble(knee: Knee, shape: BoneShape, reference: View) -> KneeAssembly:
 def solve_pose(knee: Knee, build: Build, femur: Manifold, tibia: Manifold, view: View) -> Pose:
     """Tilt and height of the femur that give both joint spaces in a view (Newton on the projection).
 
-    femur   outer solid at the mean man's size, condyles' distal end at z = 0
-    tibia   outer solid of this knee, plateau at z = 0
+    femur, tibia  outer solids at the mean man's size, in their own frames
     raises  InputError if the spaces cannot be met, which the ranges of `Knee` exclude
     """
-    meshes = [_lower(femur, build), _upper(tibia)]
+    meshes = [_lower(femur, build), _upper(tibia, build)]
     wanted = np.array([knee.jsw_medial_mm, knee.jsw_lateral_mm])
     _, y, z = (formed(np.array([_PIVOT_MM]), build.femur)[0] * build.scale).tolist()
     pose = Pose(0.0, wanted.mean() + 2.0, 0.0, knee.flexion_deg, knee.rotation_deg, (0.0, y, z))
@@ -181,11 +176,11 @@ def _lower(femur: Manifold, build: Build) -> tuple[Array, Indices]:
     return formed(mesh.vertices, build.femur) * build.scale, lower
 
 
-def _upper(tibia: Manifold) -> tuple[Array, Indices]:
-    """Vertices and edges of the tibia's upper end."""
+def _upper(tibia: Manifold, build: Build) -> tuple[Array, Indices]:
+    """Vertices and edges of the upper end of a tibia at the mean man's size, as it stands in this knee."""
     mesh = mesh_of(tibia)
-    edges = edges_of(mesh.faces)
-    return mesh.vertices, edges[(mesh.vertices[edges, 2] > _TIBIA_ABOVE_MM).any(axis=1)]
+    places, edges = stand_tibia(mesh.vertices, build), edges_of(mesh.faces)
+    return places, edges[(places[edges, 2] > _TIBIA_ABOVE_MM).any(axis=1)]
 
 
 def _middle_mm(gaps: list, view: View) -> float:

@@ -3,18 +3,21 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
+from typing import TypeVar
 
 import numpy as np
 from manifold3d import Manifold
 
 from ..core.checks import Array
+from ..data.bones import FemurShape, TibiaShape
+from ..data.shapes import shape_table
 from ..data.store import Arrays, Origin, kept
 from ..geometry.freeform import displaced, with_displacements
 from ..geometry.mesh import Indices
 from .implicit import Field, lengths, project_to_surface
 from .remesh import mesh_bone
-from .shape import BoneForm
-from .solids import checked, edges_of, mesh_of, solid_of, split_edges
+from .shape import BoneForm, knee_form
+from .solids import checked, mesh_of, solid_of, split_where
 
 _ORIGIN = Origin(sources=("core", "data", "geometry", "anatomy"), libraries=("manifold3d", "numpy", "scipy", "trimesh"))
 # Inner surfaces, whose edge trabeculae blur, are drawn with fewer triangles, within this.
@@ -27,6 +30,7 @@ _STEPS, _TURNS, _SETTLED_MM = 4, 12, 0.005
 _BENT_MM, _SPLITS, _FAR_SD = 0.05, 5, 2.0
 
 
+OfBone = TypeVar("OfBone", FemurShape, TibiaShape)
 Shell = Callable[[Array, float, float], Array]
 
 
@@ -95,6 +99,25 @@ class MeanBone:
         return {"points": outer.vertices, "faces": outer.faces, "ways": np.array(ways), "inner_faces": coarser.faces}
 
 
+def mean_bone(
+    name: str,
+    shape: OfBone,
+    field: Field,
+    shell: Callable[[OfBone, Array, float, float], Array],
+    rough: Callable[[OfBone], Manifold],
+) -> MeanBone:
+    """The mean man's bone of a shape; shell and rough as in MeanBone, of that shape."""
+    return MeanBone(
+        name=name,
+        field=field,
+        shell=partial(shell, shape),
+        rough=partial(rough, shape),
+        edge_mm=shape.edge_mm,
+        tolerance_mm=shape.tolerance_mm,
+        form=knee_form(shape_table()).bones[name],
+    )
+
+
 def _everywhere(depth_mm: float, points: Array) -> Array:
     return np.full(len(points), depth_mm)
 
@@ -114,16 +137,13 @@ def flexible(solid: Manifold, form: BoneForm) -> Manifold:
     Edges are split whose middles would be more than 0.05 mm off in the mean form and two standard deviations from it.
     """
     mesh = mesh_of(solid)
-    places, faces = mesh.vertices, mesh.faces
-    for _ in range(_SPLITS):
-        edges = edges_of(faces)
+
+    def bent(places: Array, edges: Indices) -> tuple[Indices, Array]:
         middles = places[edges].mean(axis=1)
         off = _sagitta(places, edges, middles, form) > _BENT_MM
-        if not off.any():
-            break
-        faces = split_edges(faces, edges[off], len(places))
-        places = np.vstack((places, middles[off]))
-    return solid_of(places, faces, "flexible")
+        return edges[off], middles[off]
+
+    return solid_of(*split_where(mesh.vertices, mesh.faces, _SPLITS, bent), "flexible")
 
 
 def _sagitta(places: Array, edges: Indices, middles: Array, form: BoneForm) -> Array:

@@ -11,7 +11,7 @@ from scipy.sparse import coo_array, csr_array, diags_array
 from ..core.checks import Array
 from ..geometry.mesh import Indices
 from .implicit import Field, gradient, lengths, project_to_surface, squares
-from .solids import dilate_rings, edges_of, mesh_of, solid_of, split_edges
+from .solids import dilate_rings, mesh_of, solid_of, split_where
 
 Choice = Callable[[Array], NDArray[np.bool_]]
 
@@ -168,15 +168,13 @@ def _split_where_off(
 
     near  which vertices both ends of an edge must be among: (n, 3) -> (n,) bool; all of them if None
     """
-    for _ in range(rounds):
-        edges = edges_of(faces)
+
+    def off(places: Array, edges: Indices) -> tuple[Indices, Array]:
         if near is not None:
             edges = edges[near(places)[edges].all(axis=1)]
         middles = places[edges].mean(axis=1)
         settled = project_to_surface(middles, field, None, 3)
-        off = np.linalg.norm(settled - middles, axis=1) > tolerance_mm
-        if not off.any():
-            break
-        faces = split_edges(faces, edges[off], len(places))
-        places = np.vstack((places, settled[off]))
-    return places, faces
+        away = np.linalg.norm(settled - middles, axis=1) > tolerance_mm
+        return edges[away], settled[away]
+
+    return split_where(places, faces, rounds, off)

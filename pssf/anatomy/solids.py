@@ -12,6 +12,8 @@ from ..core.checks import Array, InputError
 from ..data.records import Rows
 from ..geometry.mesh import Indices, Mesh
 
+# Of the superellipse that a shaft's section is.
+SHAFT_POWER = 2.3
 # Of a triangle with 1, 2 or 3 edges halved: its pieces, by corner (0 to 2) and middle (3 to 5).
 _PIECES = {
     1: [[0, 3, 2], [3, 1, 2]],
@@ -91,6 +93,23 @@ def split_edges(faces: Indices, edges: Indices, first: int) -> Indices:
     return np.vstack(pieces)
 
 
+def split_where(
+    places: Array, faces: Indices, rounds: int, choose: Callable[[Array, Indices], tuple[Indices, Array]]
+) -> tuple[Array, Indices]:
+    """Places (n, 3) and faces (m, 3) of a closed mesh with edges split in half, so often as any is chosen.
+
+    rounds  at most
+    choose  places and all edges (k, 2) -> those to split (l, 2), and where their middles go (l, 3)
+    """
+    for _ in range(rounds):
+        edges, middles = choose(places, edges_of(faces))
+        if not len(edges):
+            break
+        faces = split_edges(faces, edges, len(places))
+        places = np.vstack((places, middles))
+    return places, faces
+
+
 def hull(points_mm: Array, name: str) -> Manifold:
     """Convex hull of points (n, 3)."""
     return checked(Manifold.hull_points(np.ascontiguousarray(points_mm, np.float64)), name)
@@ -131,7 +150,7 @@ def column(
     inset_mm: Callable[[Array], Array],
     heights_mm: Array,
     name: str,
-    power: float = 2.3,
+    power: float = SHAFT_POWER,
     count: int = 96,
 ) -> Manifold:
     """A loft through superelliptic sections that are interpolated in height and drawn in by a thickness.

@@ -4,36 +4,24 @@ In the frame of the bone at the mean man's size: x medial, y posterior, z = 0 at
 """
 
 import atexit
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 from manifold3d import Manifold
 
 from ..core.checks import Array
 from ..data.bones import Bell, TibiaShape
-from ..data.shapes import shape_table
 from .implicit import Column, Field, blend, ellipsoid, meet
-from .mean_bone import MeanBone
-from .shape import knee_form
-from .solids import checked, column, height_field, thickness
+from .mean_bone import MeanBone, mean_bone
+from .solids import SHAFT_POWER, checked, column, height_field, thickness
 
-_POWER = 2.3
 _END_MM = -285.0
 
 
 @lru_cache(maxsize=4)
 def mean_tibia(shape: TibiaShape) -> MeanBone:
     """The mean man's tibia, with a level plateau."""
-    form = knee_form(shape_table()).bones["tibia"]
-    return MeanBone(
-        name="tibia",
-        field=field_of(shape),
-        shell=partial(_shell, shape),
-        rough=partial(_rough, shape),
-        edge_mm=shape.edge_mm,
-        tolerance_mm=shape.tolerance_mm,
-        form=form,
-    )
+    return mean_bone("tibia", shape, field_of(shape), _shell, _rough)
 
 
 # manifold3d says on standard error what of it still stands when Python has ended.
@@ -42,7 +30,7 @@ atexit.register(mean_tibia.cache_clear)
 
 def field_of(shape: TibiaShape) -> Field:
     """Points (n, 3) -> (n,)  approximate distance from the tibia's outer surface, mm, negative inside"""
-    shaft_field = Column(np.array(shape.sections), _POWER)
+    shaft_field = Column(np.array(shape.sections), SHAFT_POWER)
 
     def field(points: Array) -> Array:
         whole = meet(shaft_field(_evenly_deep(points, shape)), _END_MM - points[:, 2], 0.5)
@@ -95,7 +83,7 @@ def _rough(shape: TibiaShape) -> Manifold:
     """The same parts by CSG, with hard creases."""
     sections = np.array(shape.sections)
     heights = np.concatenate((np.linspace(_END_MM, -60.0, 56), np.arange(-57.5, sections[:, 0].max(), 2.5)))
-    shaft = column(sections, np.zeros_like, heights, "tibia shaft", power=_POWER, count=72)
+    shaft = column(sections, np.zeros_like, heights, "tibia shaft", count=72)
     for part in shape.bumps:
         shaft += Manifold.sphere(1.0, 48).scale(part.half).translate(part.centre)
     x, y = np.linspace(-45, 45, 61), np.linspace(-36, 32, 46)

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..anatomy.bone_build import Build, Form, build_of, stand_femur, stand_tibia
+from ..anatomy.bone_build import Build, Form, build_of, plateau_fall, stand_femur, stand_tibia
 from ..anatomy.femur import mean_femur
 from ..anatomy.small_bones import patella
 from ..anatomy.solids import mesh_of
@@ -42,10 +42,12 @@ def _mean_man() -> Build:
     none = {
         name: with_displacements(lattice, 0 * lattice.displacements_mm) for name, lattice in _lattices(build).items()
     }
+    tibia = Form(lattice=none["tibia"], end=-1)
     return replace(
         build,
         femur=Form(lattice=none["femur"], end=+1),
-        tibia=Form(lattice=none["tibia"], end=-1),
+        tibia=tibia,
+        fall=plateau_fall(tibia, build.shape.tibia),
         patella=none["patella"],
         femur_valgus_deg=build.shape.femur.valgus_deg,
         tibia_varus_deg=0.0,
