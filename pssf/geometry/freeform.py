@@ -163,8 +163,10 @@ def _moved(points, origin, pitch, padded):  # type: ignore[no-untyped-def]
             # Beyond the padding nothing changes any more.
             cell = min(max(np.floor(scaled), -2.0), padded.shape[axis] - 6.0)
             start[axis] = int(cell) + 2
-            weight[axis] = _weights(min(max(scaled - cell, 0.0), 1.0))
-        first, second, third = start
+            # One by one: to assign a tuple to a row takes numba seconds to compile.
+            a, b, c, d = _weights(min(max(scaled - cell, 0.0), 1.0))
+            weight[axis, 0], weight[axis, 1], weight[axis, 2], weight[axis, 3] = a, b, c, d
+        first, second, third = start[0], start[1], start[2]
         x = y = z = 0.0
         for i in range(4):
             for j in range(4):
