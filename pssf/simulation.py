@@ -33,7 +33,8 @@ def simulate(
 ) -> Radiograph:
     """A radiograph of a knee, or of a scene of one's own.
 
-    knee     a Knee; what `build` made of one, where several protocols see it; or a scene of one's own
+    knee     a Knee; what `build` made of one, where several protocols see it in one posture; or a scene of one's own,
+             which stands in the room as it is
     seed     of the noise; the same seed gives the same bytes on any number of workers
     keep     maps to hold in `kept`, of "path_mm", "primary", "scatter", "noise_free"; and "masks", for a knee's `truth`
     engine   "embree" or "scanline"
@@ -44,7 +45,7 @@ def simulate(
     """
     _check(knee, protocol, seed, keep, engine, workers)
     clock, technique = Timer(), technique_of(protocol)
-    subject = build(knee) if isinstance(knee, Knee) else knee
+    subject = build(knee, protocol) if isinstance(knee, Knee) else knee
     built = subject if isinstance(subject, BuiltKnee) else None
     scene = subject.scene if isinstance(subject, BuiltKnee) else subject
     clock.lap("anatomy")
@@ -87,6 +88,10 @@ def _check(
         raise InputError(f"protocol = {protocol!r}; allowed: a Protocol, as load_protocol gives it")
     if not isinstance(knee, Knee | BuiltKnee | Scene):
         raise InputError(f"knee = {knee!r}; allowed: a Knee, a BuiltKnee or a Scene")
+    if isinstance(knee, BuiltKnee) and knee.assembly.posture != protocol.posture:
+        raise InputError(
+            f"knee built in {knee.assembly.posture}; allowed: {protocol.posture}, as build(knee, protocol) makes it"
+        )
 
 
 def _truth(built: BuiltKnee, protocol: Protocol, keep: Collection[str]) -> Truth:

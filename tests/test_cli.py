@@ -54,7 +54,7 @@ def test_meshes_writes_what_is_asked_for(tmp_path):
         (("simulate", "--grade", 5), "pssf: grade = 5; allowed: whole numbers from 0 to 2"),
         (
             ("simulate", "--protocol", "refrence"),
-            "pssf: protocol = 'refrence'; allowed: caudal_beam, geometry_shift, ",
+            "pssf: protocol = 'refrence'; allowed: caudal_beam, fixed_flexion, ",
         ),
         (
             ("simulate", "--engine", "embre"),

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 import pssf
 from pssf.anatomy.shape import knee_form, lattices_of
@@ -31,8 +32,8 @@ def test_another_shape_moves_the_bones_by_millimetres_and_a_left_one_is_its_mirr
         mine, other, mirrored = (
             next(s for s in built.scene.surfaces if s.name == name).arrays.vertices for built in (broad, mean, left)
         )
-        if mine.shape == other.shape:
-            assert 0.5 < np.abs(mine - other).max() < 20
+        away, _ = cKDTree(other).query(mine)
+        assert 0.5 < away.max() < 20
         assert len(mine) == len(mirrored)
         assert np.abs(np.sort(mine[:, 0]) + np.sort(mirrored[:, 0])[::-1]).max() < 1e-9
 

@@ -123,7 +123,7 @@ def test_the_notch_is_taken_three_eighths_of_the_way_up():
     assert_allclose(spots["femur_lateral_condyle"][1], half_way, atol=0.06)
 
 
-def test_edges_are_where_lines_at_45_degrees_touch_the_bones(built, spots, knee):
+def test_edges_are_where_lines_at_30_degrees_touch_the_bones(built, spots, knee):
     medial = 1 if knee.side == "right" else -1
     for bone, up in (("tibia", -1), ("femur", 1)):
         # By the leg's own axes, however it leans on the film.
@@ -131,4 +131,5 @@ def test_edges_are_where_lines_at_45_degrees_touch_the_bones(built, spots, knee)
         rows, cols = turned_px(project(surface(built, bone).vertices, view), view, -lean).T
         for side, out in (("medial", medial), ("lateral", -medial)):
             ((row, col),) = turned_px(np.array([spots[f"{bone}_{side}_edge"]]), view, -lean)
-            assert_allclose(up * row + out * col, (up * rows + out * cols).max(), atol=1e-6)
+            steep, flat = up * np.cos(np.deg2rad(30)), out * np.sin(np.deg2rad(30))
+            assert_allclose(steep * row + flat * col, (steep * rows + flat * cols).max(), atol=1e-6)

@@ -120,7 +120,7 @@ def test_drawn_landmarks_are_the_labels_of_the_knee_that_is_built():
     protocol = pssf.load_protocol("caudal_beam")
     sample = contours.drawn_landmarks(1, seed=3, protocol=protocol, grades=(0,))
     rng = np.random.default_rng(np.random.SeedSequence(3, spawn_key=(0,)))
-    knee = pssf.draw_knee(grade=0, rng=rng, side="left")
+    knee = pssf.draw_knee(grade=0, rng=rng, side="left", jsw_as="read")
     labels = pssf.build(knee).truth(protocol).landmarks_px
     of_left = contours.film_mm(labels, "left", protocol.pixel_mm)
     assert_allclose(*(contours.plateau_frame(one[None])[0] for one in (of_left, sample.places_mm[0])), atol=1e-6)

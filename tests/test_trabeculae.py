@@ -16,7 +16,7 @@ from pssf.data.spongy import trabecular_bone
 from pssf.geometry.density import Density
 from pssf.geometry.view import View
 
-HEALTHY = dict(seed=3, scale=1.0, frame=np.eye(3, 4), mirror="right", sclerosis=1.0, age_years=55.0, sex="male")
+HEALTHY = dict(seed=3, scale=1.0, frame=np.eye(3, 4), mirror=(1.0, 1.0, 1.0), sclerosis=1.0, age_years=55.0, sex="male")
 FLAT = dict(shaft=0.15, bvtv=0.15, medial=0.0, load=0.0, plate_medial=0.0, plate_lateral=0.0, fan=0.0, scar_bvtv=0.0)
 NO_STRUTS = dict(gain=0.0, gain_shaft=0.0)
 EVEN = dict(FLAT, gain=1.0, gain_shaft=1.0)
@@ -136,7 +136,7 @@ def test_moving_bone_and_rays_together_changes_nothing():
 def test_a_left_knee_is_the_mirror_image_of_a_right_one():
     starts, ends = segments(300)
     frame, flip = np.column_stack((turn(8.0), (2.0, 1.0, -4.0))), np.array([-1.0, 1.0, 1.0])
-    right, left = (bone(frame=frame, mirror=side) for side in ("right", "left"))
+    right, left = (bone(frame=frame, mirror=(x, 1.0, 1.0)) for x in (1.0, -1.0))
     assert_allclose(left.integrate(starts * flip, ends * flip), right.integrate(starts, ends), rtol=1e-9)
     assert np.abs(left.integrate(starts, ends) / right.integrate(starts, ends) - 1).max() > 0.01
 
@@ -287,7 +287,7 @@ def test_between_surfaces_that_share_a_density_the_path_is_its_integral_there():
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"mirror": "up"}, "mirror = 'up'"),
+        ({"mirror": (1.0, 2.0, 1.0)}, r"mirror = \(1.0, 2.0, 1.0\)"),
         ({"sex": "none"}, "sex = 'none'"),
         ({"seed": -1}, "seed = -1"),
         ({"scale": 3.0}, "scale = 3.0"),

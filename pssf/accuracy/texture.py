@@ -33,7 +33,15 @@ def step_rows() -> list[Row]:
     """
     table = trabecular_bone()
     bone = trabeculae(
-        "tibia", table, seed=1, scale=1.0, frame=np.eye(3, 4), mirror="right", sclerosis=1.0, age_years=55.0, sex="male"
+        "tibia",
+        table,
+        seed=1,
+        scale=1.0,
+        frame=np.eye(3, 4),
+        mirror=(1.0, 1.0, 1.0),
+        sclerosis=1.0,
+        age_years=55.0,
+        sex="male",
     )
     even = replace(bone, region=bone.region._replace(gain=0.0, gain_shaft=0.0))
     step_mm = table.lattice.voxel_mm[2]

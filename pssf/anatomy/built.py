@@ -13,10 +13,11 @@ from ..geometry.mesh import Mesh
 from ..geometry.scene import Scene, Surface
 from ..geometry.view import view_of
 from ..model.knee import Knee
-from ..model.protocol import Protocol, load_protocol
+from ..model.protocol import Posture, Protocol
 from ..model.radiograph import Truth
 from . import bones, small_bones, soft
-from .joint import KneeAssembly, assemble, moved
+from .joint import KneeAssembly, assemble
+from .pose import moved
 from .solids import checked, mesh_of
 from .tissues import between
 from .trabeculae import BONES, Trabeculae, trabeculae
@@ -30,7 +31,7 @@ class BuiltKnee:
     knee      its parameters
     scene     closed surfaces between named materials, in the knee frame, mm
     assembly  how its bones stand
-    bones     femur, tibia, fibula and patella of a right knee, by name; a left one is their mirror image in x
+    bones     femur, tibia, fibula and patella, by name, before they are mirrored as `assembly` says
     """
 
     knee: Knee
@@ -59,15 +60,17 @@ class BuiltKnee:
         return f"BuiltKnee({self.knee!r}, {len(self.scene.surfaces)} surfaces)"
 
 
-def build(knee: Knee) -> BuiltKnee:
+def build(knee: Knee, protocol: Protocol | None = None) -> BuiltKnee:
     """The knee as closed surfaces: skin, fat, muscle, what lies between, and cortex, trabeculae and marrow of bones.
 
     Surfaces are named ("femur", "femur_trabecular", "femur_marrow", "skin", ...), in the knee frame, mm.
-    raises  InputError for what is no Knee, or if a solid fails its checks, which the ranges of `Knee` exclude
+    protocol  in whose posture it stands; straight and seen from the front if None, as for most protocols
+    raises    InputError for what is no Knee, or if a solid fails its checks, which the ranges of `Knee` exclude
     """
     if not isinstance(knee, Knee):
         raise InputError(f"knee = {knee!r}; allowed: a Knee")
-    assembly = assemble(knee, mean_shape(), view_of(load_protocol("reference")))
+    posture = Posture() if protocol is None else protocol.posture
+    assembly = assemble(knee, mean_shape(), posture)
     placed = _bones(knee, assembly)
     scene = Scene(_surfaces(knee, assembly, placed, trabecular_bone()))
     return BuiltKnee(
@@ -81,24 +84,24 @@ def _surfaces(
     shape, pose = assembly.build, assembly.pose
     solids = {name: part.solids for name, part in placed.items()}
     points_mm = np.vstack([part.outer.to_mesh64().vert_properties[:, :3] for part in solids.values()])
-    limb = soft.layers(knee, shape, points_mm @ pose.soft()[:, :3])
+    limb = soft.layers(knee, shape, pose.flexion_deg, points_mm @ pose.soft()[:, :3])
     wraps = {name: solid.transform(pose.soft()) for name, solid in limb.items()}
     _check_nesting(solids, wraps["muscle"])
     surfaces = [
-        _surface(wraps["skin"], "skin", "air", "skin", knee),
-        _surface(wraps["adipose"], "adipose", "skin", "adipose", knee),
-        _surface(wraps["muscle"], "muscle", "adipose", "muscle", knee),
+        _surface(wraps["skin"], "skin", "air", "skin", assembly),
+        _surface(wraps["adipose"], "adipose", "skin", "adipose", assembly),
+        _surface(wraps["muscle"], "muscle", "adipose", "muscle", assembly),
     ]
     for tissue in between(knee, assembly, solids, wraps["muscle"]):
-        surfaces.append(_sided(tissue.mesh, tissue.material, "muscle", tissue.name, knee))
+        surfaces.append(_sided(tissue.mesh, tissue.material, "muscle", tissue.name, assembly))
     for name, part in solids.items():
-        density = _texture(knee, name, spongy_bone, shape.scale, placed[name].frame)
-        surfaces.append(_surface(part.outer, "cortical_bone", "muscle", name, knee))
+        density = _texture(knee, name, spongy_bone, assembly, placed[name].frame)
+        surfaces.append(_surface(part.outer, "cortical_bone", "muscle", name, assembly))
         spongy = ("trabecular_bone", "cortical_bone", f"{name}_trabecular")
-        surfaces.append(_surface(part.inner, *spongy, knee, inside_density=density))
+        surfaces.append(_surface(part.inner, *spongy, assembly, inside_density=density))
         if part.canal is not None:
             canal = ("marrow", "trabecular_bone", f"{name}_marrow")
-            surfaces.append(_surface(part.canal, *canal, knee, outside_density=density))
+            surfaces.append(_surface(part.canal, *canal, assembly, outside_density=density))
     return surfaces
 
 
@@ -134,14 +137,14 @@ def _after(first: Array, then: Array) -> Array:
     return np.column_stack((then[:, :3] @ first[:, :3], moved(first[None, :, 3], then)[0]))
 
 
-def _texture(knee: Knee, bone: str, table: TrabecularBone, scale: float, frame: Array) -> Trabeculae:
+def _texture(knee: Knee, bone: str, table: TrabecularBone, assembly: KneeAssembly, frame: Array) -> Trabeculae:
     return trabeculae(
         bone,
         table,
         seed=knee.texture_seed,
-        scale=scale,
+        scale=assembly.build.scale,
         frame=frame,
-        mirror=knee.side,
+        mirror=assembly.mirror,
         sclerosis=knee.subchondral_plate,
         age_years=knee.age_years,
         sex=knee.sex,
@@ -172,12 +175,10 @@ def _check_nesting(placed: dict[str, bones.Bone], muscle: Manifold) -> None:
                 raise InputError(f"{one} and {other} overlap by {shared:.3g} mm3 ({why}); allowed: 0 mm3")
 
 
-def _surface(solid: Manifold, inside: str, outside: str, name: str, knee: Knee, **densities: Density) -> Surface:
-    return _sided(mesh_of(checked(solid, name)), inside, outside, name, knee, **densities)
+def _surface(solid: Manifold, inside: str, outside: str, name: str, at: KneeAssembly, **densities: Density) -> Surface:
+    return _sided(mesh_of(checked(solid, name)), inside, outside, name, at, **densities)
 
 
-def _sided(mesh: Mesh, inside: str, outside: str, name: str, knee: Knee, **densities: Density) -> Surface:
-    """The surface of a mesh, mirrored for a left knee."""
-    if knee.side == "left":
-        mesh = Mesh(mesh.vertices * [-1.0, 1.0, 1.0], np.ascontiguousarray(mesh.faces[:, ::-1]))
-    return Surface(mesh, inside=inside, outside=outside, name=name, **densities)
+def _sided(mesh: Mesh, inside: str, outside: str, name: str, at: KneeAssembly, **densities: Density) -> Surface:
+    """The surface of a mesh, mirrored as the knee is."""
+    return Surface(at.mirrored(mesh), inside=inside, outside=outside, name=name, **densities)

@@ -19,7 +19,7 @@ class Gap:
 
     columns_px     (n,)  whole columns within the compartment
     femur_px       (n,)  row of the femur's lower contour
-    tibia_px       (n,)  row of the tibia's upper contour
+    tibia_px       (n,)  row of the tibia's upper contour, or of the floor of its plateau
     scale_mm       joint-plane millimetres a pixel
     middle_col_px  half way across the compartment
     """
@@ -64,6 +64,7 @@ def measure_gap(
     side_x: int,
     half_ml_mm: float,
     lean_deg: float = 0.0,
+    floor_px: Array | None = None,
 ) -> Gap:
     """The joint space of a compartment as a detector at `view` sees it.
 
@@ -71,15 +72,23 @@ def measure_gap(
     side_x        +1 for the compartment at x > 0, -1 for the other
     half_ml_mm    half the medio-lateral width of the tibial plateau
     lean_deg      of the leg about y: rows and columns are told as if it had none
+    floor_px      (k, 2)  row and column, in the order of their columns, of a line that is taken for the tibia's contour
     """
     ends = np.array([[side_x * f * half_ml_mm, 0.0, 0.0] for f in COMPARTMENT])
     first, last = np.sort(project(ends, view)[:, 1])
     columns = np.arange(np.ceil(first), np.floor(last) + 1)
-    outline = [
-        envelope(turned_px(project(vertices, view), view, -lean_deg), edges, int(columns[0]), len(columns), lowest)
-        for (vertices, edges), lowest in ((femur, 1.0), (tibia, -1.0))
-    ]
-    return Gap(columns, outline[0], outline[1], view.pixel_mm / magnification(view), float(first + last) / 2)
+
+    def outline(bone: tuple[Array, Indices], lowest: float) -> Array:
+        seen = turned_px(project(bone[0], view), view, -lean_deg)
+        return envelope(seen, bone[1], int(columns[0]), len(columns), lowest)
+
+    if floor_px is None:
+        upper = outline(tibia, -1.0)
+    else:
+        rows, cols = turned_px(floor_px, view, -lean_deg).T
+        upper = np.interp(columns, cols, rows)
+    scale_mm = view.pixel_mm / magnification(view)
+    return Gap(columns, outline(femur, 1.0), upper, scale_mm, float(first + last) / 2)
 
 
 def envelope(points_px: Array, edges: Indices, first: int, count: int, lowest: float) -> Array:

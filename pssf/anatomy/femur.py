@@ -61,7 +61,7 @@ def condyle_field(points: Array, condyle: Condyle) -> Array:
 
 
 def _centre(condyle: Condyle) -> Array:
-    return np.array([condyle.x, condyle.y, condyle.down])
+    return np.array([condyle.x, condyle.y, condyle.low_z + condyle.down])
 
 
 def _condyle_norm(offset: Array, condyle: Condyle) -> Array:

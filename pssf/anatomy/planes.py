@@ -5,7 +5,9 @@ from manifold3d import Manifold
 
 from ..core.checks import Array
 from ..data.bones import BoneShape, FatPad, Tendon
-from .joint import moved
+from .bone_build import eased
+from .pose import moved
+from .soft import THIGH_FROM_MM
 from .solids import checked, column
 
 # Of the sheets between muscles, which are faint, thin and far from any edge that is measured.
@@ -34,8 +36,14 @@ def tendon(part: Tendon, scale: float, apex_mm: Array, tibia_frame: Array) -> Ma
     return checked(Manifold.batch_hull(ends), "patellar tendon")
 
 
-def fat_planes(shape: BoneShape, scale: float) -> list[Manifold]:
-    """Thin sheets along the limb, in the leg's frame."""
+def fat_planes(shape: BoneShape, scale: float, flexion_deg: float) -> list[Manifold]:
+    """Thin sheets along the limb, in the leg's frame; those of the thigh follow its flexion."""
+    fall = np.tan(np.deg2rad(flexion_deg))
+
+    def bent(points: Array) -> Array:
+        back = fall * eased(points[:, 2] - THIGH_FROM_MM)
+        return np.column_stack((points[:, 0], points[:, 1] + back, points[:, 2]))
+
     sheets = []
     for part in shape.fat_planes:
         rows = np.array(part.sections) * scale
@@ -43,5 +51,5 @@ def fat_planes(shape: BoneShape, scale: float) -> list[Manifold]:
         sheet = column(rows, np.zeros_like, heights, "fat plane", power=2.0, count=48).simplify(_COARSER_MM)
         middle = rows[:, [4, 3]].mean(axis=0)
         turned = sheet.translate((-middle[0], -middle[1], 0.0)).rotate((0.0, 0.0, part.turn_deg))
-        sheets.append(turned.translate((middle[0], middle[1], 0.0)))
+        sheets.append(turned.translate((middle[0], middle[1], 0.0)).warp_batch(bent))
     return sheets

@@ -12,13 +12,16 @@ from .solids import column
 _POWER = 2.25
 # Least tissue between bone and fascia; over the patella and the tibial crest there is hardly more.
 _COVER_MM = 3.0
+# A bent thigh goes back from here on.
+THIGH_FROM_MM = 20.0
 # Skin bends little along the leg: what lies within this of a plane is drawn as one.
 _COARSER_MM = 0.03
 
 
-def layers(knee: Knee, build: Build, bone_points_mm: Array) -> dict[str, Manifold]:
+def layers(knee: Knee, build: Build, flexion_deg: float, bone_points_mm: Array) -> dict[str, Manifold]:
     """Nested solids "skin", "adipose" and "muscle", each filled to its outer surface.
 
+    flexion_deg     of the femur, which the thigh follows
     bone_points_mm  (n, 3)  vertices of all bones in the leg's frame; the limb is made thick enough to hold them
     """
     table, size = build.shape.soft, build.shape.size
@@ -26,7 +29,7 @@ def layers(knee: Knee, build: Build, bone_points_mm: Array) -> dict[str, Manifol
     wrap_ml, wrap_ap = fat + skin, max(2.0, fat * table.anterior_fat_share) + skin
     half_ml = size.male_tibial_ml_mm / 2 * build.scale + table.capsule_mm + wrap_ml
     rows = [[z, half_ml + more, knee.limb_ap_mm / 2 * share, y, 0.0] for z, more, share, y in table.sections]
-    coarse = _follow_shafts(np.array(rows), knee, build)
+    coarse = _follow_shafts(np.array(rows), flexion_deg, build)
     # The patella stands in front of the limb's middle: where bone needs room the section moves there before it grows.
     fascia = _hold(_resample(coarse) - np.array([0.0, wrap_ml, wrap_ap, 0.0, 0.0]), bone_points_mm)
     levels = np.linspace(-205.0, 205.0, 38)
@@ -69,13 +72,13 @@ def _hold(sections: Array, points_mm: Array) -> Array:
     return held
 
 
-def _follow_shafts(sections: Array, knee: Knee, build: Build) -> Array:
+def _follow_shafts(sections: Array, flexion_deg: float, build: Build) -> Array:
     """Thigh and calf lean with their bones."""
     leaning = sections.copy()
     for axis, from_mm, degrees, end in (
         (4, 40.0, -build.femur_valgus_deg * 0.6, +1),
         (4, -25.0, build.tibia_varus_deg, -1),
-        (3, 20.0, knee.flexion_deg, +1),
+        (3, THIGH_FROM_MM, flexion_deg, +1),
     ):
         leaning[:, axis] += np.tan(np.deg2rad(degrees)) * eased(end * (sections[:, 0] - from_mm))
     return leaning

@@ -61,7 +61,7 @@ def between(knee: Knee, assembly: KneeAssembly, placed: dict[str, bones.Bone], m
     ]
     sheets = [
         (f"fat_plane_{number}", "adipose", sheet.transform(pose.soft()))
-        for number, sheet in enumerate(fat_planes(shape, s), start=1)
+        for number, sheet in enumerate(fat_planes(shape, s, pose.flexion_deg), start=1)
     ]
     shafts = [placed[name].outer for name in ("femur", "tibia", "fibula")]
     return parts + _carved(joint, keep, muscle) + _carved(sheets, shafts, muscle)

@@ -72,7 +72,7 @@ def trabeculae(
     seed: int,
     scale: float,
     frame: Array,
-    mirror: str,
+    mirror: Triple,
     sclerosis: float,
     age_years: float,
     sex: str,
@@ -83,12 +83,11 @@ def trabeculae(
     seed       of the knee's texture; its bones take different parts of one lattice
     scale      size of the bone over the mean man's; struts keep their own size
     frame      (3, 4)  rigid transform from the bone's frame to that of a right knee, mm
-    mirror     "left": that knee is the mirror image in x
+    mirror     (x, y, z) factors of 1 or -1 by which that knee is mirrored, as a left one is in x
     sclerosis  thickness of the subchondral plate over a healthy one's (`Knee.subchondral_plate`)
-    raises     InputError for an unknown bone, side or sex, a value out of range, a frame that is not rigid
+    raises     InputError for an unknown bone, mirror or sex, a value out of range, a frame that is not rigid
     """
     require_choice("bone", bone, BONES)
-    require_choice("mirror", mirror, ("right", "left"))
     require_choice("sex", sex, ("male", "female"))
     require_seed(seed)
     require("scale", scale, 0.5, 2.0, "(relative)")
@@ -150,10 +149,12 @@ def _region(
     )
 
 
-def _inverse(frame: Array, mirror: str) -> tuple[float, ...]:
+def _inverse(frame: Array, mirror: Triple) -> tuple[float, ...]:
     """From the knee frame into the bone's, (3, 4) row by row."""
     turn = frame[:, :3]
     if frame.shape != (3, 4) or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0:
         raise InputError(f"frame = {frame.tolist()}; allowed: a rotation and a shift, (3, 4)")
-    flip = np.diag([-1.0 if mirror == "left" else 1.0, 1.0, 1.0])
+    if len(mirror) != 3 or not set(mirror) <= {-1.0, 1.0}:
+        raise InputError(f"mirror = {mirror!r}; allowed: three factors of 1 or -1")
+    flip = np.diag(mirror)
     return tuple(np.column_stack((turn.T @ flip, -turn.T @ frame[:, 3])).ravel().tolist())

@@ -6,14 +6,14 @@ from manifold3d import Manifold, OpType
 from ..core.checks import Array
 from ..geometry.mesh import Mesh
 from ..geometry.scene import Scene
-from ..geometry.view import View, project
+from ..geometry.view import View, project, view_of
 from ..model.knee import Knee
 from ..model.radiograph import Truth
 from .contours import Gap, measure_gap, turned_px
 from .femur import mean_femur
 from .implicit import project_solid
 from .joint import KneeAssembly
-from .landmarks import contour_landmarks
+from .landmarks import contour_landmarks, plateau_floor
 from .osteophytes import BONE, OsteophyteShape
 from .solids import edges_of, mesh_of
 from .tibia import mean_tibia
@@ -32,12 +32,14 @@ def labels(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> Trut
     assembly  how it stands
     scene     as it is built
     """
-    gaps, reference = _gaps(knee, assembly, scene, view), assembly.reference
-    of_reference = gaps if view == reference else _gaps(knee, assembly, scene, reference)
+    gaps, defined = _gaps(knee, assembly, scene, view), assembly.defined_under
+    # A knee that a posture bends has other spaces along its width: they are told as this view shows them.
+    seen_by = view_of(defined) if assembly.posture == defined.posture else view
+    spaces = gaps if view == seen_by else _gaps(knee, assembly, scene, seen_by)
     return Truth(
         jsw_medial_mm=knee.jsw_medial_mm,
         jsw_lateral_mm=knee.jsw_lateral_mm,
-        jsw_at_mm=_jsw_at_mm(knee, assembly, of_reference),
+        jsw_at_mm=_jsw_at_mm(knee, assembly, spaces, seen_by),
         grade=knee.grade,
         landmarks_px=_joint_lines(gaps, view, _lean_deg(knee, assembly))
         | _widest(knee, assembly, view)
@@ -46,7 +48,7 @@ def labels(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> Trut
 
 
 def measured_jsw_mm(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> tuple[float, float]:
-    """Medial and lateral joint space measured on the projected contours of a built knee, osteophytes and all."""
+    """Medial and lateral joint space in a view, osteophytes and all, by the measure that `Knee.jsw_as` names."""
     medial, lateral = _gaps(knee, assembly, scene, view)
     return medial.jsw_mm, lateral.jsw_mm
 
@@ -67,8 +69,7 @@ def osteophyte_meshes(knee: Knee, assembly: KneeAssembly) -> dict[str, Mesh]:
         added = grown.outer - bare
         for site, beak in zip(sites, grown.beaks, strict=True):
             mesh = mesh_of(_around(added, beak, grown.beaks))
-            faces = mesh.faces if knee.side == "right" else np.ascontiguousarray(mesh.faces[:, ::-1])
-            meshes[site] = Mesh(_mirrored(move(mesh.vertices), knee), faces)
+            meshes[site] = assembly.mirrored(Mesh(move(mesh.vertices), mesh.faces))
     return meshes
 
 
@@ -86,10 +87,12 @@ def _around(added: Manifold, beak: OsteophyteShape, beaks: tuple[OsteophyteShape
 
 def _gaps(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> tuple[Gap, Gap]:
     """The medial and the lateral joint space as a detector sees them."""
-    femur, tibia = ((mesh.vertices, edges_of(mesh.faces)) for mesh in _outer(scene))
-    medial, half = _medial(knee), assembly.build.half_ml_mm
-    lean = _lean_deg(knee, assembly)
-    return measure_gap(femur, tibia, view, medial, half, lean), measure_gap(femur, tibia, view, -medial, half, lean)
+    meshes = _outer(scene)
+    femur, tibia = ((mesh.vertices, edges_of(mesh.faces)) for mesh in meshes)
+    medial, half, lean = _medial(knee), assembly.build.half_ml_mm, _lean_deg(knee, assembly)
+    floor = plateau_floor(meshes[1], view, medial, lean) if knee.jsw_as == "read" else None
+    one, other = (measure_gap(femur, tibia, view, side * medial, half, lean, floor) for side in (+1, -1))
+    return one, other
 
 
 def _outer(scene: Scene) -> tuple[Mesh, Mesh]:
@@ -110,9 +113,9 @@ def _joint_lines(gaps: tuple[Gap, Gap], view: View, lean_deg: float) -> dict[str
     return {name: _place(place) for name, place in zip(names, (*lines, lines.mean(axis=0)), strict=True)}
 
 
-def _jsw_at_mm(knee: Knee, assembly: KneeAssembly, gaps: tuple[Gap, Gap]) -> dict[float, float]:
-    """Fraction of the plateau's width from its medial edge -> joint space there, of gaps in the reference view."""
-    half, medial, view = assembly.build.half_ml_mm, _medial(knee), assembly.reference
+def _jsw_at_mm(knee: Knee, assembly: KneeAssembly, gaps: tuple[Gap, Gap], view: View) -> dict[float, float]:
+    """Fraction of the plateau's width from its medial edge -> joint space there, of gaps in a view."""
+    half, medial = assembly.build.half_ml_mm, _medial(knee)
     spaces = {}
     for fraction in FRACTIONS:
         gap = gaps[0] if fraction < 0.5 else gaps[1]
@@ -135,7 +138,7 @@ def _widest(knee: Knee, assembly: KneeAssembly, view: View) -> dict[str, tuple[f
         ):
             points = mesh.vertices
             near = (points[:, 2] > band[0]) & (points[:, 2] < band[1]) & (points[:, 0] * sign > 0)
-            seen = project(_mirrored(move(points[near]), knee), view)
+            seen = project(move(points[near]) * assembly.mirror, view)
             upright = turned_px(seen, view, -lean)
             spots[f"{side}_{name}"] = _place(seen[(upright[:, 1] * sign * medial).argmax()])
     return spots
@@ -153,7 +156,3 @@ def _lean_deg(knee: Knee, assembly: KneeAssembly) -> float:
 def _medial(knee: Knee) -> int:
     """Direction of x in which medial is."""
     return 1 if knee.side == "right" else -1
-
-
-def _mirrored(points_mm: Array, knee: Knee) -> Array:
-    return points_mm if knee.side == "right" else points_mm * [-1.0, 1.0, 1.0]

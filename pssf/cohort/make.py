@@ -106,8 +106,10 @@ def make_case(case: Case, site: Site, engine: str, threads: int) -> list[Row]:
         if here != site.versions[name]:
             raise InputError(f"on {node()}: {name} = {here}; allowed: {site.versions[name]}, as where the run started")
     require_code(site.code)
-    built, paths, rows = build(case.knee), None, []
+    built, paths, rows = build(case.knee, case.exposures[0].protocol), None, []
     for exposure in case.exposures:
+        if built.assembly.posture != exposure.protocol.posture:
+            built, paths = build(case.knee, exposure.protocol), None
         how: dict[str, Any] = {"seed": exposure.seed, "engine": engine, "workers": threads}
         # Radiographs of one geometry, such as reference and low dose, have the same paths.
         if paths is None or (paths.view, paths.texture) != (view_of(exposure.protocol), exposure.protocol.texture):

@@ -27,10 +27,11 @@ class Notch(Record, frozen=True):
 
 
 class Condyle(Record, frozen=True):
-    """Centre, half extents, and powers of the coronal outline (2 an ellipse, more is squarer)."""
+    """Centre, lowest height, half extents, powers of the coronal outline (2 an ellipse, more is squarer)."""
 
     x: float
     y: float
+    low_z: float
     back: float
     front: float
     up: float

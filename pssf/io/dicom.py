@@ -44,7 +44,7 @@ def write(radiograph: Radiograph, description: str, path: Path, intent: str, sid
     item.SeriesDescription = f"{name_of(radiograph.protocol)[:40]}, for {intent}"
     text = {"ValueType": "TEXT", "ConceptNameCodeSequence": [code("parameters")], "TextValue": description}
     item.AcquisitionContextSequence = [dataset(text)]
-    item.update(_anatomy(radiograph.knee))
+    item.update(_anatomy(radiograph.knee, radiograph.protocol))
     item.update(_technique(radiograph.protocol))
     item.update(_geometry(radiograph.protocol))
     remark = f"linear in absorbed energy, offset {detectors()[protocol.detector].offset_dn:g}"
@@ -155,14 +155,15 @@ def code(name: str) -> Dataset:
     return dataset({"CodeValue": value, "CodingSchemeDesignator": scheme, "CodeMeaning": meaning})
 
 
-def _anatomy(knee: Knee | None) -> Dataset:
+def _anatomy(knee: Knee | None, protocol: Protocol) -> Dataset:
     """Which knee, seen from where; of a scene of one's own neither is known."""
     if knee is None:
         return dataset({"ImageLaterality": "U", "AnatomicRegionSequence": []})
     item = dataset(dicom_tables().knee)
     item.ImageLaterality = {"right": "R", "left": "L"}[knee.side]
     item.AnatomicRegionSequence = [code("knee")]
-    item.ViewCodeSequence = [code("antero_posterior")]
+    item.ViewPosition = protocol.projection
+    item.ViewCodeSequence = [code(protocol.projection)]
     return item
 
 

@@ -37,8 +37,10 @@ class Osteophyte:
 class Knee:
     """Parameters of one knee (defaults: a healthy average man, right side).
 
-    jsw_*_mm           smallest vertical gap between the projected cortical contours of a compartment in the protocol
-                       `reference`, scaled to the joint plane
+    jsw_*_mm           joint space of a compartment, scaled to the joint plane
+    jsw_as             "projected": its smallest vertical gap between the projected cortical contours in the protocol
+                       `reference`; "read": as readers take it, from the femur's contour to the floor of the plateau,
+                       the line through the tibia's contour landmarks, in `fixed_flexion`
     subchondral_plate  thickness of the plate relative to a healthy one
     varus_deg          angle between femoral and tibial shaft beyond the normal valgus of 5 deg; positive is varus
     flexion_deg        of the femur about the medio-lateral axis
@@ -66,6 +68,7 @@ class Knee:
     stature_mm: float = 1755.0
     jsw_medial_mm: float = 5.0
     jsw_lateral_mm: float = 5.0
+    jsw_as: str = "projected"
     osteophytes: tuple[Osteophyte, ...] = ()
     subchondral_plate: float = 1.0
     varus_deg: float = 0.0

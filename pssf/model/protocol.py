@@ -10,6 +10,16 @@ from ..data.tables import read_protocol
 
 
 @dataclass(frozen=True, kw_only=True)
+class Posture:
+    """How a leg stands; fields as in `Protocol`. By default it is straight, and seen from the front."""
+
+    projection: str = "AP"
+    flexion_deg: float = 0.0
+    tibia_forward_deg: float = 0.0
+    rotation_deg: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
 class Protocol:
     """A technique. The central ray passes the origin of the knee frame; see `geometry.view_of`.
 
@@ -34,6 +44,10 @@ class Protocol:
     pixel_mm: float
     mono_kev: float | None = None
     heel: str = "none"
+    projection: str = "AP"
+    flexion_deg: float = 0.0
+    tibia_forward_deg: float = 0.0
+    rotation_deg: float = 0.0
     texture: str = "trabecular"
     focal_spot: str = "blur"
     scatter: str = "kernel"
@@ -49,6 +63,11 @@ class Protocol:
         check_fields("protocol", self)
         if not self.sod_mm < self.sdd_mm:
             raise InputError(f"sod_mm = {self.sod_mm!r} mm; allowed: less than sdd_mm = {self.sdd_mm!r} mm")
+
+    @property
+    def posture(self) -> Posture:
+        """How a leg stands for it."""
+        return Posture(**{field.name: getattr(self, field.name) for field in fields(Posture)})
 
 
 def field_rows() -> list[dict[str, str]]:

@@ -16,8 +16,9 @@ class Truth:
     """Labels that are true by construction. Landmarks are (row, column) on this radiograph, in pixels.
 
     jsw_medial_mm, jsw_lateral_mm
-                       smallest vertical gap of the projected cortical contours under `reference`, joint plane
-    jsw_at_mm          the same gap at fractions of the plateau's width from its medial edge (JSW(x))
+                       joint space as `Knee.jsw_as` defines it, joint plane, whatever this radiograph's protocol
+    jsw_at_mm          vertical gap of the projected contours under the protocol that defines it, or under this one if
+                       its posture is another, at fractions of the plateau's width from its medial edge (JSW(x))
     landmarks_px       name -> (row, column): joint_centre; medial_ and lateral_ joint_line; where bones are widest,
                        osteophytes aside: medial_ and lateral_ condyle_edge, epicondyle, plateau_edge; and the sixteen
                        contour landmarks of `anatomy.landmarks`, osteophytes and all (notch is notch_top)

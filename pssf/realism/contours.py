@@ -19,7 +19,7 @@ from ..data.bones import mean_shape
 from ..data.landmarks import GradeContours, LandmarkReference
 from ..data.records import Pair
 from ..geometry.mesh import Mesh
-from ..geometry.view import View, view_of
+from ..geometry.view import view_of
 from ..model.knee import GRADES, Knee, draw_knee
 from ..model.protocol import Protocol, load_protocol
 from . import contour_figure
@@ -78,19 +78,21 @@ def drawn_landmarks(
     knees = []
     for index in range(count):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
-        # Labels of a left knee mirror those of a right one.
-        knees.append(draw_knee(grade=grades[index % len(grades)], rng=rng, side="right"))
-    shared = {"view": view_of(protocol or load_protocol("reference"))}
+        # Labels of a left knee mirror those of a right one. Readers took people's joint spaces.
+        knees.append(draw_knee(grade=grades[index % len(grades)], rng=rng, side="right", jsw_as="read"))
+    shared = {"protocol": protocol or load_protocol("reference")}
     places = ordered_map(_landmarks_of, knees, shared=shared, workers=workers)
     return LandmarkSample(places_mm=np.array(places), grades=np.array([knee.grade for knee in knees]))
 
 
-def _landmarks_of(knee: Knee, view: View) -> Array:
+def _landmarks_of(knee: Knee, protocol: Protocol) -> Array:
     """(16, 2)  the labels of a right knee, without building what they do not need"""
-    assembly = assemble(knee, mean_shape(), view_of(load_protocol("reference")))
-    femur, tibia = mesh_of(assembly.femur.outer), mesh_of(assembly.tibia.outer)
-    placed = Mesh(assembly.femur_mm(femur.vertices), femur.faces), Mesh(assembly.tibia_mm(tibia.vertices), tibia.faces)
-    return film_mm(contour_landmarks(*placed, view, 1, assembly.pose.lean_deg), "right", view.pixel_mm)
+    assembly = assemble(knee, mean_shape(), protocol.posture)
+    upper, lower = mesh_of(assembly.femur.outer), mesh_of(assembly.tibia.outer)
+    femur = assembly.mirrored(Mesh(assembly.femur_mm(upper.vertices), upper.faces))
+    tibia = assembly.mirrored(Mesh(assembly.tibia_mm(lower.vertices), lower.faces))
+    view = view_of(protocol)
+    return film_mm(contour_landmarks(femur, tibia, view, 1, assembly.pose.lean_deg), "right", view.pixel_mm)
 
 
 def film_mm(landmarks_px: dict[str, tuple[float, float]], side: str, pixel_mm: float) -> Array:

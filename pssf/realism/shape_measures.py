@@ -12,6 +12,8 @@ from ..core.checks import Array
 from ..geometry.mesh import Mesh
 
 _Where = NDArray[np.bool_]
+# Heights of a plateau are averaged over squares of this side.
+_CELL_MM = 3.0
 
 
 def _between(values: Array, low: float, high: float) -> _Where:
@@ -20,6 +22,14 @@ def _between(values: Array, low: float, high: float) -> _Where:
 
 def _span(values: Array) -> float:
     return float(np.ptp(values))
+
+
+def _evened(points: Array) -> tuple[Array, Array]:
+    """(m,), (m,)  y and z of points (n, 3) averaged over cells in x and y, so that a denser mesh counts no more"""
+    cells = np.floor(points[:, :2] / _CELL_MM).astype(np.int64)
+    _, number = np.unique(cells, axis=0, return_inverse=True)
+    count = np.bincount(number)
+    return np.bincount(number, points[:, 1]) / count, np.bincount(number, points[:, 2]) / count
 
 
 def _slope_deg(along: Array, height: Array) -> float:
@@ -71,8 +81,8 @@ def tibia_measures(points: Array) -> dict[str, float]:
     front = points[_between(z, -50, -34) & (np.abs(x) < 16)]
     return {
         "tibial plateau's depth over width": _span(points[z > -12][:, 1]) / width,
-        "medial plateau's fall backwards": -_slope_deg(medial[:, 1], medial[:, 2]),
-        "lateral plateau's fall backwards": -_slope_deg(lateral[:, 1], lateral[:, 2]),
+        "medial plateau's fall backwards": -_slope_deg(*_evened(medial)),
+        "lateral plateau's fall backwards": -_slope_deg(*_evened(lateral)),
         "medial plateau higher than lateral": float(np.median(medial[:, 2]) - np.median(lateral[:, 2])) / width,
         "medial spine's height": float(spines[0]) / width,
         "lateral spine's height": float(spines[1]) / width,

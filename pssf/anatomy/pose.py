@@ -1,0 +1,71 @@
+"""Pose: where the bones of a leg go, as rigid transforms."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..core.checks import Array
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where the bones go: the femur is flexed, tilted about y and raised; all is then moved, turned about z and leant.
+
+    back_mm      by which the femur has rolled back on the tibia
+    lean_deg     of the whole leg about y, in the plane of the film
+    forward_deg  of the whole leg about x, its foot backwards, after all else
+    """
+
+    tilt_deg: float
+    raise_mm: float
+    shift_mm: float
+    flexion_deg: float
+    rotation_deg: float
+    pivot_mm: tuple[float, float, float]
+    back_mm: float = 0.0
+    lean_deg: float = 0.0
+    forward_deg: float = 0.0
+
+    def femur(self) -> Array:
+        """(3, 4)  transform of the femur into the knee frame"""
+        return self._leg(self.femur_on_tibia())
+
+    def femur_on_tibia(self) -> Array:
+        """(3, 4)  transform of the femur into the tibia's frame"""
+        flex = rotation(0, -self.flexion_deg)
+        pivot = np.asarray(self.pivot_mm)
+        matrix = np.column_stack((flex, pivot - flex @ pivot))
+        matrix = rotation(1, self.tilt_deg) @ matrix
+        matrix[1:, 3] += self.back_mm, self.raise_mm
+        return matrix
+
+    def tibia(self) -> Array:
+        """(3, 4)  transform of tibia and fibula into the knee frame"""
+        return self._leg(np.eye(3, 4))
+
+    def soft(self) -> Array:
+        """(3, 4)  transform of the soft tissue into the knee frame"""
+        return np.column_stack((self._turned(), np.zeros(3)))
+
+    def _leg(self, matrix: Array) -> Array:
+        moved = matrix.copy()
+        moved[2, 3] += self.shift_mm
+        return self._turned() @ moved
+
+    def _turned(self) -> Array:
+        return rotation(0, self.forward_deg) @ rotation(1, self.lean_deg) @ rotation(2, self.rotation_deg)
+
+
+def rotation(axis: int, degrees: float) -> Array:
+    """(3, 3)  rotation about x, y or z (0, 1 or 2)"""
+    angle = np.deg2rad(degrees)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    matrix = np.eye(3)
+    matrix[i, i] = matrix[j, j] = np.cos(angle)
+    matrix[i, j], matrix[j, i] = -np.sin(angle), np.sin(angle)
+    return matrix
+
+
+def moved(vertices_mm: Array, transform: Array) -> Array:
+    """(n, 3)  vertices after a (3, 4) transform"""
+    return vertices_mm @ transform[:, :3].T + transform[:, 3]

@@ -1,0 +1,119 @@
+"""The femur above the tibia: tilt and height that give a knee its joint spaces, in the view that defines them."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from manifold3d import Manifold
+
+from ..core.checks import Array, InputError
+from ..geometry.mesh import Indices, Mesh
+from ..geometry.view import View, magnification, project, view_of
+from ..model.knee import Knee
+from ..model.protocol import Protocol
+from .bone_build import Build, formed, stand_tibia
+from .contours import measure_gap
+from .landmarks import plateau_floor
+from .pose import Pose, moved
+from .solids import edges_of, mesh_of
+
+# Of the mean man's femur: about here it flexes, the middle of the condyles' round backs.
+_PIVOT_MM = (0.0, 2.0, 23.0)
+# Of the femur only what is below this, and of the tibia only what is above, can be the edge of the joint space.
+_FEMUR_BELOW_MM, _TIBIA_ABOVE_MM = 24.0, -14.0
+_TOLERANCE_MM = 1e-4
+# The joint line need lie no nearer to the origin than this. Once it does the tibia stays where it is, and with it the
+# landmarks on its floor, which jump a little where it moves.
+_LEVEL_MM = 0.02
+_TURNS = 40
+# Of a pose: medial and lateral space, mm, where in x each is least, and by how much the joint line is too high.
+Measure = Callable[[Pose], tuple[Array, Array, float]]
+
+
+def solve_pose(knee: Knee, build: Build, femur: Manifold, tibia: Manifold, protocol: Protocol) -> Pose:
+    """Tilt and height of the femur that give both joint spaces as they are defined (Newton on the projection).
+
+    femur, tibia  outer solids at the mean man's size, in their own frames
+    protocol      that the knee's joint spaces are defined under, in whose posture the pose then is
+    raises        InputError if the spaces cannot be met, which the ranges of `Knee` exclude
+    """
+    posture = protocol.posture
+    wanted = np.array([knee.jsw_medial_mm, knee.jsw_lateral_mm])
+    _, y, z = (formed(np.array([_PIVOT_MM]), build.femur)[0] * build.scale).tolist()
+    pose = Pose(
+        tilt_deg=0.0,
+        raise_mm=float(wanted.mean()) + 2.0,
+        shift_mm=0.0,
+        flexion_deg=knee.flexion_deg + posture.flexion_deg,
+        rotation_deg=knee.rotation_deg + posture.rotation_deg,
+        pivot_mm=(0.0, y, z),
+        lean_deg=build.tibia_varus_deg - knee.lean_deg,
+        forward_deg=posture.tibia_forward_deg,
+    )
+    measure = _measure(knee, build, (femur, tibia), protocol)
+    for _ in range(_TURNS):
+        spaces, x, high = measure(pose)
+        error = wanted - spaces
+        if np.abs(error).max() < _TOLERANCE_MM and abs(high) < _LEVEL_MM:
+            return pose
+        # A tilt about y by dB lowers a point at x by x dB (right-handed, z' = -x sin B + z cos B).
+        lift, turn = np.linalg.solve([[1.0, -x[0]], [1.0, -x[1]]], error)
+        pose = replace(
+            pose,
+            tilt_deg=pose.tilt_deg + float(np.rad2deg(turn)),
+            raise_mm=pose.raise_mm + float(lift),
+            shift_mm=pose.shift_mm if abs(high) < _LEVEL_MM else pose.shift_mm - high - float(lift) / 2,
+        )
+    raise InputError(
+        f"jsw_medial_mm = {knee.jsw_medial_mm} mm with jsw_lateral_mm = {knee.jsw_lateral_mm} mm: no pose of the femur "
+        f"gives both (left over: {np.abs(error).max():.3g} mm); allowed: spaces closer to each other"
+    )
+
+
+def _measure(knee: Knee, build: Build, bones: tuple[Manifold, Manifold], protocol: Protocol) -> Measure:
+    """Spaces as vertical gaps on the detector: to the tibia's contour, or to the floor of its plateau."""
+    meshes = [_lower(bones[0], build), _upper(bones[1], build)]
+    plateau = _plateau(bones[1], build) if knee.jsw_as == "read" else None
+    view, mirror = view_of(protocol), [1.0, -1.0 if protocol.projection == "PA" else 1.0, 1.0]
+
+    def measure(pose: Pose) -> tuple[Array, Array, float]:
+        frames, lean = (pose.femur(), pose.tibia()), pose.lean_deg
+        placed = [(moved(v, frame) * mirror, e) for (v, e), frame in zip(meshes, frames, strict=True)]
+        floor = None
+        if plateau is not None:
+            floor = plateau_floor(Mesh(moved(plateau.vertices, frames[1]) * mirror, plateau.faces), view, 1, lean)
+        femur, tibia = placed
+        gaps = [measure_gap(femur, tibia, view, side, build.half_ml_mm, lean, floor) for side in (+1, -1)]
+        x = [(gap.columns_px[gap.narrowest] - (view.cols - 1) / 2) * gap.scale_mm for gap in gaps]
+        return np.array([gap.jsw_mm for gap in gaps]), np.array(x), _middle_mm(gaps, view)
+
+    return measure
+
+
+def _lower(femur: Manifold, build: Build) -> tuple[Array, Indices]:
+    """Vertices and edges of the lower end of a femur at the mean man's size, in this knee's."""
+    mesh = mesh_of(femur)
+    edges = edges_of(mesh.faces)
+    lower = edges[(mesh.vertices[edges, 2] < _FEMUR_BELOW_MM).any(axis=1)]
+    return formed(mesh.vertices, build.femur) * build.scale, lower
+
+
+def _upper(tibia: Manifold, build: Build) -> tuple[Array, Indices]:
+    """Vertices and edges of the upper end of a tibia at the mean man's size, as it stands in this knee."""
+    mesh = mesh_of(tibia)
+    places, edges = stand_tibia(mesh.vertices, build), edges_of(mesh.faces)
+    return places, edges[(places[edges, 2] > _TIBIA_ABOVE_MM).any(axis=1)]
+
+
+def _plateau(tibia: Manifold, build: Build) -> Mesh:
+    """The upper end of a tibia at the mean man's size, as it stands in this knee."""
+    mesh = mesh_of(tibia)
+    places = stand_tibia(mesh.vertices, build)
+    return Mesh(places, mesh.faces[(places[mesh.faces, 2] > 2 * _TIBIA_ABOVE_MM).any(axis=1)])
+
+
+def _middle_mm(gaps: list, view: View) -> float:
+    """Height of the middle of the joint line in the joint plane."""
+    origin_row = project(np.zeros((1, 3)), view)[0, 0]
+    rows = np.mean([gap.middle_px()[0] for gap in gaps])
+    return float((origin_row - rows) * view.pixel_mm / magnification(view))

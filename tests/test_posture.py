@@ -1,0 +1,144 @@
+"""Knees bent and seen from behind: the same knee, its labels where the film shows them."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import pssf
+from pssf.anatomy.flexion import flexed
+from pssf.anatomy.solids import mesh_of
+from pssf.core.checks import InputError
+from pssf.geometry.mesh import Mesh
+
+REFERENCE = pssf.load_protocol("reference")
+FIXED_FLEXION = pssf.load_protocol("fixed_flexion")
+SMALL = dict(rows=256, cols=256, pixel_mm=1.2)
+READ = pssf.Knee(jsw_medial_mm=4.2, jsw_lateral_mm=5.1, jsw_as="read", flexion_deg=3.0, rotation_deg=2.0)
+
+
+@pytest.fixture(scope="module")
+def bent():
+    return pssf.build(READ, FIXED_FLEXION)
+
+
+def test_a_knee_seen_from_behind_is_mirrored_in_the_way_of_the_beam(knee, scene):
+    behind = pssf.build(knee, dataclasses.replace(REFERENCE, projection="PA")).scene
+    for front, back in zip(scene.surfaces, behind.surfaces, strict=True):
+        assert front.name == back.name
+        assert_allclose(back.arrays.vertices, front.arrays.vertices * [1, -1, 1], atol=1e-9)
+        volumes = [surface.arrays.as_trimesh().volume for surface in (front, back)]
+        assert volumes[0] == pytest.approx(volumes[1], rel=1e-9)
+        assert volumes[1] > 0
+
+
+def test_trabeculae_go_with_a_knee_seen_from_behind(knee, scene):
+    behind = pssf.build(knee, dataclasses.replace(REFERENCE, projection="PA")).scene
+    here, there = (
+        next(s for s in one.surfaces if s.name == "tibia_trabecular").inside_density for one in (scene, behind)
+    )
+    rng = np.random.default_rng(4)
+    starts, ends = rng.uniform([-25, -15, -40], [25, 15, -10], (2, 50, 3))
+    mirror = np.array([1, -1, 1])
+    assert_allclose(there.integrate(starts * mirror, ends * mirror), here.integrate(starts, ends), rtol=1e-9)
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_a_joint_space_as_readers_take_it_is_the_one_asked_for(side):
+    knee = dataclasses.replace(READ, side=side)
+    assert_allclose(pssf.build(knee, FIXED_FLEXION).measured_jsw_mm(FIXED_FLEXION), [4.2, 5.1], atol=1e-3)
+
+
+def test_a_bent_knee_keeps_its_height_above_the_plateau(bent):
+    """Rays along the tibia's axis, cast by another library, from a grid below either condyle."""
+    straight = pssf.build(READ)
+    gaps = [np.array(list(_least_gaps(one))) for one in (straight, bent)]
+    assert_allclose(gaps[1], gaps[0], atol=0.15)
+    turned = np.rad2deg(np.arccos((np.trace(_relative(straight).T @ _relative(bent)) - 1) / 2))
+    assert turned == pytest.approx(FIXED_FLEXION.flexion_deg, abs=1.0)
+
+
+def _relative(built):
+    pose = built.assembly.pose
+    return pose.tibia()[:, :3].T @ pose.femur()[:, :3]
+
+
+def _least_gaps(built):
+    assembly = built.assembly
+    pose = assembly.pose
+    to_tibia = np.linalg.inv(np.vstack((pose.tibia(), [0, 0, 0, 1])))
+    femur, tibia = (built.bones[name].outer for name in ("femur", "tibia"))
+    femur, tibia = (mesh_of(solid.transform(to_tibia[:3])).as_trimesh() for solid in (femur, tibia))
+    half = assembly.build.half_ml_mm
+    for side in (+1, -1):
+        x, y = np.meshgrid(side * np.linspace(0.4, 0.8, 25) * half, np.linspace(-18, 18, 37))
+        feet = np.column_stack((x.ravel(), y.ravel(), np.full(x.size, 200.0)))
+        down = np.tile([0.0, 0.0, -1.0], (len(feet), 1))
+        plateau = _first(tibia, feet, down)
+        condyle = _first(femur, feet * [1, 1, -1], -down)
+        yield np.nanmin(condyle - plateau)
+
+
+def _first(mesh, starts, ways):
+    """Height of the first place that each ray meets; nan where it meets none."""
+    places, rays, _ = mesh.ray.intersects_location(starts, ways, multiple_hits=True)
+    height = np.full(len(starts), np.nan)
+    for ray, z in zip(rays, places[:, 2], strict=True):
+        best = height[ray]
+        if np.isnan(best) or z * ways[ray, 2] < best * ways[ray, 2]:
+            height[ray] = z
+    return height
+
+
+def test_bending_there_and_back_is_no_change(bent):
+    pose = bent.assembly.pose
+    femur, tibia = (mesh_of(bent.bones[name].outer) for name in ("femur", "tibia"))
+
+    def own(mesh: Mesh, frame):
+        return (mesh.vertices - frame[:, 3]) @ frame[:, :3]
+
+    bones = own(femur, pose.femur()), own(tibia, pose.tibia())
+    half = bent.assembly.build.half_ml_mm
+    back = flexed(flexed(pose, *bones, half, -15.0), *bones, half, 15.0)
+    assert_allclose(back.femur_on_tibia(), pose.femur_on_tibia(), atol=0.01)
+
+
+def test_labels_of_a_left_knee_mirror_those_of_a_right_one_when_bent(bent):
+    left = pssf.build(dataclasses.replace(READ, side="left"), FIXED_FLEXION)
+    here, there = bent.truth(FIXED_FLEXION).landmarks_px, left.truth(FIXED_FLEXION).landmarks_px
+    for name, (row, col) in here.items():
+        assert_allclose(there[name], (row, FIXED_FLEXION.cols - 1 - col), atol=1e-6)
+
+
+def test_the_contours_of_a_bent_knee_are_where_its_masks_end(bent):
+    protocol = dataclasses.replace(FIXED_FLEXION, rows=512, cols=512, pixel_mm=0.6)
+    truth = pssf.simulate(bent, protocol, keep=("masks",)).truth
+    row, col = truth.landmarks_px["medial_spine"]
+    assert np.flatnonzero(truth.masks["tibia"][:, round(col)])[0] == pytest.approx(row, abs=1.5)
+    # The floor lies under the contour, which the plateau's rims stand up to.
+    row, col = truth.landmarks_px["tibia_medial_1"]
+    assert np.flatnonzero(truth.masks["tibia"][:, round(col)])[0] < row + 0.5
+
+
+def test_a_bent_knee_has_no_path_of_less_than_nothing_and_both_engines_agree(bent):
+    protocol = dataclasses.replace(FIXED_FLEXION, **SMALL)
+    one, other = (
+        pssf.trace(bent.scene, protocol, engine=engine, precision="float64") for engine in ("embree", "scanline")
+    )
+    for material, path_mm in one.path_mm.items():
+        assert path_mm.min() > -1e-6
+        assert_allclose(path_mm, other.path_mm[material], atol=1e-6)
+
+
+def test_a_knee_built_in_another_posture_is_refused(built):
+    with pytest.raises(InputError, match=r"knee built in Posture\(projection='AP'.*allowed: Posture\(projection='PA'"):
+        pssf.simulate(built, FIXED_FLEXION)
+
+
+@pytest.mark.parametrize("flexion_deg", [10.0, 40.0])
+@pytest.mark.parametrize("seed", range(2))
+def test_drawn_knees_can_be_bent(flexion_deg, seed):
+    knee = pssf.draw_knee(grade=2, rng=np.random.default_rng(seed))
+    protocol = dataclasses.replace(FIXED_FLEXION, flexion_deg=flexion_deg, **SMALL)
+    assert pssf.build(knee, protocol).scene.surfaces
