@@ -72,3 +72,8 @@ def test_a_knee_survives_its_table():
 def test_a_misspelt_field_of_a_drawn_knee_is_refused():
     with pytest.raises(InputError, match="unknown field 'jsw_medal_mm'"):
         draw_knee(grade=0, rng=np.random.default_rng(1), jsw_medal_mm=3.0)
+
+
+def test_a_seed_in_the_place_of_a_generator_is_refused():
+    with pytest.raises(InputError, match="rng = 7; allowed: a numpy Generator"):
+        draw_knee(grade=0, rng=7)

@@ -3,13 +3,15 @@
 import numpy as np
 from manifold3d import Manifold
 from scipy.interpolate import LinearNDInterpolator
+from scipy.optimize import brentq
 
-from ..core.checks import Array
+from ..core.checks import Array, InputError
 from ..geometry.freeform import displaced
 from ..model.knee import Knee
 from .bone_build import Build, eased, formed, scaled
 from .bones import SHAFT_END_MM, Bone, levels, trimmed
-from .pose import Pose, moved, rotation
+from .implicit import lengths
+from .pose import Pose, rotation
 from .solids import checked, column, mesh_of, thickness
 
 # Straight shafts and what trabeculae blur are drawn with fewer triangles, within this.
@@ -24,8 +26,10 @@ _FRONT_BELOW_MM, _FACES_FRONT = 90.0, 0.3
 _NEAR_SHARE, _LEAST_SHARE = 0.1, 0.6
 # Of the flexion the patella does not follow so large a share: it flexes by 0.65 of what the knee does (Nha 2008).
 _LAG = 0.35
-# Turns in which height and depth of the patella are made to agree, which in flexion depend on each other.
-_TURNS = 2
+# The patella's height is looked for downwards in such steps, and found to this.
+_STEP_MM, _HEIGHT_MM = 4.0, 1e-3
+# Places of a patella that are held against the femur; of them at most such a share may have no femur behind it.
+_PLACES, _MOST_BESIDE = 1500, 0.9
 
 
 def fibula(knee: Knee, build: Build, tibia: Manifold) -> Bone:
@@ -80,34 +84,55 @@ def patella(build: Build) -> Bone:
 def patella_place(knee: Knee, build: Build, patella: Manifold, femur: Manifold, pose: Pose) -> Array:
     """(3, 4)  transform of the patella from its own frame into the femur's.
 
-    Its height is that of the Insall-Salvati index, its depth such that cartilage of both bones fills what is between.
+    Its tendon is as long as the Insall-Salvati index says, and cartilage of both bones fills what is between it and the
+    femur, front to back as it faces.
     patella, femur  outer solids, the femur's as it stands
+    raises          InputError where it would lie off the femur
     """
     table, s = build.shape.patella, build.scale
-    turn = rotation(0, _LAG * pose.flexion_deg) @ rotation(2, -knee.patellar_tilt_deg)
-    points = mesh_of(patella).vertices
-    low, high = points[:, 2].min(), points[:, 2].max()
-    # The tendon is as long as the index says, from the apex down to the tuberosity, all but upright.
-    apex_mm = build.shape.tendon.tuberosity[2] * s + table.tendon_end_mm * s + knee.insall_salvati * (high - low)
-    to_leg = pose.femur_on_tibia()
-    place = np.array([formed(np.array([[0.0, 0.0, 20.0]]), build.femur)[0, 0] * s - knee.patellar_shift_mm, 0.0, 0.0])
-    place[1] = table.centre_mm[1] * s
-    turned, front = points @ turn.T, _front(femur)
-    for _ in range(_TURNS):
-        # Height in the leg's frame is linear in the place: solved for z.
-        rest = moved(np.array([[place[0], place[1], 0.0]]), to_leg)[0, 2]
-        place[2] = (apex_mm - rest) / to_leg[2, 2] - low
-        # The space between them front to back, nan beside the femur; where they are closest cartilage is thinner.
-        space = front((turned + place)[:, [0, 2]]) - turned[:, 1]
+    points = mesh_of(patella).vertices @ rotation(2, -knee.patellar_tilt_deg).T
+    apex, tendon_mm = points[:, 2].argmin(), knee.insall_salvati * np.ptp(points[:, 2])
+    # All is worked out as the patella faces: with axes parallel to its own, and the femur's origin.
+    facing, to_leg = rotation(0, -_LAG * pose.flexion_deg), pose.femur_on_tibia()
+    below = np.array(build.shape.tendon.tuberosity) * s + [0.0, 0.0, table.tendon_end_mm * s]
+    below = facing @ to_leg[:, :3].T @ (below - to_leg[:, 3])
+    front = _front(femur, facing)
+    across = formed(np.array([[0.0, 0.0, 20.0]]), build.femur)[0, 0] * s - knee.patellar_shift_mm
+    behind = points[:: max(1, len(points) // _PLACES)]
+
+    def depth_mm(height_mm: float) -> float:
+        """Where the patella is front to back, at a height."""
+        # The space between them, nan beside the femur; where they are closest cartilage is thinner.
+        space = front((behind + np.array([across, 0.0, height_mm]))[:, [0, 2]]) - behind[:, 1]
+        if np.isnan(space).mean() > _MOST_BESIDE:
+            raise InputError(
+                f"flexion = {pose.flexion_deg:g} deg with insall_salvati = {knee.insall_salvati:g}: the patella lies "
+                "off the femur; allowed: less flexion, or a longer tendon"
+            )
         near = float(np.nanquantile(space, _NEAR_SHARE))
-        place[1] = min(near - table.gap_to_femur_mm, float(np.nanmin(space)) - table.gap_to_femur_mm * _LEAST_SHARE)
-    return np.column_stack((turn, place))
+        return min(near - table.gap_to_femur_mm, float(np.nanmin(space)) - table.gap_to_femur_mm * _LEAST_SHARE)
+
+    def too_far_mm(height_mm: float) -> float:
+        """By how much the apex is farther from the tuberosity than the tendon is long."""
+        forward = points[apex, 1] + depth_mm(height_mm) - below[1]
+        return float(np.hypot(forward, points[apex, 2] + height_mm - below[2]) - tendon_mm)
+
+    high = below[2] + tendon_mm - points[apex, 2]
+    while too_far_mm(high - _STEP_MM) > 0:
+        high -= _STEP_MM
+    height_mm = brentq(too_far_mm, high - _STEP_MM, high + _HEIGHT_MM, xtol=_HEIGHT_MM)
+    place = np.array([across, depth_mm(height_mm), height_mm])
+    return np.column_stack((facing.T @ rotation(2, -knee.patellar_tilt_deg), facing.T @ place))
 
 
-def _front(femur: Manifold) -> LinearNDInterpolator:
-    """(n, 2) x and z -> (n,) y  of the front of a femur, mm"""
-    mesh = mesh_of(trimmed(femur, +1, _FRONT_BELOW_MM)).as_trimesh()
-    points = mesh.vertices[mesh.vertex_normals[:, 1] < -_FACES_FRONT]
+def _front(femur: Manifold, facing: Array) -> LinearNDInterpolator:
+    """(n, 2) x and z -> (n,) y  of the front of a femur that is turned, mm"""
+    mesh = mesh_of(femur)
+    faces = mesh.faces[mesh.vertices[mesh.faces[:, 0], 2] < _FRONT_BELOW_MM]
+    first, second, third = (mesh.vertices @ facing.T)[faces.T]
+    normals = np.cross(second - first, third - first)
+    faces_front = normals[:, 1] < -_FACES_FRONT * lengths(normals)
+    points = ((first + second + third) / 3)[faces_front]
     return LinearNDInterpolator(points[:, [0, 2]], points[:, 1])
 
 

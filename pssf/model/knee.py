@@ -143,9 +143,11 @@ def draw_knee(*, grade: int, rng: np.random.Generator, **fixed: Any) -> Knee:
 
     rng    the only source of chance; size and pose are drawn from it, the texture's seed and the shape from children
     fixed  fields of `Knee` to hold at a value; the draw of the others does not depend on them
-    raises InputError for an unknown grade or field
+    raises InputError for an unknown grade or field, or a rng that is none
     """
     require_whole("grade", grade, min(GRADES), max(GRADES), "")
+    if not isinstance(rng, np.random.Generator):
+        raise InputError(f"rng = {rng!r}; allowed: a numpy Generator, such as np.random.default_rng(7)")
     table = grades()
     ranges = table.grade[str(int(grade))]
     sex = fixed.get("sex", "male" if rng.random() < 0.5 else "female")
