@@ -28,8 +28,8 @@ _NEAR_SHARE, _LEAST_SHARE = 0.1, 0.6
 _LAG = 0.35
 # The patella's height is looked for downwards in such steps, and found to this.
 _STEP_MM, _HEIGHT_MM = 4.0, 1e-3
-# Places of a patella that are held against the femur; of them at most such a share may have no femur behind it.
-_PLACES, _MOST_BESIDE = 1500, 0.9
+# Places of a patella's back that are held against the femur; of them at most such a share may have no femur behind it.
+_PLACES, _MOST_BESIDE = 500, 0.9
 
 
 def fibula(knee: Knee, build: Build, tibia: Manifold) -> Bone:
@@ -98,7 +98,8 @@ def patella_place(knee: Knee, build: Build, patella: Manifold, femur: Manifold, 
     below = facing @ to_leg[:, :3].T @ (below - to_leg[:, 3])
     front = _front(femur, facing)
     across = formed(np.array([[0.0, 0.0, 20.0]]), build.femur)[0, 0] * s - knee.patellar_shift_mm
-    behind = points[:: max(1, len(points) // _PLACES)]
+    behind = points[points[:, 1] > np.median(points[:, 1])]
+    behind = behind[:: max(1, len(behind) // _PLACES)]
 
     def depth_mm(height_mm: float) -> float:
         """Where the patella is front to back, at a height."""
