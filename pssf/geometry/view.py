@@ -1,4 +1,7 @@
-"""Where source, rays and pixels are, in the knee frame (mm; +x medial of a right knee, +y to detector, +z proximal)."""
+"""Where source, rays and pixels are, in the knee frame (mm; +x medial of a right knee, +y to detector, +z proximal).
+
+A posture turns the knee within it: in PA its front is at +y.
+"""
 
 import reprlib
 from dataclasses import dataclass, replace
