@@ -27,6 +27,7 @@ _CONES = 17
 # Turns in which a tip is moved to where it belongs, and the step of the slopes that this takes.
 _TURNS, _STEP_MM = 12, 1e-3
 _EDGE_MM = 2.0
+_DRAWN_IN_MM = 0.3
 
 
 @dataclass(frozen=True)
@@ -86,8 +87,12 @@ class BoneWithOsteophytes:
     def filled(self, inner: Manifold, scale: float) -> Manifold:
         """The trabecular solid of the bone with what is inside its beaks."""
         for beak in self.beaks:
+            within = beak.solid(_CORTEX_MM / scale + _THICKENING * beak.size_mm)
+            # A rounded margin may not hold the feet of a small beak; what is outside of the bone, drawn in, is cut off.
+            if (within - self.outer).volume() > 0:
+                within = within ^ self.outer ^ self.outer.translate(-_DRAWN_IN_MM * beak.out)
             # With edges short enough to bend with the bone.
-            inner = inner + beak.solid(_CORTEX_MM / scale + _THICKENING * beak.size_mm).refine_to_length(_EDGE_MM)
+            inner = inner + within.refine_to_length(_EDGE_MM)
         return inner
 
 
