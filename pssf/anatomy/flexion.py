@@ -10,7 +10,7 @@ from .contours import COMPARTMENT
 from .pose import Pose, moved
 
 # By how much the femur rolls back on the tibia in flexion: medially hardly, laterally some 15 mm in 110 degrees
-# (Iwaki, Pinskerova and Freeman 2000), here the mean of both.
+# (Iwaki, Pinskerova and Freeman 2000, from memory), here the mean of both.
 _BACK_MM_PER_DEG = 0.07
 # What of the femur can come to lie on the tibia, and what of the tibia can bear it.
 _FEMUR_BELOW_MM, _TIBIA_ABOVE_MM = 50.0, -14.0

@@ -24,7 +24,7 @@ _FIBULA_LEANS_BELOW_MM = -25.0
 _FRONT_BELOW_MM, _FACES_FRONT = 90.0, 0.3
 # The gap to the femur is that at so small a share of the patella's places, and at none less than such a share of it.
 _NEAR_SHARE, _LEAST_SHARE = 0.1, 0.6
-# Of the flexion the patella does not follow so large a share: it flexes by 0.65 of what the knee does (Nha 2008).
+# Of its flexion the knee keeps so large a share from the patella, which flexes by two thirds (judgement).
 _LAG = 0.35
 # The patella's height is looked for downwards in such steps, and found to this.
 _STEP_MM, _HEIGHT_MM = 4.0, 1e-3
