@@ -18,7 +18,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 # How often in a row, without a result between, workers may be killed before the work is given up.
-_PATIENCE = 2
+_PATIENCE = 3
 
 _shared: dict[str, Any] = {}  # of a worker process: set once when it starts, read only afterwards
 
@@ -90,22 +90,28 @@ def _in_processes(
     workers: int,
     take: Callable[[int, Result], None],
 ) -> None:
-    left = set(range(len(items)))
+    left = list(range(len(items)))
 
     def arrived(index: int, result: Result) -> None:
-        left.discard(index)
+        left.remove(index)
         take(index, result)
 
     killed = 0
     while left:
         before = len(left)
+        # What kills its worker ends the whole pool, and with it what the others had in hand: after a pool without a
+        # result one item is tried by itself, then the pool is of all that is left again.
+        batch = left[:1] if killed else left
         try:
-            _one_pool(function, {index: items[index] for index in sorted(left)}, shared, workers, arrived)
+            _one_pool(function, {index: items[index] for index in batch}, shared, workers, arrived)
+            killed = 0
         except BrokenProcessPool:
-            # One killed worker ends its whole pool; a new one does what is left.
-            killed = killed + 1 if len(left) == before else 1
+            killed = killed + 1 if len(left) == before else 0
             if killed == _PATIENCE:
                 raise WorkersLostError(f"a worker process was killed {killed} times over (memory?)") from None
+            if killed:
+                in_hand = 1 if killed > 1 else workers
+                left[:] = left[in_hand:] + left[:in_hand]
 
 
 def _one_pool(
