@@ -136,6 +136,11 @@ def test_a_knee_built_in_another_posture_is_refused(built):
         pssf.simulate(built, FIXED_FLEXION)
 
 
+def test_what_is_no_protocol_is_refused():
+    with pytest.raises(InputError, match="protocol = 'fixed_flexion'; allowed: a Protocol, as load_protocol gives it"):
+        pssf.build(pssf.Knee(), "fixed_flexion")
+
+
 @pytest.mark.parametrize("flexion_deg", [10.0, 40.0])
 @pytest.mark.parametrize("seed", range(2))
 def test_drawn_knees_can_be_bent(flexion_deg, seed):

@@ -65,10 +65,13 @@ def build(knee: Knee, protocol: Protocol | None = None) -> BuiltKnee:
 
     Surfaces are named ("femur", "femur_trabecular", "femur_marrow", "skin", ...), in the knee frame, mm.
     protocol  in whose posture it stands; straight and seen from the front if None, as for most protocols
-    raises    InputError for what is no Knee, or if a solid fails its checks, which the ranges of `Knee` exclude
+    raises    InputError for what is no Knee or no Protocol, or if a solid fails its checks, which the ranges of
+              `Knee` exclude
     """
     if not isinstance(knee, Knee):
         raise InputError(f"knee = {knee!r}; allowed: a Knee")
+    if not isinstance(protocol, Protocol | None):
+        raise InputError(f"protocol = {protocol!r}; allowed: a Protocol, as load_protocol gives it, or None")
     posture = Posture() if protocol is None else protocol.posture
     assembly = assemble(knee, mean_shape(), posture)
     placed = _bones(knee, assembly)

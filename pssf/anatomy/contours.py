@@ -59,20 +59,19 @@ def turned_px(points_px: Array, view: View, angle_deg: float) -> Array:
 
 def measure_gap(
     femur: tuple[Array, Indices],
-    tibia: tuple[Array, Indices],
+    tibia: tuple[Array, Indices] | Array,
     view: View,
     side_x: int,
     half_ml_mm: float,
     lean_deg: float = 0.0,
-    floor_px: Array | None = None,
 ) -> Gap:
     """The joint space of a compartment as a detector at `view` sees it.
 
-    femur, tibia  vertices (n, 3) and edges (m, 2)
+    femur, tibia  vertices (n, 3) and edges (m, 2); or, taken for the tibia's contour, a line: (k, 2) row and column, in
+                  the order of its columns
     side_x        +1 for the compartment at x > 0, -1 for the other
     half_ml_mm    half the medio-lateral width of the tibial plateau
     lean_deg      of the leg about y: rows and columns are told as if it had none
-    floor_px      (k, 2)  row and column, in the order of their columns, of a line that is taken for the tibia's contour
     """
     ends = np.array([[side_x * f * half_ml_mm, 0.0, 0.0] for f in COMPARTMENT])
     first, last = np.sort(project(ends, view)[:, 1])
@@ -82,10 +81,10 @@ def measure_gap(
         seen = turned_px(project(bone[0], view), view, -lean_deg)
         return envelope(seen, bone[1], int(columns[0]), len(columns), lowest)
 
-    if floor_px is None:
+    if isinstance(tibia, tuple):
         upper = outline(tibia, -1.0)
     else:
-        rows, cols = turned_px(floor_px, view, -lean_deg).T
+        rows, cols = turned_px(tibia, view, -lean_deg).T
         upper = np.interp(columns, cols, rows)
     scale_mm = view.pixel_mm / magnification(view)
     return Gap(columns, outline(femur, 1.0), upper, scale_mm, float(first + last) / 2)

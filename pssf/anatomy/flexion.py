@@ -7,7 +7,7 @@ from scipy.interpolate import LinearNDInterpolator
 
 from ..core.checks import Array, InputError
 from .contours import COMPARTMENT
-from .pose import Pose, moved
+from .pose import Pose, moved, turned_by
 
 # By how much the femur rolls back on the tibia in flexion: medially hardly, laterally some 15 mm in 110 degrees
 # (Iwaki, Pinskerova and Freeman 2000, from memory), here the mean of both.
@@ -54,8 +54,7 @@ def flexed(pose: Pose, femur: Array, tibia: Array, half_ml_mm: float, degrees: f
         if np.abs(error).max() < _TOLERANCE_MM:
             return bent
         # Where two places of a condyle take turns at being the lowest, half a step finds the pose between them.
-        lift, turn = np.linalg.solve([[1.0, -x[0]], [1.0, -x[1]]], error if turn_number < _FULL_STEPS else error / 2)
-        bent = replace(bent, tilt_deg=bent.tilt_deg + float(np.rad2deg(turn)), raise_mm=bent.raise_mm + float(lift))
+        bent = turned_by(bent, x, error if turn_number < _FULL_STEPS else error / 2)
     raise InputError(
         f"flexion_deg = {bent.flexion_deg:g} deg: the femur does not come to lie on the tibia (left over: "
         f"{np.abs(error).max():.3g} mm); allowed: less flexion"

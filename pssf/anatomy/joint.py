@@ -87,11 +87,12 @@ def assemble(knee: Knee, shape: BoneShape, posture: Posture) -> KneeAssembly:
 
     # The femur's tilt closes the joint; its shaft gives that tilt back, so that varus_deg is the angle of the shafts of
     # a straight leg.
-    build = replace(build, femur_valgus_deg=build.femur_valgus_deg + at(0.0).tilt_deg)
+    straight = at(0.0)
+    build = replace(build, femur_valgus_deg=build.femur_valgus_deg + straight.tilt_deg)
     pose = replace(
-        at(posture.flexion_deg),
+        at(posture.flexion_deg) if posture.flexion_deg else straight,
         rotation_deg=knee.rotation_deg + posture.rotation_deg,
         forward_deg=posture.tibia_forward_deg,
     )
-    mirror = (1.0 if knee.side == "right" else -1.0, 1.0 if posture.projection == "AP" else -1.0, 1.0)
+    mirror = (1.0 if knee.side == "right" else -1.0, posture.mirror_y, 1.0)
     return KneeAssembly(protocol, posture, build, femur, tibia, pose, mirror)

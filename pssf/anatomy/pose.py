@@ -1,6 +1,6 @@
 """Pose: where the bones of a leg go, as rigid transforms."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -54,6 +54,16 @@ class Pose:
 
     def _turned(self) -> Array:
         return rotation(0, self.forward_deg) @ rotation(1, self.lean_deg) @ rotation(2, self.rotation_deg)
+
+
+def turned_by(pose: Pose, x: Array, raise_mm: Array) -> Pose:
+    """A pose whose femur is tilted and raised so that places at two x go up by so much each.
+
+    x, raise_mm  (2,)  mm
+    """
+    # A tilt about y by dB lowers a point at x by x dB (right-handed, z' = -x sin B + z cos B).
+    lift, turn = np.linalg.solve([[1.0, -x[0]], [1.0, -x[1]]], raise_mm)
+    return replace(pose, tilt_deg=pose.tilt_deg + float(np.rad2deg(turn)), raise_mm=pose.raise_mm + float(lift))
 
 
 def rotation(axis: int, degrees: float) -> Array:

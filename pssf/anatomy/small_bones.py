@@ -90,7 +90,8 @@ def patella_place(knee: Knee, build: Build, patella: Manifold, femur: Manifold, 
     raises          InputError where it would lie off the femur
     """
     table, s = build.shape.patella, build.scale
-    points = mesh_of(patella).vertices @ rotation(2, -knee.patellar_tilt_deg).T
+    tilt = rotation(2, -knee.patellar_tilt_deg)
+    points = mesh_of(patella).vertices @ tilt.T
     apex, tendon_mm = points[:, 2].argmin(), knee.insall_salvati * np.ptp(points[:, 2])
     # All is worked out as the patella faces: with axes parallel to its own, and the femur's origin.
     facing, to_leg = rotation(0, -_LAG * pose.flexion_deg), pose.femur_on_tibia()
@@ -123,7 +124,7 @@ def patella_place(knee: Knee, build: Build, patella: Manifold, femur: Manifold, 
         high -= _STEP_MM
     height_mm = brentq(too_far_mm, high - _STEP_MM, high + _HEIGHT_MM, xtol=_HEIGHT_MM)
     place = np.array([across, depth_mm(height_mm), height_mm])
-    return np.column_stack((facing.T @ rotation(2, -knee.patellar_tilt_deg), facing.T @ place))
+    return np.column_stack((facing.T @ tilt, facing.T @ place))
 
 
 def _front(femur: Manifold, facing: Array) -> LinearNDInterpolator:

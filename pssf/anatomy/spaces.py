@@ -14,7 +14,7 @@ from ..model.protocol import Protocol
 from .bone_build import Build, formed, stand_tibia
 from .contours import measure_gap
 from .landmarks import plateau_floor
-from .pose import Pose, moved
+from .pose import Pose, moved, turned_by
 from .solids import edges_of, mesh_of
 
 # Of the mean man's femur: about here it flexes, the middle of the condyles' round backs.
@@ -56,14 +56,10 @@ def solve_pose(knee: Knee, build: Build, femur: Manifold, tibia: Manifold, proto
         error = wanted - spaces
         if np.abs(error).max() < _TOLERANCE_MM and abs(high) < _LEVEL_MM:
             return pose
-        # A tilt about y by dB lowers a point at x by x dB (right-handed, z' = -x sin B + z cos B).
-        lift, turn = np.linalg.solve([[1.0, -x[0]], [1.0, -x[1]]], error)
-        pose = replace(
-            pose,
-            tilt_deg=pose.tilt_deg + float(np.rad2deg(turn)),
-            raise_mm=pose.raise_mm + float(lift),
-            shift_mm=pose.shift_mm if abs(high) < _LEVEL_MM else pose.shift_mm - high - float(lift) / 2,
-        )
+        better = turned_by(pose, x, error)
+        if abs(high) >= _LEVEL_MM:
+            better = replace(better, shift_mm=pose.shift_mm - high - (better.raise_mm - pose.raise_mm) / 2)
+        pose = better
     raise InputError(
         f"jsw_medial_mm = {knee.jsw_medial_mm} mm with jsw_lateral_mm = {knee.jsw_lateral_mm} mm: no pose of the femur "
         f"gives both (left over: {np.abs(error).max():.3g} mm); allowed: spaces closer to each other"
@@ -72,18 +68,16 @@ def solve_pose(knee: Knee, build: Build, femur: Manifold, tibia: Manifold, proto
 
 def _measure(knee: Knee, build: Build, bones: tuple[Manifold, Manifold], protocol: Protocol) -> Measure:
     """Spaces as vertical gaps on the detector: to the tibia's contour, or to the floor of its plateau."""
-    meshes = [_lower(bones[0], build), _upper(bones[1], build)]
-    plateau = _plateau(bones[1], build) if knee.jsw_as == "read" else None
-    view, mirror = view_of(protocol), [1.0, -1.0 if protocol.projection == "PA" else 1.0, 1.0]
+    lower, upper = _lower(bones[0], build), _upper(bones[1], build)
+    edges = edges_of(upper.faces)
+    view, mirror = view_of(protocol), [1.0, protocol.posture.mirror_y, 1.0]
 
     def measure(pose: Pose) -> tuple[Array, Array, float]:
-        frames, lean = (pose.femur(), pose.tibia()), pose.lean_deg
-        placed = [(moved(v, frame) * mirror, e) for (v, e), frame in zip(meshes, frames, strict=True)]
-        floor = None
-        if plateau is not None:
-            floor = plateau_floor(Mesh(moved(plateau.vertices, frames[1]) * mirror, plateau.faces), view, 1, lean)
-        femur, tibia = placed
-        gaps = [measure_gap(femur, tibia, view, side, build.half_ml_mm, lean, floor) for side in (+1, -1)]
+        femur, lean = (moved(lower[0], pose.femur()) * mirror, lower[1]), pose.lean_deg
+        plateau = Mesh(moved(upper.vertices, pose.tibia()) * mirror, upper.faces)
+        read = knee.jsw_as == "read"
+        tibia = plateau_floor(plateau, view, 1, lean) if read else (plateau.vertices, edges)
+        gaps = [measure_gap(femur, tibia, view, side, build.half_ml_mm, lean) for side in (+1, -1)]
         x = [(gap.columns_px[gap.narrowest] - (view.cols - 1) / 2) * gap.scale_mm for gap in gaps]
         return np.array([gap.jsw_mm for gap in gaps]), np.array(x), _middle_mm(gaps, view)
 
@@ -98,14 +92,7 @@ def _lower(femur: Manifold, build: Build) -> tuple[Array, Indices]:
     return formed(mesh.vertices, build.femur) * build.scale, lower
 
 
-def _upper(tibia: Manifold, build: Build) -> tuple[Array, Indices]:
-    """Vertices and edges of the upper end of a tibia at the mean man's size, as it stands in this knee."""
-    mesh = mesh_of(tibia)
-    places, edges = stand_tibia(mesh.vertices, build), edges_of(mesh.faces)
-    return places, edges[(places[edges, 2] > _TIBIA_ABOVE_MM).any(axis=1)]
-
-
-def _plateau(tibia: Manifold, build: Build) -> Mesh:
+def _upper(tibia: Manifold, build: Build) -> Mesh:
     """The upper end of a tibia at the mean man's size, as it stands in this knee."""
     mesh = mesh_of(tibia)
     places = stand_tibia(mesh.vertices, build)

@@ -90,8 +90,8 @@ def _gaps(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> tuple
     meshes = _outer(scene)
     femur, tibia = ((mesh.vertices, edges_of(mesh.faces)) for mesh in meshes)
     medial, half, lean = _medial(knee), assembly.build.half_ml_mm, _lean_deg(knee, assembly)
-    floor = plateau_floor(meshes[1], view, medial, lean) if knee.jsw_as == "read" else None
-    one, other = (measure_gap(femur, tibia, view, side * medial, half, lean, floor) for side in (+1, -1))
+    upper = plateau_floor(meshes[1], view, medial, lean) if knee.jsw_as == "read" else tibia
+    one, other = (measure_gap(femur, upper, view, side * medial, half, lean) for side in (+1, -1))
     return one, other
 
 

@@ -18,6 +18,11 @@ class Posture:
     tibia_forward_deg: float = 0.0
     rotation_deg: float = 0.0
 
+    @property
+    def mirror_y(self) -> float:
+        """Factor of y: -1 where the knee is mirrored, since the detector is before it."""
+        return -1.0 if self.projection == "PA" else 1.0
+
 
 @dataclass(frozen=True, kw_only=True)
 class Protocol:
