@@ -6,15 +6,17 @@ Where the numbers of `data/shapes.toml` come from; the same bones give the same 
 import json
 import tomllib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
 
+from ..anatomy.shape import knee_form
 from ..core.checks import Array
 from ..data.records import record
-from ..data.shapes import ShapeTable, write_displacements
+from ..data.shapes import ShapeTable, shape_table, write_displacements
 from ..geometry.freeform import Lattice
 from ..geometry.mesh import Mesh
 from ..io.bones import read_bones
@@ -35,15 +37,21 @@ _HEAD = """\
 """
 
 
-def derive(given: Mapping[str, Sequence[Mesh]], workers: int = 1) -> tuple[MeanFit, Modes, tuple[ModeName, ...]]:
+def derive(
+    given: Mapping[str, Sequence[Mesh]], workers: int = 1, keep_means: bool = False
+) -> tuple[MeanFit, Modes, tuple[ModeName, ...]]:
     """Mean lattices and named modes of given bones; bone k of each kind is of knee k.
 
+    keep_means  the means stay those of the package's own table, from which the modes then go
     raises  InputError where a bone is not given
     """
-    mean = fit_mean(given, workers)
+    kept = {name: form.mean for name, form in knee_form(shape_table()).bones.items()} if keep_means else None
+    mean = fit_mean(given, workers, kept)
     fitted = fit_knees(given, mean, workers)
     names, values = measured_knees(mean, fitted)
     modes, called = name_modes(modes_of(fitted, mean), names, values)
+    if kept is not None:
+        modes = replace(modes, means={name: lattice.displacements_mm.reshape(-1, 3) for name, lattice in kept.items()})
     return mean, modes, called
 
 
@@ -83,10 +91,11 @@ def main(
     out: Annotated[Path, typer.Argument(help="The table that is written (TOML).")],
     source: Annotated[str, typer.Option(help="Where the bones are from.")],
     licence: Annotated[str, typer.Option(help="Their licence, and what it covers.")],
+    keep_means: Annotated[bool, typer.Option(help="Only the modes; the means stay those of the package.")] = False,
     workers: Annotated[int, typer.Option(help="Processes.")] = 1,
 ) -> None:
     """Derive the table of shapes anew from real bones."""
-    mean, modes, names = derive(read_bones(bones), workers)
+    mean, modes, names = derive(read_bones(bones), workers, keep_means)
     save_text(out, table_text(mean, modes, names, source, licence))
     for share, total, called in zip(modes.share, np.cumsum(modes.share), names, strict=True):
         print(f"{share:.3f} {total:.3f}  {called.name} ({called.correlation:.2f}; {called.also})")

@@ -54,9 +54,12 @@ class Modes:
     rms_mm: Mapping[str, Array]
 
 
-def fit_mean(given: Mapping[str, Sequence[Mesh]], workers: int = 1) -> MeanFit:
+def fit_mean(
+    given: Mapping[str, Sequence[Mesh]], workers: int = 1, kept: Mapping[str, Lattice] | None = None
+) -> MeanFit:
     """The mean man's bones laid onto the mean of given ones.
 
+    kept    bone -> the lattice that does it already
     raises  InputError where one of femur, tibia and patella is not given
     """
     if missing := [name for name in BONES if not given.get(name)]:
@@ -71,7 +74,8 @@ def fit_mean(given: Mapping[str, Sequence[Mesh]], workers: int = 1) -> MeanFit:
     for name in BONES:
         target = in_frame(people[name].mesh, frames[name])
         bones[name] = deformable(built[name], heights_mm(target.mesh, name))
-        lattices[name] = fit_lattice(bones[name], target, lattice_around(bones[name], PITCH_MM[name], SHAFT[name]))
+        around = lattice_around(bones[name], PITCH_MM[name], SHAFT[name])
+        lattices[name] = fit_lattice(bones[name], target, around) if kept is None else kept[name]
     return MeanFit(bones=bones, lattices=lattices, frames=frames, people=people)
 
 
@@ -85,7 +89,7 @@ def fit_knees(given: Mapping[str, Sequence[Mesh]], mean: MeanFit, workers: int =
     return {name: np.array([one for one, task in zip(found, tasks, strict=True) if task[0] == name]) for name in BONES}
 
 
-def modes_of(fitted: Mapping[str, Array], mean: MeanFit, least_share: float = 0.95) -> Modes:
+def modes_of(fitted: Mapping[str, Array], mean: MeanFit, least_share: float = 0.99) -> Modes:
     """Principal modes of knees, femur, tibia and patella together, as many as hold a share of the variance.
 
     fitted  bone -> (knees, controls, 3)  displacements, mm
