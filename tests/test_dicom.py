@@ -220,7 +220,8 @@ def test_for_presentation_is_what_present_renders_bone_bright_and_its_window_cov
     assert (found.PresentationIntentType, found.PresentationLUTShape) == ("FOR PRESENTATION", "IDENTITY")
     assert (found.PhotometricInterpretation, found.PixelIntensityRelationshipSign) == ("MONOCHROME2", -1)
     pixels = found.pixel_array
-    assert (pixels == pssf.present(radiograph.pixels, bits=12)).all()
+    look = dict(look="processed", pixel_mm=radiograph.protocol.pixel_mm)
+    assert (pixels == pssf.present(radiograph.pixels, bits=12, **look)).all()
     assert pixels[5, 128] > pixels[128, 2]
     # PS3.3, C.11.2.1.2: the linear window maps these pixels onto themselves, so no value is cut off.
     centre, width = float(found.WindowCenter), float(found.WindowWidth)
@@ -302,7 +303,8 @@ def test_a_marked_presentation_has_its_marker_on_the_lateral_side_and_a_dark_bor
     taken = dataclasses.replace(radiograph, knee=dataclasses.replace(radiograph.knee, side=side))
     path = pssf.save(taken, tmp_path / f"{side}.dcm", intent="presentation", border="marked")
     marked = pydicom.dcmread(path).pixel_array.astype(int)
-    added = marked - pssf.present(radiograph.pixels, bits=12).astype(int)
+    look = dict(look="processed", pixel_mm=radiograph.protocol.pixel_mm)
+    added = marked - pssf.present(radiograph.pixels, bits=12, **look).astype(int)
     lateral, medial = (added[:, :64], added[:, -64:]) if side == "right" else (added[:, -64:], added[:, :64])
     assert (marked[:2] < 600).all()
     assert lateral[:64].max() > 3000

@@ -41,6 +41,11 @@ def through(x_mm, z_mm, half_mm: float = 20.0) -> tuple[np.ndarray, np.ndarray]:
     return np.column_stack((x, x * 0 - half_mm, z)), np.column_stack((x, x * 0 + half_mm, z))
 
 
+def usual_bvtv(x_mm, z_mm, half_mm: float = 20.0) -> float:
+    """Mean of people's, who have their dense and bare patches each in other places."""
+    return float(np.mean([bvtv(bone(seed=seed), x_mm, z_mm, half_mm) for seed in range(6)]))
+
+
 def bvtv(density: Trabeculae, x_mm, z_mm, half_mm: float = 20.0) -> float:
     """Mean BV/TV of a man of 55 along y, between places (x, z)."""
     starts, ends = through(x_mm, z_mm, half_mm)
@@ -149,7 +154,7 @@ def test_density_is_never_below_that_of_marrow_and_comes_near_it_between_struts(
     density = bone(name, sclerosis=2.5, age_years=20.0)
     found = density.integrate(starts, ends) / np.linalg.norm(ends - starts, axis=1)
     assert found.min() >= density.region.marrow * (1 - 1e-12)
-    assert found.min() < density.region.marrow + (0.25 if name in ("patella", "fabella") else 0.05)
+    assert found.min() < density.region.marrow + {"patella": 0.25, "fabella": 0.25, "femur": 0.15}.get(name, 0.05)
     assert found.max() > 1.5
 
 
@@ -214,13 +219,13 @@ def test_projected_struts_are_upright_fine_and_about_gaussian(patch):
 
 def test_bone_is_denser_at_the_plate_and_medially_and_fades_down_the_shaft():
     x = np.linspace(-4, 4, 30)
-    medial, lateral = ([bvtv(bone(), x + at, z) for z in (-3.0, -9.0, -18.0)] for at in (23.0, -23.0))
+    medial, lateral = ([usual_bvtv(x + at, z) for z in (-3.0, -9.0, -18.0)] for at in (23.0, -23.0))
     assert medial[0] > 1.15 * medial[1] > 1.15 * medial[2]
     assert all(m > 1.1 * other for m, other in zip(medial, lateral, strict=True))
     assert 0.18 < medial[0] < 0.37
     assert 0.08 < medial[2] < 0.22
     assert bvtv(bone(), x, -120.0) < 0.05
-    assert 0.7 < 1.083 * 4.5 * np.mean([bvtv(bone(), x + 23, z, 22.5) for z in np.arange(-22, -3)]) < 1.15
+    assert 0.7 < 1.083 * 4.5 * np.mean([usual_bvtv(x + 23, z, 22.5) for z in np.arange(-22, -3, 3)]) < 1.15
     wavy, calm = (bone().integrate(*through(np.linspace(-8, 8, 200), z)).std() for z in (-30.0, -130.0))
     assert calm < 0.2 * wavy
 

@@ -82,7 +82,8 @@ def _femur(meshes: Mapping[str, trimesh.Trimesh], assembly: KneeAssembly) -> Siz
     # As seen from behind, a fifth of the depth in front of the condyles' back.
     behind = condyles[:, 1].max() - 0.2 * np.ptp(condyles[:, 1])
     # A condyle reaches from its epicondyle to the innermost place of its wall of the notch.
-    walls = [_line(bone, 0, y, z)[1:3] for y in np.linspace(0.0, behind, 6) for z in (8.0 * s, 12.0 * s)]
+    lines = [_line(bone, 0, y, z) for y in np.linspace(0.0, behind, 6) for z in (8.0 * s, 12.0 * s)]
+    walls = [line[1:3] for line in lines if len(line) == 4]  # through both condyles
     low = _line(bone, 0, behind, 10.0 * s)
     # The roof's back edge, where the notch is highest, lies under the back of the shaft.
     roof = _line(bone, 1, 0.0, 50.0 * s)[-1] - 4.0 * s

@@ -64,10 +64,18 @@ def _amplitude(table: Lattice) -> NDArray[np.float32]:
     power = (total + np.float32(table.low_per_mm) ** 2) ** np.float32(table.rise / 2)
     power /= 1 + (total / np.float32(table.high_per_mm) ** 2) ** np.float32(table.steep / 2)
     power *= table.upright * up + table.level * level + table.any
+    # What is dense and what is bare: as long along y as across.
+    patches = np.exp(-(fx**2 + fz**2 + (fy / np.float32(table.stretch_y)) ** 2) / (2 * table.patch_per_mm**2))
+    power = (1 - table.patches) * _of_variance_1(power, table) + table.patches * _of_variance_1(patches, table)
+    power[..., 0] *= 2
+    return np.sqrt(power, dtype=np.float32)
+
+
+def _of_variance_1(power: NDArray[np.float32], table: Lattice) -> NDArray[np.float32]:
+    """Powers (nx / 2 + 1, nz / 2 + 1, waves along y) over the variance of a field that has them, its mean left out."""
     power[0, 0, 0] = 0
     # Each of the waves stands for two or four of frequencies of either sign. Those along y are the half that a real
     # transform holds; it reads the plane fy = 0 as if half of that were the mirror image of the other half.
     of = [np.where((np.arange(n // 2 + 1) == 0) | (np.arange(n // 2 + 1) == n // 2), 1, 2) for n in table.voxels[:2]]
     held = np.einsum("i,j,ijk->k", *of, power, dtype=np.float64) * np.where(np.arange(power.shape[2]), 4, 2)
-    power[..., 0] *= 2
-    return np.sqrt(power / held.sum(), dtype=np.float32)
+    return np.asarray(power / np.float32(held.sum()))

@@ -27,6 +27,8 @@ class Lattice(Record, frozen=True):
     upright: float
     level: float
     any: float
+    patches: float
+    patch_per_mm: float
     length_per_mm: float
     spread: float
     cut: float

@@ -2,9 +2,10 @@
 
 blur       of focal spot, panel and quantum noise, in frequency
 panel      quantum and readout noise, gain, offset, 16 bit
-rendering  log signal, bone bright
+looks      signal -> grey: linear, processed, film      pyramid  details of each size
+rendering  a view for eyes, of 8 to 16 bit, marked or not
 """
 
-from .rendering import present
+from .rendering import for_eyes, present
 
-__all__ = ["present"]
+__all__ = ["for_eyes", "present"]

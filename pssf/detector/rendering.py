@@ -1,13 +1,16 @@
-"""A view for eyes: log signal, bone bright; with the collimator's edge and a side marker where they are wanted."""
+"""A view for eyes, bone bright; with the collimator's edge and a side marker where they are wanted."""
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ..core.blocks import block_mean, enlarge
-from ..core.checks import require_choice, require_whole
+from ..core.checks import InputError, require, require_choice, require_whole
 from ..data.detectors import detectors
+from ..data.looks import Film, Processed, looks
+from ..model.radiograph import Radiograph
+from .looks import film, linear, processed
 
+LOOKS = ("linear", "processed", "film")
 # Width of the shadow of the collimator's leaves, and of its penumbra; height of a marker and its distance from that
 # shadow. Shares of the smaller side of the image.
 _LEAF, _PENUMBRA, _MARKER, _APART = 0.025, 0.002, 0.055, 0.02
@@ -15,31 +18,62 @@ _MARKERS = {"right": "R", "left": "L"}
 
 
 def present(
-    pixels: NDArray[np.uint16], *, bits: int = 8, side: str | None = None, detector: str = "csi"
+    pixels: NDArray[np.uint16],
+    *,
+    bits: int = 8,
+    side: str | None = None,
+    detector: str = "csi",
+    look: str | Processed | Film = "linear",
+    pixel_mm: float = 0.15,
 ) -> NDArray[np.uint8 | np.uint16]:
-    """(rows, cols)  for eyes: log signal, bone bright, large structures evened out, edges a little sharper
+    """(rows, cols)  for eyes, bone bright
 
     pixels    (rows, cols) linear in the energy absorbed
     bits      8 (uint8), or up to 16 (uint16)
     side      "right" or "left" draws the edge of the collimator and the marker R or L, on the lateral side of the knee
     detector  that they were read by, whose offset is taken off
-    raises    InputError for another number of bits, another side, an unknown detector
+    look      "linear": log signal, large structures evened out, edges a little sharper; "processed": multi-scale
+              contrast and a curve to grey, as a flat panel's software has them; "film": a screen and film; or one of
+              these two with parameters of one's own (data.looks)
+    pixel_mm  pitch, for "processed", whose structures have sizes
+    raises    InputError for another number of bits, another side, an unknown detector or look, a pitch out of range
     """
     require_whole("bits", bits, 8, 16, "")
     require_choice("detector", detector, tuple(detectors()))
+    require("pixel_mm", pixel_mm, 1e-3, 50, "mm")
     signal = np.maximum(pixels.astype(np.float32) - np.float32(detectors()[detector].offset_dn), 1.0)
-    density = -np.log(signal)
-    step = max(1, max(pixels.shape) // 128)
-    coarse = enlarge(ndimage.gaussian_filter(block_mean(density, step), 4.0), step, pixels.shape)
-    # Part of what is larger than a few centimetres is taken away, so that thigh, knee and calf share one window.
-    even = density - 0.45 * coarse + 0.6 * (density - ndimage.gaussian_filter(density, 3.0))
-    low, high = np.percentile(even[::4, ::4], [0.5, 99.8])
-    scaled = np.clip((even - low) / max(float(high - low), 1e-6), 0, 1.12)
-    shown = 225.0 / 255.0 * scaled**2.2
+    shown = _shown(signal, look, pixel_mm)
     if side is not None:
         shown = _marked(shown, side)
     most = 2**bits - 1
     return np.clip(np.rint(most * shown), 0, most).astype(np.uint8 if bits == 8 else np.uint16)
+
+
+def for_eyes(radiograph: Radiograph, bits: int = 8, side: str | None = None) -> NDArray[np.uint8 | np.uint16]:
+    """(rows, cols)  a radiograph as files for eyes hold it; arguments as `present` has them"""
+    protocol = radiograph.protocol
+    return present(
+        radiograph.pixels,
+        bits=bits,
+        side=side,
+        detector=protocol.detector,
+        look="processed",
+        pixel_mm=protocol.pixel_mm,
+    )
+
+
+def _shown(signal: NDArray[np.float32], look: str | Processed | Film, pixel_mm: float) -> NDArray[np.float32]:
+    """(rows, cols)  greys from 0 to 1"""
+    if isinstance(look, str):
+        require_choice("look", look, LOOKS)
+        if look == "linear":
+            return linear(signal)
+        look = looks().processed if look == "processed" else looks().film
+    if isinstance(look, Processed):
+        return processed(signal, pixel_mm, look)
+    if isinstance(look, Film):
+        return film(signal, look)
+    raise InputError(f"look = {look!r}; allowed: {', '.join(LOOKS)}, a Processed or a Film")
 
 
 def _marked(shown: NDArray[np.float32], side: str) -> NDArray[np.float32]:

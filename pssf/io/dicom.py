@@ -17,7 +17,7 @@ from pydicom.valuerep import DSfloat
 from ..core.checks import InputError, require_choice
 from ..data.detectors import detectors
 from ..data.dicom import dicom_tables
-from ..detector import present
+from ..detector import for_eyes
 from ..geometry.view import magnification, view_of
 from ..model.knee import Knee, knee_table
 from ..model.protocol import Protocol
@@ -36,7 +36,7 @@ def write(radiograph: Radiograph, description: str, path: Path, intent: str, sid
     protocol = radiograph.protocol
     shown: NDArray[np.generic] = radiograph.pixels
     if intent == "presentation":
-        shown = present(radiograph.pixels, bits=12, side=side, detector=protocol.detector)
+        shown = for_eyes(radiograph, 12, side)
     pixels = shown.astype("<u2", copy=False)
     uids = uids_of(radiograph, description)
     item = start(radiograph, uids, ("radiograph", intent))
@@ -49,7 +49,7 @@ def write(radiograph: Radiograph, description: str, path: Path, intent: str, sid
     item.update(_geometry(radiograph.protocol))
     remark = f"linear in absorbed energy, offset {detectors()[protocol.detector].offset_dn:g}"
     if intent == "presentation":
-        remark = "for eyes: log signal, large structures evened out, edges sharpened; not for measurement of intensity"
+        remark = "for eyes: log signal by a flat panel's processing, a curve to grey; not for measurement of intensity"
         item.SourceImageSequence = [reference(uids, "source_of_processing")]
     item.ImageComments = f"SYNTHETIC, no patient. Pixels {remark}.{_beam(radiograph.protocol)}"
     finish(item, pixels, path)

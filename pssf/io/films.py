@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
 from ..core.checks import Array, InputError, require, require_choice, require_whole
-from ..detector import present
+from ..detector import for_eyes
 from .images import load, load_parameters, reading
 
 SIDES = ("right", "left")
@@ -187,7 +187,7 @@ def read_film(path: str | Path) -> FilmImage:
 def _rendered(path: Path) -> FilmImage:
     """Linear pixels of this package, for eyes."""
     radiograph = load(path)
-    shown = present(radiograph.pixels, bits=16, detector=radiograph.protocol.detector)
+    shown = for_eyes(radiograph, 16)
     side = None if radiograph.knee is None else radiograph.knee.side
     return FilmImage(pixels=shown / 65535.0, pixel_mm=radiograph.protocol.pixel_mm, side=side)
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image, PngImagePlugin
 
 from ..core.checks import InputError, require_choice
-from ..detector import present
+from ..detector import for_eyes
 from ..model.knee import knee_from, knee_table
 from ..model.protocol import protocol_from, protocol_table
 from ..model.radiograph import Radiograph, Truth
@@ -52,9 +52,7 @@ def save(radiograph: Radiograph, path: str | Path, *, intent: str | None = None,
         if suffix == ".png":
             note = PngImagePlugin.PngInfo()
             note.add_text("Description", as_json(radiograph))
-            Image.fromarray(present(radiograph.pixels, side=side, detector=radiograph.protocol.detector)).save(
-                temporary, format="PNG", pnginfo=note
-            )
+            Image.fromarray(for_eyes(radiograph, side=side)).save(temporary, format="PNG", pnginfo=note)
         elif suffix == ".dcm":
             from . import dicom  # pydicom is not imported before a DICOM is wanted
 

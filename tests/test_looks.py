@@ -1,0 +1,129 @@
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+import pssf
+from pssf import InputError
+from pssf.data.looks import looks
+from pssf.detector.looks import film, processed
+from pssf.detector.pyramid import join, split
+
+PLAIN = msgspec.structs.replace(looks().processed, power=1.0, edge_gain=1.0, latitude_gain=1.0)
+SIDE = 256
+
+
+def changed(**values):
+    return msgspec.structs.replace(PLAIN, **values)
+
+
+def limb(log_detail=0.0):
+    """(256, 256)  signal of a band of limb between strips of air"""
+    density = np.full((SIDE, SIDE), 2.5) + log_detail
+    density[:, :32] = density[:, -32:] = 0.0
+    return (2e4 * np.exp(-density)).astype(np.float32)
+
+
+def waves(amplitude, period_px):
+    rows = np.arange(SIDE)[:, None] * np.ones(SIDE)
+    return amplitude * np.sin(2 * np.pi * rows / period_px)
+
+
+@given(
+    st.integers(9, 90), st.integers(9, 90), st.integers(0, 5), st.floats(-3, 3, width=32), st.floats(0, 100, width=32)
+)
+def test_a_pyramid_that_is_not_changed_gives_the_image_back(rows, cols, seed, mean, contrast):
+    image = np.random.default_rng(seed).normal(mean, contrast, (rows, cols)).astype(np.float32)
+    assert_allclose(join(*split(image)), image, atol=1e-5 * max(1.0, contrast))
+
+
+def test_an_even_image_has_no_details():
+    details, rest = split(np.full((70, 41), 3.0, np.float32))
+    assert len(details) == 3
+    assert max(np.abs(layer).max() for layer in details) < 1e-5
+    assert_allclose(rest, 3.0, rtol=1e-6)
+
+
+def test_without_factors_the_grey_is_a_rising_curve_of_the_logarithm():
+    rng = np.random.default_rng(0)
+    signal = limb(rng.normal(0, 0.4, (SIDE, SIDE)))
+    grey = processed(signal, 0.15, PLAIN)
+    order = np.argsort(signal, axis=None)[::-1]
+    assert np.diff(grey.ravel()[order]).min() > -1e-5
+    assert grey.min() >= 0
+    assert grey.max() <= 1
+    shown = processed(signal, 0.15, changed(bend=1e-3))[:, 32:-32]
+    assert_allclose([(shown < 1e-3).mean(), (shown > 1 - 1e-3).mean()], [PLAIN.dark, 1 - PLAIN.bright], atol=0.02)
+
+
+def test_a_power_below_one_makes_small_details_larger_beside_great_ones():
+    small, great = (waves(size, 16.0) for size in (0.03, 0.3))
+    fixed = dict(dark=0.0, bright=1.0, bend=1e-3)
+
+    def ratio(power):
+        # Both in one image, left and right, so that both have one curve to grey.
+        both = np.where(np.arange(SIDE) < SIDE // 2, small, great)
+        grey = processed(limb(both), 0.15, changed(power=power, **fixed))
+        return np.ptp(grey[64:-64, 60:90]) / np.ptp(grey[64:-64, -90:-60])
+
+    assert_allclose(ratio(1.0), 0.1, rtol=0.05)
+    # Vuylsteke and Schoeters 1994: (x / bound)^power.
+    assert_allclose(ratio(0.7), 0.1**0.7, rtol=0.12)
+
+
+def test_latitude_takes_contrast_from_large_structures_alone():
+    both = waves(0.3, 256.0) + waves(0.3, 8.0)
+
+    def slow_over_fine(gain):
+        look = changed(latitude_gain=gain, latitude_mm=20.0, dark=0.0, bright=1.0, bend=1e-3)
+        power = np.abs(np.fft.rfft(processed(limb(both), 0.5, look)[:, 96:-96].mean(axis=1)))
+        return power[1] / power[32]
+
+    assert_allclose(slow_over_fine(1.0), 1.0, rtol=0.05)
+    assert 0.3 < slow_over_fine(0.3) < 0.6
+
+
+def test_air_and_the_collimator_are_black():
+    signal = limb()
+    signal[:20] = 1.0
+    grey = processed(signal, 0.15, looks().processed)
+    assert grey[:20].max() == 0
+    assert grey[30:, :20].max() < 0.05
+
+
+def test_a_film_has_the_density_of_its_table_at_the_median_and_darkens_with_dose():
+    look = looks().film
+    signal = limb(np.random.default_rng(1).normal(0, 0.3, (SIDE, SIDE)))
+    grey = film(signal, look)
+    density = look.base + (1 - grey) * (look.most - look.base)
+    assert_allclose(np.median(density[:, 32:-32]), look.middle, atol=0.01)
+    order = np.argsort(signal, axis=None)
+    assert np.diff(density.ravel()[order]).min() >= -1e-6
+
+
+def test_each_look_shows_bone_brighter_than_muscle_brighter_than_air():
+    strips = np.repeat([16000.0, 2500.0, 1800.0, 1200.0], 64)
+    pixels = (np.ones((256, 1)) * strips + 50).astype(np.uint16)
+    for look in ("linear", "processed", "film"):
+        shown = pssf.present(pixels, look=look, pixel_mm=0.5)[128, 32::64].astype(int)
+        assert (np.diff(shown) > 0).all(), look
+
+
+def test_an_even_field_is_shown():
+    for look in ("processed", "film"):
+        assert np.isfinite(pssf.present(np.full((64, 64), 3000, np.uint16), look=look)).all()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"look": "soft"}, "look = 'soft'; allowed: linear, processed, film"),
+        ({"look": 3}, "look = 3; allowed: linear, processed, film, a Processed or a Film"),
+        ({"pixel_mm": 0.0}, "pixel_mm = 0.0 mm"),
+    ],
+)
+def test_what_is_no_look_is_refused(wrong, said):
+    with pytest.raises(InputError, match=said):
+        pssf.present(np.ones((8, 8), np.uint16), **wrong)
