@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from .io.images import load, load_parameters, save
     from .io.masks import load_masks, save_masks
     from .io.meshes import export_meshes
+    from .model.exposure import draw_exposure
     from .model.knee import Knee, Osteophyte, draw_knee
     from .model.protocol import Protocol, load_protocol
     from .model.radiograph import Radiograph, Truth
@@ -51,6 +52,7 @@ _WHERE = {
     "io.images": ("load", "load_parameters", "save"),
     "io.masks": ("load_masks", "save_masks"),
     "io.meshes": ("export_meshes",),
+    "model.exposure": ("draw_exposure",),
     "model.knee": ("Knee", "Osteophyte", "draw_knee"),
     "model.protocol": ("Protocol", "load_protocol"),
     "model.radiograph": ("Radiograph", "Truth"),
@@ -75,6 +77,7 @@ __all__ = [
     "Truth",
     "build",
     "check",
+    "draw_exposure",
     "draw_knee",
     "export_meshes",
     "load",

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from .core.timer import Timer
 from .detector import blur
+from .detector.marker import lead_letter
 from .detector.noise import Map, quantum_noise
 from .detector.panel import readout
 from .geometry.scene import Scene
@@ -178,6 +179,12 @@ def blur_focal_spot(image: LatentImage, chain: Chain) -> None:
     image.signal = np.maximum(signal, 0, out=signal)
 
 
+def lay_marker(image: LatentImage, chain: Chain) -> None:
+    """A letter of lead on the detector's cover, near enough to cast a sharp shadow."""
+    image.signal = image.mean * lead_letter(chain.technique)
+    image.frequencies = None
+
+
 def draw_quanta(image: LatentImage, chain: Chain) -> None:
     """The chance of how many photons are absorbed."""
     photon_kev, swank = image.straight.photon_kev, chain.technique.detector.swank
@@ -215,6 +222,7 @@ STAGES = (
     Stage("scatter", lambda protocol: protocol.scatter == "monte_carlo", scatter_by_photons),
     Stage("grid", lambda protocol: protocol.grid_ratio > 0, pass_grid),
     Stage("focal spot", lambda protocol: protocol.focal_spot_mm > 0 and protocol.focal_spot == "blur", blur_focal_spot),
+    Stage("marker", lambda protocol: protocol.marker != "none", lay_marker),
     Stage("quantum noise", lambda protocol: protocol.noise == "quantum", draw_quanta),
     Stage("detector blur", lambda protocol: protocol.detector_blur != "none", blur_panel),
     Stage("readout", lambda protocol: True, read_out),

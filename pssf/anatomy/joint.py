@@ -93,6 +93,7 @@ def assemble(knee: Knee, shape: BoneShape, posture: Posture) -> KneeAssembly:
         at(posture.flexion_deg) if posture.flexion_deg else straight,
         rotation_deg=knee.rotation_deg + posture.rotation_deg,
         forward_deg=posture.tibia_forward_deg,
+        lean_deg=defined.lean_deg - posture.tilt_deg + protocol.tilt_deg,
     )
     mirror = (1.0 if knee.side == "right" else -1.0, posture.mirror_y, 1.0)
     return KneeAssembly(protocol, posture, build, femur, tibia, pose, mirror)

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from manifold3d import Manifold
+from manifold3d import Manifold, OpType
 from numpy.typing import NDArray
 
 from ..core.checks import Array
@@ -90,7 +90,9 @@ class BoneWithOsteophytes:
             within = beak.solid(_CORTEX_MM / scale + _THICKENING * beak.size_mm)
             # A rounded margin may not hold the feet of a small beak; what is outside of the bone, drawn in, is cut off.
             if (within - self.outer).volume() > 0:
-                within = within ^ self.outer ^ self.outer.translate(-_DRAWN_IN_MM * beak.out)
+                around = (-beak.out, *np.eye(3)[1:], *-np.eye(3)[1:])
+                drawn_in = [self.outer.translate(_DRAWN_IN_MM * way) for way in around]
+                within = Manifold.batch_boolean([within, self.outer, *drawn_in], OpType.Intersect)
             # With edges short enough to bend with the bone.
             inner = inner + within.refine_to_length(_EDGE_MM)
         return inner

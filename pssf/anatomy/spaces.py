@@ -47,7 +47,7 @@ def solve_pose(knee: Knee, build: Build, femur: Manifold, tibia: Manifold, proto
         flexion_deg=knee.flexion_deg + posture.flexion_deg,
         rotation_deg=knee.rotation_deg + posture.rotation_deg,
         pivot_mm=(0.0, y, z),
-        lean_deg=build.tibia_varus_deg - knee.lean_deg,
+        lean_deg=build.tibia_varus_deg - knee.lean_deg - posture.tilt_deg,
         forward_deg=posture.tibia_forward_deg,
     )
     measure = _measure(knee, build, (femur, tibia), protocol)

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from platform import node
 from typing import Any
@@ -161,7 +161,9 @@ def _row(case: Case, exposure: Exposure, radiograph: Radiograph, file: Path, dig
     }
     if exposure.kind:
         row |= {"kind": exposure.kind, "turn": exposure.turn, "of_knee": exposure.of_knee}
-    row |= {**knee, **{name: json.dumps(knee[name]) for name in ("shape", "osteophytes")}} | protocol
+    # A knee has a flexion and a rotation of its own, which a posture adds to.
+    stands = {f"posture_{name}": protocol.pop(name) for name in asdict(exposure.protocol.posture)}
+    row |= {**knee, **{name: json.dumps(knee[name]) for name in ("shape", "osteophytes")}} | protocol | stands
     for name in ("medial", "lateral"):
         place = truth.landmarks_px[f"{name}_joint_line"]
         row |= {f"truth_{name}_row_px": round(place[0], 4), f"truth_{name}_col_px": round(place[1], 4)}

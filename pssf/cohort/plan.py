@@ -10,11 +10,12 @@ from msgspec import structs
 
 from ..core.checks import InputError, require_choice, require_seed, require_whole
 from ..data.presets import presets
+from ..model.exposure import draw_exposure
 from ..model.knee import Knee, draw_knee, knee_table
 from ..model.protocol import Protocol, load_protocol, protocol_table
 
 # Keys of the streams under a cohort's seed. A knee's index stands first, so the order of making changes nothing.
-_SHAPE, _NOISE, _RETEST, _BODY = 0, 3, 4, 2**31
+_SHAPE, _NOISE, _RETEST, _TAKING, _BODY = 0, 3, 4, 5, 2**31
 # Off by which a knee is placed anew: what a careful radiographer is said to keep to (judgement).
 _ROTATION_DEG, _FLEXION_DEG, _BEAM_DEG = 2.0, 2.0, 1.0
 # What the two knees of a subject share.
@@ -99,13 +100,14 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
     for name in overrides or {}:
         require_choice("preset entry", name, presets()[preset].__struct_fields__)
     chosen = structs.replace(presets()[preset], **(overrides or {}))
+    require_choice("exposures", chosen.exposures, ("fixed", "drawn"))
     protocols = [load_protocol(name) for name in chosen.protocols]
     names = [protocol.name for protocol in protocols]
     if len(set(names)) < len(names) or not names:
         raise InputError(f"protocols = {', '.join(names) or 'none'}; allowed: one or more, each once")
     cases = []
     for index, (subject, grade, side) in enumerate(_people(chosen.knees, chosen.bilateral)):
-        cases.append(_case(seed, index, subject, grade, side, protocols))
+        cases.append(_case(seed, index, subject, grade, side, protocols, chosen.exposures))
     require_whole("retested", chosen.retested, 0, 100_000, "knees")
     return Plan(preset=preset, seed=seed, repeats=chosen.repeats, cases=tuple(cases), retested=chosen.retested)
 
@@ -192,7 +194,9 @@ def _people(knees: Sequence[int], bilateral: int) -> list[tuple[int, int, str | 
     return people
 
 
-def _case(seed: int, index: int, subject: int, grade: int, side: str | None, protocols: list[Protocol]) -> Case:
+def _case(
+    seed: int, index: int, subject: int, grade: int, side: str | None, protocols: list[Protocol], taken: str
+) -> Case:
     fixed = dict(_body(seed, subject))
     if side is not None:
         fixed["side"] = side
@@ -202,6 +206,9 @@ def _case(seed: int, index: int, subject: int, grade: int, side: str | None, pro
     for place, protocol in enumerate(protocols):
         state = np.random.SeedSequence(seed, spawn_key=(index, _NOISE, place)).generate_state(1, np.uint64)
         name = f"s{subject:04d}_k{index:04d}_{protocol.name}"
+        if taken == "drawn":
+            taking = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index, _TAKING, place)))
+            protocol = draw_exposure(protocol, rng=taking, side=knee.side)
         exposures.append(Exposure(name, protocol, int(state[0] >> np.uint64(1))))
     return Case(subject=subject, index=index, knee=knee, exposures=tuple(exposures))
 

@@ -59,7 +59,7 @@ def _asked(folder: Path, rows: list[Row]) -> Iterator[str]:
     """Whether the manifest has as many radiographs as were asked for."""
     try:
         asked = records.read_json(folder / "cohort.json")
-        wanted = len(asked["knees"]) * len(asked["protocols"])
+        wanted = len(asked["knees"]) * len({protocol["name"] for protocol in asked["protocols"]})
     except (InputError, KeyError, TypeError):
         yield "cohort.json: damaged (not what was asked for)"
         return

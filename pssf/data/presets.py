@@ -14,6 +14,7 @@ class Preset(Record, frozen=True):
     protocols  names
     repeats    random splits by subject
     retested   knees taken again
+    exposures  fixed: each protocol as it is; drawn: as takings vary, see `draw_exposure`
     """
 
     knees: tuple[int, ...]
@@ -21,6 +22,7 @@ class Preset(Record, frozen=True):
     protocols: tuple[str, ...]
     repeats: int
     retested: int
+    exposures: str = "fixed"
 
 
 @cache

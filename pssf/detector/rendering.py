@@ -9,6 +9,7 @@ from ..data.detectors import detectors
 from ..data.looks import Film, Processed, looks
 from ..model.radiograph import Radiograph
 from .looks import film, linear, processed
+from .marker import drawn_letter
 
 LOOKS = ("linear", "processed", "film")
 # Width of the shadow of the collimator's leaves, and of its penumbra; height of a marker and its distance from that
@@ -78,8 +79,6 @@ def _shown(signal: NDArray[np.float32], look: str | Processed | Film, pixel_mm: 
 
 def _marked(shown: NDArray[np.float32], side: str) -> NDArray[np.float32]:
     """A view (rows, cols), 0 to 1, within the collimator's shadow, with a side marker in its upper lateral corner."""
-    from PIL import Image, ImageDraw, ImageFont  # only where a marker is drawn
-
     require_choice("side", side, tuple(_MARKERS))
     rows, cols = shown.shape
     smaller = min(rows, cols)
@@ -87,11 +86,7 @@ def _marked(shown: NDArray[np.float32], side: str) -> NDArray[np.float32]:
     field = np.zeros_like(shown)
     field[leaf:-leaf, leaf:-leaf] = 1.0
     field = ndimage.gaussian_filter(field, _PENUMBRA * smaller)
-    sheet = Image.new("L", (cols, rows))
     # In a view from the front a right knee has its lateral side at the left.
     inset = leaf + _APART * smaller
     place, anchor = ((inset, inset), "la") if side == "right" else ((cols - inset, inset), "ra")
-    ImageDraw.Draw(sheet).text(
-        place, _MARKERS[side], fill=255, font=ImageFont.load_default(_MARKER * smaller), anchor=anchor
-    )
-    return np.maximum(shown * field, np.asarray(sheet, np.float32) / 255.0)
+    return np.maximum(shown * field, drawn_letter((rows, cols), _MARKERS[side], _MARKER * smaller, place, anchor))

@@ -59,6 +59,7 @@ def view_of(protocol: Protocol | View) -> View:
 
     The source at (0, -SOD, 0) is turned about the x axis through the origin by beam_angle_deg (positive: it moves
     proximally, the beam points caudally). The detector stays in the plane y = SDD - SOD, centred on the central ray.
+    All moves with the place where that ray passes the joint plane (centre_x_mm, centre_z_mm).
     raises  InputError for anything else
     """
     if isinstance(protocol, View):
@@ -69,9 +70,10 @@ def view_of(protocol: Protocol | View) -> View:
         )
     angle = np.deg2rad(protocol.beam_angle_deg)
     beyond_mm = protocol.sdd_mm - protocol.sod_mm
+    x, z = float(protocol.centre_x_mm), float(protocol.centre_z_mm)
     return View(
-        source_mm=(0.0, float(-protocol.sod_mm * np.cos(angle)), float(protocol.sod_mm * np.sin(angle))),
-        centre_mm=(0.0, beyond_mm, float(-beyond_mm * np.tan(angle))),
+        source_mm=(x, float(-protocol.sod_mm * np.cos(angle)), z + float(protocol.sod_mm * np.sin(angle))),
+        centre_mm=(x, beyond_mm, z + float(-beyond_mm * np.tan(angle))),
         rows=protocol.rows,
         cols=protocol.cols,
         pixel_mm=protocol.pixel_mm,

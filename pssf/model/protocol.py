@@ -17,6 +17,7 @@ class Posture:
     flexion_deg: float = 0.0
     tibia_forward_deg: float = 0.0
     rotation_deg: float = 0.0
+    tilt_deg: float = 0.0
 
     @property
     def mirror_y(self) -> float:
@@ -26,12 +27,12 @@ class Posture:
 
 @dataclass(frozen=True, kw_only=True)
 class Protocol:
-    """A technique. The central ray passes the origin of the knee frame; see `geometry.view_of`.
+    """A technique. The central ray passes the origin of the knee frame, or where `centre_*` say; `geometry.view_of`.
 
     What each field is, its unit and what it may be is in `data/protocol_fields.toml`; `pssf protocols` prints it.
     A stage that is not asked for costs nothing: focal_spot_mm = 0 leaves out the focal-spot blur, mono_kev replaces the
-    tube's spectrum by one energy, and heel, texture, scatter, detector_blur and noise take "none". Without texture,
-    spongy bone has its material's own density throughout.
+    tube's spectrum by one energy, field_*_mm = 0 opens the collimator, and heel, marker, texture, scatter,
+    detector_blur and noise take "none". Without texture, spongy bone has its material's own density throughout.
     raises InputError for a value out of range
     """
 
@@ -53,6 +54,12 @@ class Protocol:
     flexion_deg: float = 0.0
     tibia_forward_deg: float = 0.0
     rotation_deg: float = 0.0
+    tilt_deg: float = 0.0
+    centre_x_mm: float = 0.0
+    centre_z_mm: float = 0.0
+    field_width_mm: float = 0.0
+    field_height_mm: float = 0.0
+    marker: str = "none"
     texture: str = "trabecular"
     focal_spot: str = "blur"
     scatter: str = "kernel"

@@ -14,6 +14,7 @@ from ..geometry.scene import Scene
 from ..geometry.view import View
 from ..raycast.scanline import crossings
 from ..raycast.sheets import BAND_ROWS, sheet_of
+from ..xray.collimator import is_collimated, open_shares
 from ..xray.materials import density_g_per_cm3
 from ..xray.spectrum import beam_of, heel_factor
 from ..xray.technique import Technique
@@ -107,6 +108,8 @@ def _open_kev(shape: tuple[int, ...], step: int, technique: Technique) -> Array:
     opened = signal * view.pixel_mm**2 * 1e6 * depth / distance2**1.5
     if protocol.heel != "none":
         opened *= np.interp(places[0], np.arange(protocol.rows), heel_factor(technique))[:, None]
+    if is_collimated(protocol):
+        opened *= np.outer(*open_shares(technique, step))
     return np.asarray(opened)
 
 

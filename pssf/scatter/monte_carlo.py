@@ -11,6 +11,7 @@ from ..core.blocks import enlarge
 from ..core.checks import Array, require_seed, require_whole, require_workers
 from ..geometry.scene import Scene
 from ..geometry.view import View
+from ..xray.collimator import field_half_mm
 from ..xray.materials import attenuation_per_mm
 from ..xray.spectrum import beam_of
 from ..xray.technique import Technique
@@ -138,7 +139,7 @@ def _setting(voxels: Voxels, technique: Technique, cell_mm: float) -> Setting:
     return Setting(
         source=np.array(view.source_mm),
         plane=view.centre_mm[1],
-        window=_window_mm(voxels, view, field),
+        window=_window_mm(voxels, view, _lit_mm(technique, field)),
         field=np.array([*field, cell_mm]),
         energies=energies,
         chosen=chosen,
@@ -154,6 +155,14 @@ def _field_mm(view: View) -> Array:
     half_x, half_z = view.cols * view.pixel_mm / 2, view.rows * view.pixel_mm / 2
     x, _, z = view.centre_mm
     return np.array([x - half_x, x + half_x, z - half_z, z + half_z])
+
+
+def _lit_mm(technique: Technique, field: Array) -> Array:
+    """(4,)  as `field`: what the collimator, whose edges are sharp here, leaves of it"""
+    x, _, z = technique.view.centre_mm
+    half_x, half_z = field_half_mm(technique)
+    lit = np.array([x - half_x, x + half_x, z - half_z, z + half_z])
+    return np.where([1, 0, 1, 0], np.maximum(lit, field), np.minimum(lit, field))
 
 
 def _window_mm(voxels: Voxels, view: View, field: Array) -> Array:

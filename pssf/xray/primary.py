@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..core.checks import Array
 from ..geometry.view import View
+from .collimator import field_of_view, is_collimated
 from .materials import attenuation_per_mm
 from .spectrum import Beam, beam_for, heel_factor
 from .technique import Technique
@@ -80,7 +81,7 @@ def primary_of(
     view: View | None = None,
     through: Callable[[Beam], Beam] | None = None,
 ) -> Signal:
-    """Primary signal behind path lengths (rows, cols), mm, heel effect included.
+    """Primary signal behind path lengths (rows, cols), mm, heel effect and collimator included.
 
     view     of a source that is not in the middle of the focal spot; that of the technique if None
     through  what the beam passes before the detector, such as a grid
@@ -89,6 +90,8 @@ def primary_of(
     signal = transmit(path_mm, beam if through is None else through(beam), view or technique.view, workers)
     if technique.protocol.heel != "none":
         signal.kev[:] *= heel_factor(technique)[:, None].astype(np.float32)
+    if is_collimated(technique.protocol):
+        signal.kev[:] *= field_of_view(technique)
     return signal
 
 

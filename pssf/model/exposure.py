@@ -1,0 +1,60 @@
+"""draw_exposure: a protocol as it is carried out, each time a little other."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..core.checks import InputError, require_choice
+from ..data.exposures import exposures
+from ..data.fields import field_laws
+from .protocol import Protocol
+
+_CUT_SD = 2.0
+# Only a protocol that bends the knee bends it more or less.
+_OF_BENT = ("flexion_deg", "tibia_forward_deg")
+_MARKERS = {"right": "R", "left": "L"}
+
+
+def draw_exposure(protocol: Protocol, *, rng: np.random.Generator, side: str | None = None) -> Protocol:
+    """A taking: centring, tilt and rotation of the leg, flexion, beam, distance, kV, mAs, field and marker vary.
+
+    By how much is in `data/exposures.toml`, with its sources; where the result would leave a field's range it is that
+    range's end. All that was drawn is in the protocol, which a radiograph keeps.
+
+    protocol  the view as it is meant
+    side      of the knee, whose letter the marker then is; None for no marker
+    raises    InputError for what is no protocol, generator or side
+    """
+    if not isinstance(protocol, Protocol):
+        raise InputError(f"protocol = {protocol!r}; allowed: a Protocol, as load_protocol gives it")
+    if not isinstance(rng, np.random.Generator):
+        raise InputError(f"rng = {rng!r}; allowed: a numpy.random.Generator")
+    require_choice("side", side, (*_MARKERS, None))
+    table = exposures()
+    # All are drawn, so that one more field of use leaves the others as they were.
+    drawn = {name: float(_normal(rng)) * sd for name, sd in (table.spread | table.factor).items()}
+    width, height = (float(rng.uniform(*pair)) for pair in (table.field.width_mm, table.field.height_mm))
+    marked = rng.random() < table.marker.share
+    values = {name: getattr(protocol, name) + drawn[name] for name in table.spread}
+    values |= {name: getattr(protocol, name) * float(np.exp(drawn[name])) for name in table.factor}
+    if protocol.flexion_deg == 0:
+        values |= {name: getattr(protocol, name) for name in _OF_BENT}
+    values["sod_mm"] = values["sdd_mm"] - (protocol.sdd_mm - protocol.sod_mm)
+    within = {name: _within(name, value) for name, value in values.items()}
+    letter = _MARKERS[side] if marked and side is not None else "none"
+    field: dict[str, Any] = {"field_width_mm": round(width, 1), "field_height_mm": round(height, 1), "marker": letter}
+    return replace(protocol, **(field | within))
+
+
+def _normal(rng: np.random.Generator) -> float:
+    while abs(value := rng.standard_normal()) > _CUT_SD:
+        pass
+    return float(value)
+
+
+def _within(name: str, value: float) -> float:
+    """A field's value, in its range, without digits that nobody could measure."""
+    law = field_laws("protocol")[name]
+    assert law.range is not None
+    return round(float(np.clip(value, *law.range)), 3)

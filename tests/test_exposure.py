@@ -1,0 +1,146 @@
+import dataclasses
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+import pssf
+from pssf import InputError
+from pssf.data.exposures import exposures
+from pssf.scatter.monte_carlo import count
+from pssf.xray.collimator import field_of_view
+from pssf.xray.technique import technique_of
+
+FIXED_FLEXION = pssf.load_protocol("fixed_flexion")
+PLAIN = dict(rows=256, cols=256, pixel_mm=1.2, texture="none", noise="none")
+COARSE = dataclasses.replace(FIXED_FLEXION, **PLAIN)
+
+
+def taking(seed, protocol=FIXED_FLEXION, side="right"):
+    return pssf.draw_exposure(protocol, rng=np.random.default_rng(seed), side=side)
+
+
+@pytest.fixture(scope="module")
+def built():
+    return pssf.build(pssf.Knee(), COARSE)
+
+
+@pytest.fixture(scope="module")
+def taken(built):
+    return pssf.simulate(built, COARSE, keep=("primary", "scatter"))
+
+
+@given(st.integers(0, 2**32), st.sampled_from(["reference", "fixed_flexion", "caudal_beam", "low_dose"]))
+def test_a_taking_is_one_of_the_protocols_that_can_be(seed, name):
+    protocol = pssf.load_protocol(name)
+    drawn = taking(seed, protocol)
+    assert drawn == taking(seed, protocol)
+    assert drawn.sdd_mm - drawn.sod_mm == pytest.approx(protocol.sdd_mm - protocol.sod_mm, abs=2e-3)
+    assert drawn.marker in ("R", "none")
+    assert (drawn.flexion_deg == 0) == (protocol.flexion_deg == 0)
+
+
+def test_takings_vary_by_what_the_table_says():
+    table, drawn = exposures(), [taking(seed) for seed in range(1500)]
+    # A normal cut at two standard deviations keeps 0.88 of its own.
+    for name, sd in table.spread.items():
+        values = np.array([getattr(protocol, name) for protocol in drawn])
+        assert_allclose(values.mean(), getattr(FIXED_FLEXION, name), atol=4 * sd / np.sqrt(len(drawn)))
+        assert_allclose(values.std(), 0.88 * sd, rtol=0.08)
+    for name, sd in table.factor.items():
+        assert_allclose(np.log([getattr(protocol, name) for protocol in drawn]).std(), 0.88 * sd, rtol=0.08)
+    assert_allclose(np.mean([protocol.marker == "R" for protocol in drawn]), table.marker.share, atol=0.04)
+
+
+def test_the_letter_is_that_of_the_side_and_without_one_there_is_none():
+    assert {taking(seed, side="left").marker for seed in range(30)} == {"L", "none"}
+    assert {taking(seed, side=None).marker for seed in range(30)} == {"none"}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"protocol": "fixed_flexion"}, "protocol = 'fixed_flexion'; allowed: a Protocol"),
+        ({"rng": 3}, "rng = 3; allowed: a numpy.random.Generator"),
+        ({"side": "up"}, "side = 'up'; allowed: right, left"),
+    ],
+)
+def test_what_cannot_be_drawn_from_is_refused(wrong, said):
+    given = {"protocol": FIXED_FLEXION, "rng": np.random.default_rng(0)} | wrong
+    with pytest.raises(InputError, match=said):
+        pssf.draw_exposure(given.pop("protocol"), **given)
+
+
+def test_the_knee_moves_on_the_film_as_the_central_ray_is_moved(built, taken):
+    protocol = dataclasses.replace(COARSE, centre_x_mm=12.0, centre_z_mm=-20.0)
+    off = pssf.simulate(built, protocol)
+    moved = np.subtract(off.truth.landmarks_px["joint_centre"], taken.truth.landmarks_px["joint_centre"])
+    scale = COARSE.sdd_mm / (COARSE.sod_mm * np.cos(np.deg2rad(COARSE.beam_angle_deg))) / COARSE.pixel_mm
+    assert_allclose(moved, [-20.0 * scale, -12.0 * scale], rtol=0.04)
+    assert off.truth.jsw_medial_mm == pytest.approx(taken.truth.jsw_medial_mm, abs=1e-9)
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_a_leg_that_is_tilted_is_so_on_the_film_and_keeps_its_joint_space(side):
+    knee = pssf.Knee(side=side)
+    straight, tilted = (
+        pssf.build(knee, dataclasses.replace(COARSE, tilt_deg=degrees)).truth(
+            dataclasses.replace(COARSE, tilt_deg=degrees)
+        )
+        for degrees in (0.0, 6.0)
+    )
+
+    def slope(truth):
+        medial, lateral = (np.array(truth.landmarks_px[f"tibia_{end}_edge"]) for end in ("medial", "lateral"))
+        row, col = medial - lateral
+        return np.degrees(np.arctan2(row, abs(col)))
+
+    # The foot goes towards medial: the medial end of the plateau goes up.
+    assert slope(tilted) - slope(straight) == pytest.approx(-6.0, abs=0.3)
+    assert tilted.jsw_medial_mm == pytest.approx(straight.jsw_medial_mm, abs=1e-3)
+
+
+def test_a_collimator_takes_the_beam_outside_its_field_and_scatter_inside(built, taken):
+    protocol = dataclasses.replace(COARSE, field_width_mm=120.0, field_height_mm=180.0)
+    found = pssf.simulate(built, protocol, keep=("primary", "scatter"))
+    share = field_of_view(technique_of(protocol))
+    assert_allclose(share.sum() * COARSE.pixel_mm**2, 120.0 * 180.0, rtol=1e-3)
+    within, beyond = share == 1, share == 0
+    assert np.array_equal(found.kept["primary"][within], taken.kept["primary"][within])
+    assert (found.kept["primary"][beyond] == 0).all()
+    assert found.kept["scatter"].sum() < 0.8 * taken.kept["scatter"].sum()
+    assert (found.kept["scatter"][within] <= taken.kept["scatter"][within] * (1 + 1e-4)).all()
+
+
+def test_the_edge_of_the_field_is_as_wide_as_the_shadow_of_the_spot():
+    protocol = dataclasses.replace(COARSE, cols=2000, pixel_mm=0.05, field_width_mm=60.0, focal_spot_mm=1.2)
+    row = field_of_view(technique_of(protocol))[100]
+    wide = ((row > 0.02) & (row < 0.98)).sum() / 2 * 0.05 / 0.96
+    assert_allclose(wide, 1.2 * (protocol.sdd_mm / 300.0 - 1), rtol=0.02)
+
+
+def test_photons_start_between_the_leaves():
+    scene = pssf.Scene([pssf.Surface(trimesh.creation.box((150.0, 40.0, 150.0)), "muscle", "air")])
+    protocol = dataclasses.replace(COARSE, field_width_mm=100.0, field_height_mm=100.0, beam_angle_deg=0.0)
+    counts = count(scene, technique_of(protocol), photons=40_000, seed=1)
+    primary = counts.primary_kev.mean(axis=0)
+    side_mm = counts.step * COARSE.pixel_mm
+    middle = (np.arange(len(primary)) + 0.5) * side_mm - COARSE.rows * COARSE.pixel_mm / 2
+    outside = np.abs(middle) > 50.0 + side_mm
+    assert primary[outside].sum() == primary[:, outside].sum() == 0
+    assert primary[~outside][:, ~outside].sum() > 0
+
+
+def test_a_marker_of_lead_lies_in_the_upper_corner_of_the_field_and_nowhere_else(built, taken):
+    small = dict(field_width_mm=200.0, field_height_mm=240.0)
+    plain = pssf.simulate(built, dataclasses.replace(COARSE, **small)).pixels.astype(float)
+    for letter, left in (("R", True), ("L", False)):
+        marked = pssf.simulate(built, dataclasses.replace(COARSE, **small, marker=letter)).pixels.astype(float)
+        rows, cols = np.nonzero(marked < 0.6 * plain)
+        assert len(rows) > 8
+        assert (rows < 128).all()
+        assert (cols < 128).all() if left else (cols > 128).all()
+        assert np.abs(marked - plain)[128:].max() < 60
