@@ -424,3 +424,25 @@ def test_a_cohort_needs_a_folder_that_can_be_written(protocols, tmp_path):
     Path(tmp_path / "file").write_text("in the way")
     with pytest.raises(pssf.InputError, match="allowed: a folder that can be written"):
         cohort.make_cohort(tiny(protocols), tmp_path / "file" / "c", workers=1)
+
+
+def test_the_manifest_has_the_flexion_of_the_knee_and_that_of_the_posture(tmp_path):
+    small = tmp_path / "small.toml"
+    small.write_text('base = "fixed_flexion"\nname = "small"\nrows = 64\ncols = 64\npixel_mm = 4.8\ntexture = "none"\n')
+    plan = tiny([str(small)], exposures="drawn")
+    rows = rows_of(cohort.make_cohort(plan, tmp_path / "made", workers=2))
+    for case, row in zip(plan.cases, rows, strict=True):
+        assert float(row["flexion_deg"]) == case.knee.flexion_deg
+        assert float(row["posture_flexion_deg"]) == case.exposures[0].protocol.flexion_deg
+        assert float(row["centre_x_mm"]) == case.exposures[0].protocol.centre_x_mm
+    assert len({row["posture_flexion_deg"] for row in rows}) == 3
+    assert not cohort.verify_cohort(tmp_path / "made").faults
+
+
+def test_exposures_are_fixed_or_drawn_and_the_paper_has_them_fixed():
+    plan = cohort.plan_cohort("paper", seed=0)
+    assert {exposure.protocol.name: exposure.protocol for case in plan.cases for exposure in case.exposures} == {
+        name: pssf.load_protocol(name) for name in ("reference", "low_dose", "geometry_shift")
+    }
+    with pytest.raises(pssf.InputError, match="exposures = 'any'; allowed: fixed, drawn"):
+        tiny(["reference"], exposures="any")

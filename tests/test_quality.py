@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 import pssf
 from pssf import quality
 from pssf.quality import beam, detector, measure
+from pssf.quality.exposure import exposure_quantities
 
 REFERENCE = pssf.load_protocol("reference")
 
@@ -69,3 +70,11 @@ def test_every_figure_of_a_protocol_comes_with_its_reference(tmp_path):
     assert rows["hvl1_mm_al"]["reference"] == "2.636"
     assert all(np.isfinite(float(row["value"])) for row in rows.values())
     assert paths[3].read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_protocol_with_a_posture_a_field_and_a_marker_is_measured_as_the_open_detector_sees_it():
+    bent = dataclasses.replace(pssf.load_protocol("fixed_flexion"), rows=256, cols=256, pixel_mm=1.2)
+    taken = dataclasses.replace(bent, field_width_mm=20.0, field_height_mm=20.0, marker="R")
+    assert detector.bare(taken, 64) == detector.bare(bent, 64)
+    quantities, _ = exposure_quantities(bent)
+    assert 150 < quantities["exposure_index"] < 600

@@ -38,7 +38,16 @@ class Curve:
 def bare(protocol: Protocol, side_px: int) -> Protocol:
     """The protocol with a detector of a square of pixels, and nothing between it and a point source."""
     return replace(
-        protocol, rows=side_px, cols=side_px, focal_spot_mm=0.0, scatter="none", heel="none", dead_pixels=0.0
+        protocol,
+        rows=side_px,
+        cols=side_px,
+        focal_spot_mm=0.0,
+        scatter="none",
+        heel="none",
+        dead_pixels=0.0,
+        field_width_mm=0.0,
+        field_height_mm=0.0,
+        marker="none",
     )
 
 

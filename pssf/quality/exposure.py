@@ -24,7 +24,7 @@ def exposure_quantities(protocol: Protocol) -> tuple[dict[str, float], Array]:
 
     exposure_index  100 per uGy of air kerma that an RQA5 beam needs for the median signal behind the limb (IEC 62494-1)
     """
-    built = build(Knee())
+    built = build(Knee(), protocol)
     taken = replace(protocol, noise="none", dead_pixels=0.0)
     radiograph = simulate(built, taken, engine="scanline", keep=("primary", "scatter", "path_mm"))
     primary, kept = radiograph.kept["primary"], radiograph.kept

@@ -78,7 +78,7 @@ def measure(
 
     films         folder of real films, or of folders of them, one a source; see `io.films.list_films`
     bones_folder  of real bones; see `io.bones.read_bones`
-    protocol      that simulated knees are seen under, by name or path
+    protocol      that simulated knees are seen under, by name or path; films are takings of it (`draw_exposure`)
     knees         that are drawn, the grades alike
     raises        InputError for a folder that holds none, a number out of range, a disk that cannot be written
     """
@@ -189,9 +189,9 @@ def _films(out: Path, sources: Sequence[Source], protocol: str, knees: int, seed
 
 
 def _simulated(where: Path, protocol: str, knees: int, seed: int, execution: Execution) -> Source:
-    """A cohort of drawn knees under a protocol, the grades alike, as films."""
+    """A cohort of drawn knees, the grades alike, as films: takings of a protocol, as people's are."""
     each = [knees // len(GRADES) + (index < knees % len(GRADES)) for index in range(len(GRADES))]
-    plan = plan_cohort("quick", seed=seed, overrides={"knees": each, "protocols": [protocol]})
+    plan = plan_cohort("quick", seed=seed, overrides={"knees": each, "protocols": [protocol], "exposures": "drawn"})
     with execution.stage("simulated films", "radiographs", sum(len(case.exposures) for case in plan.cases)) as stage:
         manifest = read_manifest(make_cohort(
             plan,
