@@ -27,11 +27,14 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
     protocol = dataclasses.replace(reference, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
     joint = (slice(pixels * 5 // 16, pixels * 11 // 16), slice(pixels * 5 // 16, pixels * 11 // 16))
     before = pssf.simulate(knee, protocol, seed=1).pixels
-    shown = [panel(pssf.present(before)[joint], SIDE, SIDE, "healthy")]
+    shown = [panel(pssf.present(before, look="processed")[joint], SIDE, SIDE, "healthy")]
     for what, other in changed.items():
         after = pssf.simulate(other, protocol, seed=1).pixels
         change = np.clip(128 + 200 * (np.log(after + 1.0) - np.log(before + 1.0)), 0, 255).astype(np.uint8)
-        shown += [panel(pssf.present(after)[joint], SIDE, SIDE, what), panel(change[joint], SIDE, SIDE, "what changed")]
+        shown += [
+            panel(pssf.present(after, look="processed")[joint], SIDE, SIDE, what),
+            panel(change[joint], SIDE, SIDE, "what changed"),
+        ]
     return [side_by_side(shown, out / "counterfactual.png")]
 
 

@@ -28,7 +28,7 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
     protocol = dataclasses.replace(reference, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
     radiograph = pssf.simulate(knee, protocol, seed=2, keep=("masks",))
     truth = radiograph.truth
-    plain = pssf.present(radiograph.pixels)
+    plain = pssf.present(radiograph.pixels, look="processed")
     drawn = np.repeat(plain[..., None], 3, axis=2)
     for name, mask in truth.masks.items():
         rim = ndimage.binary_dilation(mask, iterations=max(1, pixels // 512)) & ~mask

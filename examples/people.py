@@ -27,7 +27,9 @@ def shown(knee: pssf.Knee, protocol: pssf.Protocol) -> np.ndarray:
     radiograph = pssf.simulate(knee, protocol, seed=1)
     magnified = protocol.sdd_mm / protocol.sod_mm / protocol.pixel_mm
     (row, col), (tall, wide) = radiograph.truth.landmarks_px["joint_centre"], (half * magnified for half in HALF_MM)
-    part = pssf.present(radiograph.pixels)[round(row - tall) : round(row + tall), round(col - wide) : round(col + wide)]
+    part = pssf.present(radiograph.pixels, look="processed")[
+        round(row - tall) : round(row + tall), round(col - wide) : round(col + wide)
+    ]
     return panel(part, ROWS, COLS, f"grade {knee.grade}, {knee.sex}, {knee.side}")
 
 

@@ -24,7 +24,7 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
         radiograph = pssf.simulate(built, protocol, seed=1)
         row, col = (round(place) for place in radiograph.truth.medial_joint_line_px)
         half = round(30.0 / pixel_mm)
-        near = pssf.present(radiograph.pixels)[row - half : row + half, col - half : col + half]
+        near = pssf.present(radiograph.pixels, look="processed")[row - half : row + half, col - half : col + half]
         shown.append(panel(near, SIDE, SIDE, name.replace("_", " ")))
     return [side_by_side(shown, out / "protocols.png")]
 

@@ -21,7 +21,9 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
         radiograph = pssf.simulate(knee, protocol, seed=grade, keep=("path_mm",))
         joint = radiograph.truth.medial_joint_line_px
         told = f"medial joint space {knee.jsw_medial_mm:.1f} mm"
-        columns.append(column(pssf.present(radiograph.pixels), joint, protocol.pixel_mm, f"grade {grade}", told))
+        columns.append(
+            column(pssf.present(radiograph.pixels, look="processed"), joint, protocol.pixel_mm, f"grade {grade}", told)
+        )
     # Drawn with a power below 1, so that the thin cortex at the joint is seen beside the shaft's.
     shown = heat((radiograph.kept["path_mm"]["cortical_bone"] / MOST_MM) ** 0.6, 1.0)
     columns.append(column(shown, joint, protocol.pixel_mm, "path through cortical bone", f"0 to {MOST_MM:g} mm"))

@@ -22,8 +22,8 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
     shown = {
         "primary": heat(np.log(primary[joint] / primary[joint].min()), 3.0),
         "scatter / primary, 0 to 4": heat(ratio, 4.0),
-        "without noise": pssf.present(radiograph.kept["noise_free"])[joint],
-        "as read": pssf.present(radiograph.pixels)[joint],
+        "without noise": pssf.present(radiograph.kept["noise_free"], look="processed")[joint],
+        "as read": pssf.present(radiograph.pixels, look="processed")[joint],
         "noise": np.clip(128 + noise[joint] / 2, 0, 255).astype(np.uint8),
     }
     return [side_by_side([panel(image, 320, 320, name) for name, image in shown.items()], out / "stages.png")]
