@@ -127,3 +127,23 @@ def test_an_even_field_is_shown():
 def test_what_is_no_look_is_refused(wrong, said):
     with pytest.raises(InputError, match=said):
         pssf.present(np.ones((8, 8), np.uint16), **wrong)
+
+
+@pytest.mark.parametrize("look", ["linear", "processed", "film"])
+def test_what_scatters_behind_the_leaves_is_black_and_changes_no_grey_within_the_field(look):
+    open_field = np.zeros((SIDE, SIDE), np.uint16)
+    open_field[40:-40, 60:-60] = limb(waves(0.2, 40))[40:-40, 60:-60]
+    scattered = np.where(open_field > 0, open_field, 700).astype(np.uint16)
+    field_mm = ((SIDE - 120) * 0.2, (SIDE - 80) * 0.2)
+    shown = [pssf.present(image, look=look, pixel_mm=0.2, field_mm=field_mm) for image in (open_field, scattered)]
+    np.testing.assert_array_equal(*shown)
+    assert not shown[1][:40].any()
+    assert not shown[1][:, -60:].any()
+    inside = pssf.present(np.ascontiguousarray(scattered[40:-40, 60:-60]), look=look, pixel_mm=0.2)
+    np.testing.assert_array_equal(shown[1][40:-40, 60:-60], inside)
+
+
+@pytest.mark.parametrize(("field_mm", "what"), [((-1.0, 0.0), "width of field_mm"), ((0.0, 0.1), "height of field_mm")])
+def test_a_field_of_no_pixel_is_refused(field_mm, what):
+    with pytest.raises(InputError, match=what):
+        pssf.present(limb().astype(np.uint16), pixel_mm=0.2, field_mm=field_mm)

@@ -75,6 +75,7 @@ class Build:
     fall              by how much it falls a millimetre before it is sloped
     femur_valgus_deg  by which the femoral shaft leans laterally, proximally
     tibia_varus_deg   by which the tibial shaft leans medially, distally
+    seed              of how uneven its cortex is
     """
 
     shape: BoneShape
@@ -88,6 +89,7 @@ class Build:
     fall: float
     femur_valgus_deg: float
     tibia_varus_deg: float
+    seed: int
 
     @property
     def half_ml_mm(self) -> float:
@@ -118,6 +120,7 @@ def build_of(knee: Knee, shape: BoneShape) -> Build:
         fall=plateau_fall(tibia, shape.tibia),
         femur_valgus_deg=shape.femur.valgus_deg + varus - knee.varus_deg / 2,
         tibia_varus_deg=varus + knee.varus_deg / 2,
+        seed=knee.texture_seed,
     )
 
 

@@ -1,6 +1,5 @@
 """Femur and tibia of a right knee: an outer cortical solid, an inner trabecular one, a canal."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -8,13 +7,15 @@ import numpy as np
 from manifold3d import Manifold
 
 from ..core.checks import Array
-from ..data.records import Rows
+from ..data.bones import FemurShape, TibiaShape
 from ..model.knee import Osteophyte
 from .bone_build import Build, formed, scaled, stood
 from .femur import mean_femur
+from .mean_bone import Uneven
 from .osteophytes import BoneWithOsteophytes, grow
 from .solids import checked, column, thickness
 from .tibia import mean_tibia
+from .uneven import MOST_SD, uneven_share
 
 # Shafts end here, outside the beam of any protocol in the package and within the soft tissue's own length.
 SHAFT_END_MM = 180.0
@@ -22,6 +23,8 @@ SHAFT_END_MM = 180.0
 _SPARE_MM = 20.0
 # Canals, whose edge trabeculae blur, are drawn with fewer triangles, within this.
 _CANAL_MM = 0.05
+# Between a canal and a cortex of mean thickness, beside what the cortex is uneven by.
+_CLEAR_MM = 0.4
 
 
 @dataclass(frozen=True)
@@ -58,19 +61,23 @@ def grown_tibia(build: Build, osteophytes: tuple[Osteophyte, ...]) -> BoneWithOs
 def femur(build: Build, grown: BoneWithOsteophytes) -> Bone:
     """Distal femur; z = 0 near the condyles' distal end, shaft leaning laterally by `femur_valgus_deg`."""
     table, s, mean = build.shape.femur, build.scale, mean_femur(build.shape.femur)
-    marrow = mean.inner(build.cortex, build.cortex * build.plate / s)
+    marrow = mean.inner(build.cortex, build.cortex * build.plate / s, _unevenness(build, "femur"))
     heights = levels(table.canal_from_z_mm, (SHAFT_END_MM + _SPARE_MM) / s, 2.5)
-    canal = _canal(table.sections, thickness(table.cortex, build.cortex), heights, table.canal_full_z_mm)
+    canal = _canal(build, table, heights)
     return _standing(build, "femur", Bone(grown.outer, grown.filled(marrow, s), canal))
 
 
 def tibia(build: Build, grown: BoneWithOsteophytes) -> Bone:
     """Proximal tibia; z = 0 near the middle of the plateau, shaft leaning medially by `tibia_varus_deg`."""
     table, s, mean = build.shape.tibia, build.scale, mean_tibia(build.shape.tibia)
-    marrow = mean.inner(build.cortex, build.cortex * build.plate / s)
+    marrow = mean.inner(build.cortex, build.cortex * build.plate / s, _unevenness(build, "tibia"))
     heights = levels(-(SHAFT_END_MM + _SPARE_MM) / s, table.canal_from_z_mm, 2.5)
-    canal = _canal(table.sections, thickness(table.cortex, build.cortex), heights, table.canal_full_z_mm)
+    canal = _canal(build, table, heights)
     return _standing(build, "tibia", Bone(grown.outer, grown.filled(marrow, s), canal))
+
+
+def _unevenness(build: Build, name: str) -> Uneven:
+    return partial(uneven_share, table=build.shape.unevenness, seed=build.seed, bone=name)
 
 
 def _standing(build: Build, name: str, bone: Bone) -> Bone:
@@ -83,15 +90,17 @@ def _standing(build: Build, name: str, bone: Bone) -> Bone:
     return Bone(outer, inner, canal.simplify(_CANAL_MM))
 
 
-def _canal(rows: Rows, cortex: Callable[[Array], Array], heights: Array, full_z_mm: float) -> Manifold:
-    """Marrow: opens from a point in the metaphysis to nearly the cortex at `full_z_mm`."""
+def _canal(build: Build, shaft: FemurShape | TibiaShape, heights: Array) -> Manifold:
+    """Marrow: opens from a point in the metaphysis to nearly the cortex at `canal_full_z_mm`."""
+    cortex, full_z_mm = thickness(shaft.cortex, build.cortex), shaft.canal_full_z_mm
+    clear_mm = _CLEAR_MM + MOST_SD * build.shape.unevenness.sd * build.shape.unevenness.thin_mm * build.cortex
     tip = heights[0] if abs(heights[0] - full_z_mm) < abs(heights[-1] - full_z_mm) else heights[-1]
-    table = scaled(rows, 1.0)
+    table = scaled(shaft.sections, 1.0)
     table = table[np.argsort(table[:, 0])]
 
     def inset(z_mm: Array) -> Array:
         opening = np.clip((z_mm - tip) / (full_z_mm - tip), 0.0, 1.0)
         room = np.minimum(*(np.interp(z_mm, table[:, 0], table[:, k]) for k in (1, 2))) - cortex(z_mm)
-        return cortex(z_mm) + 0.4 + (room - 1.0) * (1 - np.sin(opening * np.pi / 2))
+        return cortex(z_mm) + clear_mm + (room - _CLEAR_MM - clear_mm) * (1 - np.sin(opening * np.pi / 2))
 
     return column(table, inset, heights, "canal")

@@ -32,6 +32,7 @@ _BENT_MM, _SPLITS, _FAR_SD = 0.05, 5, 2.0
 
 OfBone = TypeVar("OfBone", FemurShape, TibiaShape)
 Shell = Callable[[Array, float, float], Array]
+Uneven = Callable[[Array, Array], Array]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -59,19 +60,22 @@ class MeanBone:
         """Its outer solid."""
         return self._parts[0]
 
-    def inner(self, cortex: float, plate: float) -> Manifold:
+    def inner(self, cortex: float, plate: float, uneven: Uneven | None = None) -> Manifold:
         """What its cortex and plate leave of it: vertices of a coarser outer solid on their ways inwards.
 
         cortex, plate  thickness over the mean man's
+        uneven         from places (n, 3) of the outer surface and thickness there (n,): what that is multiplied by (n,)
         """
         _, ways, faces = self._parts
         depth = self.shell(ways[0], cortex, plate)
+        share = np.ones(len(depth)) if uneven is None else uneven(ways[0], depth)
+        depth *= share
         # The shell's thickness is that at its inner side, which lies where the thickness says; halfway, so that thick
         # plates with steep ends settle too.
         unsettled = np.arange(len(depth))
         for _ in range(_TURNS):
             there = self.shell(_along(ways[:, unsettled], depth[unsettled]), cortex, plate)
-            step = (there - depth[unsettled]) / 2
+            step = (share[unsettled] * there - depth[unsettled]) / 2
             depth[unsettled] += step
             unsettled = unsettled[np.abs(step) > _SETTLED_MM]
         return solid_of(_along(ways, depth), faces, f"{self.name} marrow")

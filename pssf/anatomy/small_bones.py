@@ -1,7 +1,7 @@
 """Fibula, patella and fabella of a right knee, beside the bones that they lie on."""
 
 import numpy as np
-from manifold3d import Manifold
+from manifold3d import Manifold, OpType
 from scipy.interpolate import LinearNDInterpolator
 from scipy.optimize import brentq
 
@@ -16,6 +16,8 @@ from .solids import checked, column, mesh_of, thickness
 
 # Straight shafts and what trabeculae blur are drawn with fewer triangles, within this.
 _COARSER_MM = 0.02
+# Of the patella, upwards and downwards.
+_DRAWN_IN_MM = 0.35
 # Of the fibula, towards the tibia.
 _JOINT_PLATE_MM = 0.7
 # Of the fibula, from here on it leans with the tibia's shaft (mean man's size).
@@ -69,6 +71,9 @@ def patella(build: Build) -> Bone:
     cortex = thickness(table.cortex, build.cortex)
     outer = column(sections, np.zeros_like, levels(low, high, 1.0), "patella", power=2.1)
     inner = column(sections, cortex, levels(low + 1.2, high - 1.2, 1.0), "patella marrow", power=2.1)
+    # Sections are drawn in sideways, which leaves little where the outline is all but level.
+    drawn_in = [outer.translate((0.0, 0.0, way * _DRAWN_IN_MM)) for way in (-1.0, 1.0)]
+    inner = Manifold.batch_boolean([inner, *drawn_in], OpType.Intersect)
 
     def formed_as(solid: Manifold) -> Manifold:
         middle = np.array(table.centre_mm)

@@ -76,7 +76,8 @@ def _shell(shape: TibiaShape, points: Array, cortex: float, plate: float) -> Arr
     """(n,)  thickness of cortex or plate at points (n, 3), mm; cortex and plate over the mean man's"""
     # The plate under the cartilage passes into the cortex of the sides over its own first millimetres.
     share = np.clip(1 + above(points, shape.relief) / 3.0, 0.0, 1.0)
-    return np.asarray((1 - share) * thickness(shape.cortex, cortex)(points[:, 2]) + share * shape.plate_mm * plate)
+    plates = shape.plate_mm + plateau_height(points[:, 0], points[:, 1], shape.plates)
+    return np.asarray((1 - share) * thickness(shape.cortex, cortex)(points[:, 2]) + share * plates * plate)
 
 
 def _rough(shape: TibiaShape) -> Manifold:

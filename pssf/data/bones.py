@@ -71,6 +71,16 @@ class FemurShape(Record, frozen=True):
     condyles: Condyles
 
 
+class Unevenness(Record, frozen=True):
+    """How uneven a cortex is: standard deviation of its thickness over the mean where that is `thin_mm` or less."""
+
+    sd: float
+    thin_mm: float
+    least_mm: float
+    shortest_mm: float
+    longest_mm: float
+
+
 class Bell(Record, frozen=True):
     """A rise of the plateau, or with a negative height a dish: a Gaussian of half widths."""
 
@@ -90,6 +100,7 @@ class TibiaShape(Record, frozen=True):
     shaft_pivot_z_mm: float
     cortex: Rows
     plate_mm: float
+    plates: tuple[Bell, ...]
     canal_from_z_mm: float
     canal_full_z_mm: float
     rim_mm: float
@@ -245,6 +256,7 @@ class BoneShape(Record, frozen=True):
     """All of `data/anatomy.toml`."""
 
     size: Size
+    unevenness: Unevenness
     femur: FemurShape
     tibia: TibiaShape
     osteophytes: Margins

@@ -1,5 +1,7 @@
 """A view for eyes, bone bright; with the collimator's edge and a side marker where they are wanted."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -26,6 +28,7 @@ def present(
     detector: str = "csi",
     look: str | Processed | Film = "linear",
     pixel_mm: float = 0.15,
+    field_mm: tuple[float, float] = (0.0, 0.0),
 ) -> NDArray[np.uint8 | np.uint16]:
     """(rows, cols)  for eyes, bone bright
 
@@ -36,14 +39,19 @@ def present(
     look      "linear": log signal, large structures evened out, edges a little sharper; "processed": multi-scale
               contrast and a curve to grey, as a flat panel's software has them; "film": a screen and film; or one of
               these two with parameters of one's own (data.looks)
-    pixel_mm  pitch, for "processed", whose structures have sizes
-    raises    InputError for another number of bits, another side, an unknown detector or look, a pitch out of range
+    pixel_mm  pitch, for "processed", whose structures have sizes, and for the field
+    field_mm  width and height of the collimator's field about the middle, beyond which all is black; 0: no leaves there
+    raises    InputError for another number of bits, another side, an unknown detector or look, a pitch or a field out
+              of range
     """
     require_whole("bits", bits, 8, 16, "")
     require_choice("detector", detector, tuple(detectors()))
     require("pixel_mm", pixel_mm, 1e-3, 50, "mm")
     signal = np.maximum(pixels.astype(np.float32) - np.float32(detectors()[detector].offset_dn), 1.0)
-    shown = _shown(signal, look, pixel_mm)
+    within = _within(signal.shape, field_mm, pixel_mm)
+    shown = np.zeros_like(signal)
+    # What scatters behind the leaves is no part of the limb, from which greys are chosen.
+    shown[within] = _shown(np.ascontiguousarray(signal[within]), look, pixel_mm)
     if side is not None:
         shown = _marked(shown, side)
     most = 2**bits - 1
@@ -60,7 +68,20 @@ def for_eyes(radiograph: Radiograph, bits: int = 8, side: str | None = None) -> 
         detector=protocol.detector,
         look="processed",
         pixel_mm=protocol.pixel_mm,
+        field_mm=(protocol.field_width_mm, protocol.field_height_mm),
     )
+
+
+def _within(shape: tuple[int, ...], field_mm: tuple[float, float], pixel_mm: float) -> tuple[slice, slice]:
+    """Rows and columns of the collimator's field."""
+    slices = []
+    for name, count, wide_mm in zip(("height", "width"), shape, reversed(field_mm), strict=True):
+        require(f"{name} of field_mm", wide_mm, 0, 2e4, "mm")
+        out = max(0, math.ceil((count - wide_mm / pixel_mm) / 2)) if wide_mm > 0 else 0
+        if 2 * out >= count:
+            raise InputError(f"{name} of field_mm = {wide_mm:g} mm; allowed: a pixel or more, of {pixel_mm:g} mm")
+        slices.append(slice(out, count - out))
+    return slices[0], slices[1]
 
 
 def _shown(signal: NDArray[np.float32], look: str | Processed | Film, pixel_mm: float) -> NDArray[np.float32]:

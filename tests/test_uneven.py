@@ -1,0 +1,41 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pssf.anatomy.uneven import MOST_SD, uneven_share
+from pssf.data.bones import mean_shape
+
+TABLE = mean_shape().unevenness
+
+
+def places(count=4000, seed=0):
+    return np.random.default_rng(seed).uniform(-60, 60, (count, 3))
+
+
+def share(thickness_mm, seed=5, bone="tibia", at=None):
+    at = places() if at is None else at
+    return uneven_share(at, np.full(len(at), thickness_mm), TABLE, seed, bone)
+
+
+def test_a_thin_cortex_is_as_uneven_as_the_table_says():
+    # Of values of one knee, which hang together over centimetres; over knees the mean is that of a normal law cut at 2.
+    means, sds = zip(*[(s.mean(), s.std()) for s in (share(TABLE.thin_mm, seed) for seed in range(40))], strict=True)
+    assert np.mean(means) == pytest.approx(1.0, abs=0.03)
+    assert np.mean(sds) == pytest.approx(0.88 * TABLE.sd, rel=0.1)
+
+
+@given(st.floats(0.1, 6.0), st.integers(0, 2**63 - 1))
+def test_a_cortex_never_vanishes_and_a_thick_one_is_uneven_by_the_same_millimetres(thickness_mm, seed):
+    thick = thickness_mm * share(thickness_mm, seed)
+    assert thick.min() >= min(thickness_mm, TABLE.least_mm) * (1 - 1e-12)
+    assert abs(thick - thickness_mm).max() <= MOST_SD * TABLE.sd * min(thickness_mm, TABLE.thin_mm) * (1 + 1e-9)
+
+
+def test_it_is_smooth_and_another_in_each_bone_and_knee():
+    at = places()
+    near = share(0.5, at=at + np.array([0.0, 0.0, 0.1])) - share(0.5, at=at)
+    assert abs(near).max() < 0.1
+    assert abs(np.corrcoef(share(0.5), share(0.5, bone="femur"))[0, 1]) < 0.3
+    assert abs(np.corrcoef(share(0.5), share(0.5, seed=6))[0, 1]) < 0.3
+    np.testing.assert_array_equal(share(0.5), share(0.5))
