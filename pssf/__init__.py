@@ -36,8 +36,9 @@ if TYPE_CHECKING:
     from .io.images import load, load_parameters, save
     from .io.masks import load_masks, save_masks
     from .io.meshes import export_meshes
+    from .model.draw import draw_knee
     from .model.exposure import draw_exposure
-    from .model.knee import Knee, Osteophyte, draw_knee
+    from .model.knee import Knee, Osteophyte
     from .model.protocol import Protocol, load_protocol
     from .model.radiograph import Radiograph, Truth
     from .raycast import Paths, Report, check, trace
@@ -53,7 +54,8 @@ _WHERE = {
     "io.masks": ("load_masks", "save_masks"),
     "io.meshes": ("export_meshes",),
     "model.exposure": ("draw_exposure",),
-    "model.knee": ("Knee", "Osteophyte", "draw_knee"),
+    "model.draw": ("draw_knee",),
+    "model.knee": ("Knee", "Osteophyte"),
     "model.protocol": ("Protocol", "load_protocol"),
     "model.radiograph": ("Radiograph", "Truth"),
     "raycast": ("Paths", "Report", "check", "trace"),

@@ -75,8 +75,8 @@ def test_a_folder_of_no_films_and_a_name_that_is_taken_are_refused(tmp_path):
 
 def test_all_that_is_given_is_measured_once_and_the_page_tells_it(phantoms_for_knees, tmp_path, monkeypatch):
     given = clinic(tmp_path / "clinic")
-    settings = {"films": given, "knees": 6, "seed": 1}
-    sample = run.contours.drawn_landmarks(6, 1, pssf.load_protocol("reference"))
+    settings = {"films": given, "knees": 6, "grades": "paper", "seed": 1}
+    sample = run.contours.drawn_landmarks(6, 1, pssf.load_protocol("reference"), table="paper")
     monkeypatch.setattr(run.contours, "drawn_landmarks", lambda *given: sample)
     first = run.measure(tmp_path / "out", Execution(), **settings)
     assert [line.split(":")[0] for line in first.lines] == ["Contours", "Films"]

@@ -118,16 +118,16 @@ def test_a_single_knee_or_an_unknown_grade_is_refused():
 
 def test_drawn_landmarks_are_the_labels_of_the_knee_that_is_built():
     protocol = pssf.load_protocol("caudal_beam")
-    sample = contours.drawn_landmarks(1, seed=3, protocol=protocol, grades=(0,))
+    sample = contours.drawn_landmarks(1, seed=3, protocol=protocol)
     rng = np.random.default_rng(np.random.SeedSequence(3, spawn_key=(0,)))
-    knee = pssf.draw_knee(grade=0, rng=rng, side="left", jsw_as="read")
+    knee = pssf.draw_knee(grade=0, rng=rng, table="people", side="left")
     labels = pssf.build(knee).truth(protocol).landmarks_px
     of_left = contours.film_mm(labels, "left", protocol.pixel_mm)
     assert_allclose(*(contours.plateau_frame(one[None])[0] for one in (of_left, sample.places_mm[0])), atol=1e-6)
 
 
 def test_a_drawn_knee_is_the_same_in_any_number():
-    few, more = (contours.drawn_landmarks(count, seed=5, grades=(0,)) for count in (1, 3))
+    few, more = (contours.drawn_landmarks(count, seed=5) for count in (1, 3))
     assert_array_equal(few.places_mm[0], more.places_mm[0])
     assert np.abs(more.places_mm[1] - more.places_mm[0]).max() > 0.1
 

@@ -9,7 +9,7 @@ from ..anatomy import build
 from ..core.checks import Array
 from ..geometry.scene import Scene
 from ..geometry.view import view_of
-from ..model.knee import draw_knee
+from ..model.draw import draw_knee
 from ..model.protocol import load_protocol
 from ..raycast import trace
 from .engines import Row

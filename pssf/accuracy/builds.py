@@ -10,7 +10,8 @@ from ..core.checks import InputError
 from ..core.parallel import ordered_map
 from ..data.shapes import shape_table
 from ..geometry.scene import Scene
-from ..model.knee import SITES, Knee, Osteophyte, draw_knee
+from ..model.draw import draw_knee
+from ..model.knee import SITES, Knee, Osteophyte
 from ..model.protocol import load_protocol
 from ..raycast import trace
 from .engines import Row

@@ -14,7 +14,8 @@ from ..data.localisation import localisation
 from ..experiment import standard_templates
 from ..geometry.scene import Scene
 from ..geometry.view import magnification, view_of
-from ..model.knee import Knee, draw_knee
+from ..model.draw import draw_knee
+from ..model.knee import Knee
 from ..model.protocol import Protocol, load_protocol
 from ..simulation import simulate
 from .builds import wide_knee

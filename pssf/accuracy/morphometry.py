@@ -12,7 +12,8 @@ from ..anatomy.solids import mesh_of
 from ..core.checks import Array
 from ..core.parallel import ordered_map
 from ..data.references import Size, references
-from ..model.knee import Knee, draw_knee
+from ..model.draw import draw_knee
+from ..model.knee import Knee
 from ..model.protocol import load_protocol
 from .engines import Row
 

@@ -12,7 +12,8 @@ from ..core.parallel import ordered_map
 from ..data.references import references
 from ..data.spongy import trabecular_bone
 from ..geometry.view import magnification, view_of
-from ..model.knee import Knee, draw_knee
+from ..model.draw import draw_knee
+from ..model.knee import Knee
 from ..model.protocol import load_protocol
 from ..simulation import simulate
 from .engines import Row

@@ -8,6 +8,7 @@ import typer
 from .options import (
     Engine,
     Grade,
+    Grades,
     KneeFile,
     Out,
     Preset,
@@ -26,6 +27,7 @@ def simulate(
     *,
     out: Out,
     grade: Grade = 0,
+    grades: Grades = "paper",
     protocol: ProtocolName = "reference",
     seed: Seed = 0,
     knee: KneeFile = None,
@@ -43,7 +45,7 @@ def simulate(
     from ..model.protocol import load_protocol
 
     technique, wanted = load_protocol(protocol), kinds.split(",")
-    subject, name = knee_of(knee, grade, seed)
+    subject, name = knee_of(knee, grade, seed, grades)
     require_workers(workers)
     with waiting("simulating; the first run after an installation compiles for some seconds more"):
         from ..io.atomic import folder
@@ -66,6 +68,7 @@ def meshes(
     *,
     out: Out,
     grade: Grade = 0,
+    grades: Grades = "paper",
     seed: Seed = 0,
     knee: KneeFile = None,
     kinds: Annotated[
@@ -78,7 +81,7 @@ def meshes(
     from ..io.atomic import folder
     from ..io.meshes import export_meshes, require_export
 
-    subject, name = knee_of(knee, grade, seed)
+    subject, name = knee_of(knee, grade, seed, grades)
     formats = tuple(kinds.split(","))
     require_export(formats, tolerance_mm)
     folder(out)

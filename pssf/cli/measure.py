@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from .options import Out, Processes, ProtocolName, Readme, Seed, Workers, waiting
+from .options import Grades, Out, Processes, ProtocolName, Readme, Seed, Workers, waiting
 
 
 def accuracy(
@@ -70,6 +70,7 @@ def realism(
     ] = None,
     protocol: ProtocolName = "reference",
     knees: Annotated[int, typer.Option(help="Knees that are drawn, the grades alike.")] = 200,
+    grades: Grades = "people",
     seed: Seed = 0,
     readme: Readme = None,
 ) -> None:
@@ -88,7 +89,16 @@ def realism(
     shown = [name for part, names in SHOWN.items() if given[part] for name in names]
     checkout = open_checkout(readme, shown, protocol=protocol, knees=knees)
     execution = Execution(workers=workers, bar=bar)
-    found = measure(out, execution, films=films, bones_folder=bones, protocol=protocol, knees=knees, seed=seed)
+    found = measure(
+        out,
+        execution,
+        films=films,
+        bones_folder=bones,
+        protocol=protocol,
+        knees=knees,
+        grades=grades,
+        seed=seed,
+    )
     checkout.take({name: found.rows.get(name, []) for name in shown}, found.paths)
     for line in found.lines:
         print(line)

@@ -47,21 +47,31 @@ Readme = Annotated[
     Path | None,
     typer.Option("--readme", help="Source checkout; its READMEs get what was measured, between the markers there."),
 ]
-Preset = Annotated[str, typer.Option(help="Cohort: quick (24 subjects) or paper (180 subjects).")]
+Preset = Annotated[
+    str, typer.Option(help="Cohort: quick (24 subjects), paper (180 subjects), or people (250, KL 0 to 4).")
+]
+Grades = Annotated[
+    str,
+    typer.Option(
+        help="Table of grades that knees are drawn by: paper (grades 0 to 2 by joint space), people (KL 0 to 4 that "
+        "overlap), or the path of a .toml file."
+    ),
+]
 
 
-def knee_of(path: Path | None, grade: int, seed: int) -> "tuple[Knee, str]":
+def knee_of(path: Path | None, grade: int, seed: int, table: str = "paper") -> "tuple[Knee, str]":
     """A knee from a file, or drawn by grade and seed; and a name for its files."""
     import numpy as np
 
     from ..core.checks import require_seed
     from ..data.tables import read_toml
-    from ..model.knee import draw_knee, knee_from
+    from ..model.draw import draw_knee
+    from ..model.knee import knee_from
 
     require_seed(seed)
     if path is not None:
         return knee_from(read_toml(path), f"knee {path.name}"), path.stem
-    return draw_knee(grade=grade, rng=np.random.default_rng(seed)), f"knee_grade{grade}"
+    return draw_knee(grade=grade, rng=np.random.default_rng(seed), table=table), f"knee_grade{grade}"
 
 
 def waiting(why: str) -> "Status":

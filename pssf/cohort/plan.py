@@ -3,15 +3,17 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from msgspec import structs
 
 from ..core.checks import InputError, require_choice, require_seed, require_whole
-from ..data.presets import presets
+from ..data.grades import grade_table
+from ..data.presets import Preset, presets
+from ..model.draw import draw_knee
 from ..model.exposure import draw_exposure
-from ..model.knee import Knee, draw_knee, knee_table
+from ..model.knee import Knee, knee_table
 from ..model.protocol import Protocol, load_protocol, protocol_table
 
 # Keys of the streams under a cohort's seed. A knee's index stands first, so the order of making changes nothing.
@@ -106,8 +108,10 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
     if len(set(names)) < len(names) or not names:
         raise InputError(f"protocols = {', '.join(names) or 'none'}; allowed: one or more, each once")
     cases = []
+    most = max(grade_table(chosen.grades).grades)
+    require_whole("knees: grades", len(chosen.knees), 1, most + 1, "")
     for index, (subject, grade, side) in enumerate(_people(chosen.knees, chosen.bilateral)):
-        cases.append(_case(seed, index, subject, grade, side, protocols, chosen.exposures))
+        cases.append(_case(_Place(seed, index, subject, grade, side), protocols, chosen))
     require_whole("retested", chosen.retested, 0, 100_000, "knees")
     return Plan(preset=preset, seed=seed, repeats=chosen.repeats, cases=tuple(cases), retested=chosen.retested)
 
@@ -194,27 +198,37 @@ def _people(knees: Sequence[int], bilateral: int) -> list[tuple[int, int, str | 
     return people
 
 
-def _case(
-    seed: int, index: int, subject: int, grade: int, side: str | None, protocols: list[Protocol], taken: str
-) -> Case:
-    fixed = dict(_body(seed, subject))
+class _Place(NamedTuple):
+    """One knee in a cohort: whose, of which grade and side, None where that is drawn."""
+
+    seed: int
+    number: int
+    subject: int
+    grade: int
+    side: str | None
+
+
+def _case(place: _Place, protocols: list[Protocol], preset: Preset) -> Case:
+    seed, number, subject, grade, side = place
+    fixed = dict(_body(seed, subject, grade, preset.grades))
     if side is not None:
         fixed["side"] = side
-    shape = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index, _SHAPE)))
-    knee = draw_knee(grade=grade, rng=shape, **fixed)
+    shape = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, _SHAPE)))
+    knee = draw_knee(grade=grade, rng=shape, table=preset.grades, **fixed)
     exposures = []
-    for place, protocol in enumerate(protocols):
-        state = np.random.SeedSequence(seed, spawn_key=(index, _NOISE, place)).generate_state(1, np.uint64)
-        name = f"s{subject:04d}_k{index:04d}_{protocol.name}"
-        if taken == "drawn":
-            taking = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index, _TAKING, place)))
+    for turn, protocol in enumerate(protocols):
+        state = np.random.SeedSequence(seed, spawn_key=(number, _NOISE, turn)).generate_state(1, np.uint64)
+        name = f"s{subject:04d}_k{number:04d}_{protocol.name}"
+        if preset.exposures == "drawn":
+            taking = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, _TAKING, turn)))
             protocol = draw_exposure(protocol, rng=taking, side=knee.side)
         exposures.append(Exposure(name, protocol, int(state[0] >> np.uint64(1))))
-    return Case(subject=subject, index=index, knee=knee, exposures=tuple(exposures))
+    return Case(subject=subject, index=number, knee=knee, exposures=tuple(exposures))
 
 
 @lru_cache(maxsize=1)  # the other knee of a subject comes next
-def _body(seed: int, subject: int) -> Mapping[str, Any]:
+def _body(seed: int, subject: int, grade: int, table: str) -> Mapping[str, Any]:
     """The fields that the knees of a subject share, drawn from a stream of the subject's own."""
-    body = draw_knee(grade=0, rng=np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_BODY, subject))))
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_BODY, subject)))
+    body = draw_knee(grade=grade, rng=rng, table=table)
     return {name: getattr(body, name) for name in _BODY_FIELDS}

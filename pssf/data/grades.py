@@ -1,9 +1,14 @@
-"""GradeRanges: what a drawn knee of a grade may be, as `data/grades.toml` has it."""
+"""GradeTable: what a drawn knee of a grade may be, as `data/grades/*.toml` or a user's own file has it."""
 
 from functools import cache
+from pathlib import Path
 
-from .records import Pair, Record, record
-from .tables import data
+from ..core.checks import InputError
+from .records import Numbers, Pair, Record, record
+from .tables import read_toml
+
+_FOLDER = Path(__file__).resolve().parent / "grades"
+Laws = tuple[Pair, ...]
 
 
 class GradeRanges(Record, frozen=True):
@@ -24,23 +29,144 @@ class Fabellae(Record, frozen=True):
     size_mm: Pair
 
 
-class Grades(Record, frozen=True):
-    """All of a table of grades.
+class Side(Record, frozen=True):
+    """Share of knees that narrow medially, and correlation of severity with what narrows and grows."""
 
-    grade  name -> its ranges
+    medial: float
+    shape_with: float
+
+
+class Spaces(Record, frozen=True):
+    """Joint spaces as readers take them, mm: correlation of both, what men have more, and laws by the narrowed side.
+
+    medial, lateral  grade -> mean and deviation of the space that narrows and of the other one
+    """
+
+    correlation: float
+    men_more_mm: float
+    medial: dict[str, tuple[Pair, Pair]]
+    lateral: dict[str, tuple[Pair, Pair]]
+
+
+class Margins(Record, frozen=True):
+    """Latent OARSI grades of osteophytes, by KL grade and site, and the sizes that each stands for, mm."""
+
+    level: Numbers
+    site: dict[str, float]
+    narrowed_side: float
+    person_sd: float
+    site_sd: float
+    size_mm: tuple[Pair, Pair, Pair, Pair]
+    doubtful_mm: float
+    spine: Numbers
+    spine_mm: Pair
+
+
+class Rest(Record, frozen=True):
+    """What else a grade moves: means and deviations, factors and shares by grade."""
+
+    plate: Laws
+    varus_deg: Laws
+    wider: Numbers
+    age_years: Laws
+    women: Numbers
+
+
+class Reader(Record, frozen=True):
+    """Kappa of the grade that is read with the one that is meant."""
+
+    kappa: float
+
+
+class _Shared(Record, frozen=True):
+    """Drawn alike in every grade.
+
     body   field of a knee -> mean and standard deviation, of both sexes or of each
     pose   field of a knee -> bounds
     form   as body, of what is drawn with the scores of the shape
     """
 
-    grade: dict[str, GradeRanges]
     body: dict[str, Pair | dict[str, Pair]]
     pose: dict[str, Pair]
     form: dict[str, Pair | dict[str, Pair]]
     fabella: Fabellae
 
 
+class RangeGrades(_Shared, frozen=True):
+    """Grades by ranges of each parameter: grade -> its ranges."""
+
+    grade: dict[str, GradeRanges]
+
+    @property
+    def grades(self) -> tuple[int, ...]:
+        """All grades, rising."""
+        return tuple(sorted(int(name) for name in self.grade))
+
+
+class SeverityGrades(_Shared, frozen=True):
+    """Grades by a latent severity that all parameters follow in part."""
+
+    side: Side
+    spaces: Spaces
+    osteophytes: Margins
+    rest: Rest
+    reader: Reader
+
+    @property
+    def grades(self) -> tuple[int, ...]:
+        """All grades, rising."""
+        return tuple(range(len(self.rest.wider)))
+
+
+def grade_tables() -> list[str]:
+    """Names of the tables that come with the package."""
+    return sorted(path.stem for path in _FOLDER.glob("*.toml"))
+
+
 @cache
-def grades() -> Grades:
-    """The package's table of grades."""
-    return record(Grades, data("grades"), "grades")
+def grade_table(name_or_path: str = "paper") -> RangeGrades | SeverityGrades:
+    """A table of grades by name, or from a TOML file.
+
+    raises  InputError for an unknown name, a file that is not readable TOML, or one that is no table of grades
+    """
+    path = _path(name_or_path)
+    table = read_toml(path)
+    base = table.pop("base", None)
+    if base is not None:
+        shared = read_toml(_path(base))
+        table = {**{name: shared[name] for name in ("body", "pose", "form", "fabella") if name in shared}, **table}
+    kind: type[RangeGrades] | type[SeverityGrades] = RangeGrades if "grade" in table else SeverityGrades
+    try:
+        made = record(kind, table, f"grades {path.name}")
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    if isinstance(made, SeverityGrades):
+        _require_every_grade(made, path.name)
+    return made
+
+
+def _path(name_or_path: str) -> Path:
+    if Path(name_or_path).suffix == ".toml":
+        return Path(name_or_path)
+    if str(name_or_path) not in grade_tables():
+        allowed = ", ".join(grade_tables())
+        raise InputError(f"grades = {str(name_or_path)!r}; allowed: {allowed}, or the path of a .toml file")
+    return _FOLDER / f"{name_or_path}.toml"
+
+
+def _require_every_grade(table: SeverityGrades, name: str) -> None:
+    grades = [str(grade) for grade in table.grades]
+    lists = {
+        "osteophytes.level": table.osteophytes.level,
+        "osteophytes.spine": table.osteophytes.spine,
+        "rest.plate": table.rest.plate,
+        "rest.varus_deg": table.rest.varus_deg,
+        "rest.age_years": table.rest.age_years,
+        "rest.women": table.rest.women,
+    }
+    for entry, values in lists.items():
+        if len(values) != len(grades):
+            raise InputError(f"grades {name}: {entry} has {len(values)} entries; allowed: {len(grades)}, as rest.wider")
+    for entry, laws in (("spaces.medial", table.spaces.medial), ("spaces.lateral", table.spaces.lateral)):
+        if sorted(laws) != grades:
+            raise InputError(f"grades {name}: {entry} has {', '.join(sorted(laws))}; allowed: {', '.join(grades)}")

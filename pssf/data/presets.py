@@ -15,6 +15,7 @@ class Preset(Record, frozen=True):
     repeats    random splits by subject
     retested   knees taken again
     exposures  fixed: each protocol as it is; drawn: as takings vary, see `draw_exposure`
+    grades     table that knees are drawn by, see `draw_knee`
     """
 
     knees: tuple[int, ...]
@@ -23,6 +24,7 @@ class Preset(Record, frozen=True):
     repeats: int
     retested: int
     exposures: str = "fixed"
+    grades: str = "paper"
 
 
 @cache

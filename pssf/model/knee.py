@@ -1,18 +1,13 @@
-"""Knee: the parameters of one knee, and the draw of a knee of a grade."""
+"""Knee: the parameters of one knee."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import numpy as np
-
-from ..core.checks import InputError, from_table, require, require_choice, require_whole
+from ..core.checks import InputError, from_table, require, require_choice
 from ..data.fields import check_fields
-from ..data.grades import Grades, grades
-from ..data.records import Pair
 from ..data.shapes import shape_table
 
-GRADES = (0, 1, 2)
 # No score of a shape is farther from the mean.
 MOST_SD = 3.0
 SITES = ("medial_femur", "lateral_femur", "medial_tibia", "lateral_tibia", "medial_spine", "lateral_spine")
@@ -58,8 +53,9 @@ class Knee:
     limb_ap_mm         antero-posterior thickness of the limb at the joint
     fat_mm             subcutaneous fat, medial and lateral
     age_years          thins the trabeculae
-    texture_seed       of the trabeculae; the same seed in a knee changed in another field gives the same struts
-    grade              KL-like grade that it was drawn for, or None
+    texture_seed       of the trabeculae and of the unevenness of cortex, which a knee changed in another field keeps
+    grade              KL grade that it was drawn for, or None
+    grade_read         what a reader calls it, who may be off by one; None where no reader is drawn
     raises             InputError for a value out of range, or two osteophytes at one site
     """
 
@@ -89,6 +85,7 @@ class Knee:
     age_years: float = 55.0
     texture_seed: int = 0
     grade: int | None = None
+    grade_read: int | None = None
 
     def __post_init__(self) -> None:
         check_fields("knee", self)
@@ -136,62 +133,3 @@ def knee_table(knee: Knee) -> dict[str, Any]:
         "shape": list(knee.shape),
         "osteophytes": [asdict(item) for item in knee.osteophytes],
     }
-
-
-def draw_knee(*, grade: int, rng: np.random.Generator, **fixed: Any) -> Knee:
-    """A knee of a KL-like grade with parameters drawn from `data/grades.toml`.
-
-    rng    the only source of chance; size and pose are drawn from it, the texture's seed and the shape from children
-    fixed  fields of `Knee` to hold at a value; the draw of the others does not depend on them
-    raises InputError for an unknown grade or field, or a rng that is none
-    """
-    require_whole("grade", grade, min(GRADES), max(GRADES), "")
-    if not isinstance(rng, np.random.Generator):
-        raise InputError(f"rng = {rng!r}; allowed: a numpy Generator, such as np.random.default_rng(7)")
-    table = grades()
-    ranges = table.grade[str(int(grade))]
-    sex = fixed.get("sex", "male" if rng.random() < 0.5 else "female")
-    require_choice("sex", sex, ("male", "female"))
-    drawn: dict[str, Any] = {"sex": sex, "grade": int(grade), "side": "right" if rng.random() < 0.5 else "left"}
-    for name, law in table.body.items():
-        drawn[name] = _normal(rng, law, sex)
-    for name in ("jsw_medial_mm", "jsw_lateral_mm", "subchondral_plate", "varus_deg"):
-        drawn[name] = _uniform(rng, getattr(ranges, name))
-    for name, bounds in table.pose.items():
-        drawn[name] = _uniform(rng, bounds)
-    drawn["texture_seed"] = int(rng.spawn(1)[0].integers(2**63))
-    # From a child of its own, so that all else is drawn as it would be without.
-    drawn |= _draw_form(rng.spawn(1)[0], table, sex)
-    drawn["osteophytes"] = _draw_osteophytes(rng, ranges.osteophyte_count, ranges.largest_osteophyte_mm)
-    return from_table(Knee, {**drawn, **fixed}, "draw_knee")
-
-
-def _draw_form(rng: np.random.Generator, table: Grades, sex: str) -> dict[str, Any]:
-    """Scores of the shape, and how the small bones lie."""
-    scores = rng.standard_normal(len(shape_table().modes)).clip(-MOST_SD, MOST_SD)
-    form: dict[str, Any] = {"shape": tuple(round(float(score), 4) for score in scores)}
-    form |= {name: _normal(rng, law, sex) for name, law in table.form.items()}
-    has, size_mm = rng.random() < table.fabella.share, _uniform(rng, table.fabella.size_mm)
-    return form | {"fabella_mm": size_mm if has else 0.0}
-
-
-def _normal(rng: np.random.Generator, law: Pair | dict[str, Pair], sex: str) -> float:
-    mean, sd = law[sex] if isinstance(law, dict) else law
-    return round(mean + sd * min(2.0, max(-2.0, rng.standard_normal())), 4)
-
-
-def _draw_osteophytes(
-    rng: np.random.Generator, count_range: tuple[int, int], largest_range: Pair
-) -> tuple[Osteophyte, ...]:
-    count = int(rng.integers(count_range[0], count_range[1] + 1))
-    largest = _uniform(rng, largest_range)
-    sites = rng.permutation(len(SITES))
-    shares = rng.uniform(0.3, 1.0, len(SITES))
-    shares[0] = 1.0
-    beaks = [(SITES[sites[i]], round(largest * float(shares[i]), 4)) for i in range(count)]
-    # Below 0.2 mm a beak cannot be told from the margin's own rounding, nor seen in a 0.15 mm pixel.
-    return tuple(Osteophyte(site=site, size_mm=size) for site, size in beaks if size >= 0.2)
-
-
-def _uniform(rng: np.random.Generator, bounds: Pair) -> float:
-    return round(float(rng.uniform(bounds[0], bounds[1])), 4)

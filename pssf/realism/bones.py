@@ -15,8 +15,10 @@ from ..anatomy.tibia import mean_tibia
 from ..core.checks import Array, InputError, require_whole
 from ..core.parallel import ordered_map
 from ..data.bones import mean_shape
+from ..data.grades import grade_table
 from ..geometry.mesh import Mesh
-from ..model.knee import GRADES, Knee, draw_knee
+from ..model.draw import draw_knee
+from ..model.knee import Knee
 from . import bone_figure
 from .surfaces import MeasuredSurface, Similarity, fit_similarity, measured, surface_distance, trimmed
 
@@ -86,16 +88,17 @@ def built_bones(knee: Knee) -> dict[str, Mesh]:
     }
 
 
-def drawn_bones(count: int, seed: int, grades: Sequence[int] = GRADES) -> dict[str, list[Mesh]]:
-    """Bones of drawn knees, the grades in turn, osteophytes aside; knee k is the same in any number.
+def drawn_bones(count: int, seed: int, table: str = "people") -> dict[str, list[Mesh]]:
+    """Bones of drawn knees, osteophytes aside; knee k is the same in any number.
 
+    table   of grades, which take turns
     raises  InputError for a count below 2
     """
     require_whole("knees", count, 2, 100_000, "")
-    knees = []
+    knees, grades = [], grade_table(table).grades
     for index in range(count):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
-        knees.append(built_bones(draw_knee(grade=grades[index % len(grades)], rng=rng, side="right")))
+        knees.append(built_bones(draw_knee(grade=grades[index % len(grades)], rng=rng, table=table, side="right")))
     return {name: [knee[name] for knee in knees] for name in BONES}
 
 

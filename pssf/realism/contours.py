@@ -4,7 +4,6 @@ Everything is in the frame of `data/landmarks.toml`: x from the lateral to the m
 y = 0, in shares of the plateau's width. Only gaps and width are in millimetres on the film.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,11 +15,13 @@ from ..anatomy.solids import mesh_of
 from ..core.checks import Array, InputError, require_whole
 from ..core.parallel import ordered_map
 from ..data.bones import mean_shape
+from ..data.grades import grade_table
 from ..data.landmarks import GradeContours, LandmarkReference
 from ..data.records import Pair
 from ..geometry.mesh import Mesh
 from ..geometry.view import view_of
-from ..model.knee import GRADES, Knee, draw_knee
+from ..model.draw import draw_knee
+from ..model.knee import Knee
 from ..model.protocol import Protocol, load_protocol
 from . import contour_figure
 
@@ -71,15 +72,18 @@ def drawn_landmarks(
     seed: int,
     protocol: Protocol | None = None,
     workers: int = 1,
-    grades: Sequence[int] = GRADES,
+    table: str = "people",
 ) -> LandmarkSample:
-    """Landmarks of drawn knees, the grades in turn, under a protocol (None: `reference`); knee k is as in any count."""
+    """Landmarks of drawn knees under a protocol (None: `reference`); knee k is as in any count.
+
+    table  of grades, which take turns
+    """
     require_whole("knees", count, 1, 100_000, "")
-    knees = []
+    knees, grades = [], grade_table(table).grades
     for index in range(count):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
         # Labels of a left knee mirror those of a right one. Readers took people's joint spaces.
-        knees.append(draw_knee(grade=grades[index % len(grades)], rng=rng, side="right", jsw_as="read"))
+        knees.append(draw_knee(grade=grades[index % len(grades)], rng=rng, table=table, side="right", jsw_as="read"))
     shared = {"protocol": protocol or load_protocol("reference")}
     places = ordered_map(_landmarks_of, knees, shared=shared, workers=workers)
     return LandmarkSample(places_mm=np.array(places), grades=np.array([knee.grade for knee in knees]))

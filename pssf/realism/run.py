@@ -8,9 +8,10 @@ from typing import Any
 
 import pandas as pd
 
-from ..cohort import make_cohort, plan_cohort
+from ..cohort import Plan, make_cohort, plan_cohort
 from ..core.checks import Array, InputError, require_whole
 from ..core.execution import Execution
+from ..data.grades import grade_table
 from ..data.landmarks import landmark_reference
 from ..experiment import standard_templates
 from ..io import results
@@ -18,7 +19,7 @@ from ..io.atomic import folder
 from ..io.bones import read_bones
 from ..io.films import Film, list_films, read_film
 from ..io.records import read_manifest
-from ..model.knee import GRADES, Knee
+from ..model.knee import Knee
 from ..model.protocol import Protocol, load_protocol
 from ..study.report.page import Picture
 from . import bones, contours
@@ -72,6 +73,7 @@ def measure(
     bones_folder: Path | None = None,
     protocol: str = "reference",
     knees: int = 200,
+    grades: str = "people",
     seed: int = 0,
 ) -> Realism:
     """Measure simulated knees beside what is given, into a folder; goes on where an earlier run stopped.
@@ -80,19 +82,21 @@ def measure(
     bones_folder  of real bones; see `io.bones.read_bones`
     protocol      that simulated knees are seen under, by name or path; films are takings of it (`draw_exposure`)
     knees         that are drawn, the grades alike
+    grades        table that they are drawn by; see `draw_knee`
     raises        InputError for a folder that holds none, a number out of range, a disk that cannot be written
     """
-    require_whole("knees", knees, 2 * len(GRADES), 100_000, "")
+    require_whole("knees", knees, 2 * len(grade_table(grades).grades), 100_000, "")
     seen_under = load_protocol(protocol)
     given = read_bones(bones_folder) if bones_folder is not None else None
     sources = sources_of(films) if films is not None else ()
     out = folder(Path(out))
-    sections = [_contours(seen_under, knees, seed, execution)]
+    sections = [_contours(seen_under, knees, grades, seed, execution)]
     if given is not None:
-        sections.append(_bones(given, knees, seed, execution))
+        sections.append(_bones(given, knees, grades, seed, execution))
     if sources:
-        sections.append(_films(out, sources, protocol, knees, seed, execution))
-    facts = {"protocol": seen_under.name, "knees": knees, "seed": seed}
+        plan = _plan(protocol, knees, grades, seed)
+        sections.append(_films(out, sources, plan, execution))
+    facts: dict[str, Any] = {"protocol": seen_under.name, "knees": knees, "grades": grades, "seed": seed}
     facts |= {f"films of {source.name}": len(source.films) for source in sources}
     return _write(out, sections, facts)
 
@@ -121,9 +125,9 @@ def sources_of(given: Path) -> tuple[Source, ...]:
     return tuple(found)
 
 
-def _contours(protocol: Protocol, knees: int, seed: int, execution: Execution) -> Section:
+def _contours(protocol: Protocol, knees: int, grades: str, seed: int, execution: Execution) -> Section:
     with execution.timer.stage("contours", "knees", knees):
-        sample = contours.drawn_landmarks(knees, seed, protocol, execution.workers)
+        sample = contours.drawn_landmarks(knees, seed, protocol, execution.workers, grades)
         found = contours.compare(sample, landmark_reference())
     counts = [f"{row['outside']} of {row['of']} at grade {row['grade']}" for row in found.outside]
     cosines = ", ".join(f"{row['cosine']:.2f}" for row in found.modes[:3])
@@ -145,9 +149,9 @@ def _contours(protocol: Protocol, knees: int, seed: int, execution: Execution) -
     )  # fmt: skip
 
 
-def _bones(given: bones.Bones, knees: int, seed: int, execution: Execution) -> Section:
+def _bones(given: bones.Bones, knees: int, grades: str, seed: int, execution: Execution) -> Section:
     with execution.timer.stage("bones", "knees", knees):
-        drawn = bones.drawn_bones(min(knees, 50), seed)
+        drawn = bones.drawn_bones(min(knees, 50), seed, grades)
         built = bones.built_bones(Knee())
         found = bones.compare(given, built, drawn, execution.workers)
         forms = compare_forms(given, built, drawn, execution.workers)
@@ -168,10 +172,10 @@ def _bones(given: bones.Bones, knees: int, seed: int, execution: Execution) -> S
     )  # fmt: skip
 
 
-def _films(out: Path, sources: Sequence[Source], protocol: str, knees: int, seed: int, execution: Execution) -> Section:
+def _films(out: Path, sources: Sequence[Source], plan: Plan, execution: Execution) -> Section:
     with execution.stage("templates", "knees", 1):
         templates = standard_templates("scanline")
-    simulated = _simulated(out / "simulated", protocol, knees, seed, execution)
+    simulated = _simulated(out / "simulated", plan, execution)
     records = {}
     for source in (*sources, simulated):
         path = out / f"films_{source.name}.csv"
@@ -184,14 +188,20 @@ def _films(out: Path, sources: Sequence[Source], protocol: str, knees: int, seed
         )
     with execution.stage("models", "parts", 1):
         return films_section(
-            records, partial(_read, {source.name: source.folder for source in (*sources, simulated)}), seed=seed
+            records, partial(_read, {source.name: source.folder for source in (*sources, simulated)}), seed=plan.seed
         )
 
 
-def _simulated(where: Path, protocol: str, knees: int, seed: int, execution: Execution) -> Source:
-    """A cohort of drawn knees, the grades alike, as films: takings of a protocol, as people's are."""
-    each = [knees // len(GRADES) + (index < knees % len(GRADES)) for index in range(len(GRADES))]
-    plan = plan_cohort("quick", seed=seed, overrides={"knees": each, "protocols": [protocol], "exposures": "drawn"})
+def _plan(protocol: str, knees: int, grades: str, seed: int) -> Plan:
+    """A cohort of drawn knees, the grades alike: takings of a protocol, as people's films are."""
+    count = len(grade_table(grades).grades)
+    each = [knees // count + (index < knees % count) for index in range(count)]
+    drawn = {"knees": each, "protocols": [protocol], "exposures": "drawn", "grades": grades}
+    return plan_cohort("quick", seed=seed, overrides=drawn)
+
+
+def _simulated(where: Path, plan: Plan, execution: Execution) -> Source:
+    """The cohort as films."""
     with execution.stage("simulated films", "radiographs", sum(len(case.exposures) for case in plan.cases)) as stage:
         manifest = read_manifest(make_cohort(
             plan,

@@ -82,8 +82,10 @@ def tables_of_truth(
 ) -> Tables:
     """morphology (what was drawn, by grade), follows (features against what the knees were built with), subgroups."""
     parameters = parameters_of(manifest)
+    # Ranges are of the table that draws no reader.
+    of_people = "grade_read" in manifest and bool(manifest["grade_read"].notna().any())
     return {
-        "morphology": morphology(parameters),
+        "morphology": morphology(parameters, "people" if of_people else "paper"),
         "follows": follows(usable, names, parameters, settings.reference),
         "subgroups": subgroups(predictions, parameters, settings),
     }

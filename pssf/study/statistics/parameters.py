@@ -7,7 +7,7 @@ import pandas as pd
 from scipy.stats import rankdata
 
 from ...core.checks import Array
-from ...data.grades import grades
+from ...data.grades import RangeGrades, grade_table
 from .degenerate import is_degenerate
 
 # Column -> what it is; the first six are those that a KL-like grade is drawn by.
@@ -60,18 +60,20 @@ def composition(table: pd.DataFrame) -> pd.DataFrame:
     return counts.assign(protocols=f"{len(names)} ({', '.join(names)})")
 
 
-def morphology(parameters: pd.DataFrame) -> pd.DataFrame:
+def morphology(parameters: pd.DataFrame, table: str = "paper") -> pd.DataFrame:
     """What a grade may be and what was drawn.
 
     parameters  of `parameters_of`
+    table       of grades that they were drawn by
     returns     parameter, grade, low, high (NaN where no range is set), least, mean, most
     """
-    rows = []
+    law, rows = grade_table(table), []
+    ranges = law.grade if isinstance(law, RangeGrades) else {}
     for name, label in PARAMETERS.items():
         if name not in parameters:
             continue
         for grade, part in parameters.groupby("grade"):
-            low, high = getattr(grades().grade.get(str(grade)), name, (np.nan, np.nan))
+            low, high = getattr(ranges.get(str(grade)), name, (np.nan, np.nan))
             drawn = {"least": part[name].min(), "mean": part[name].mean(), "most": part[name].max()}
             rows.append({"parameter": label, "grade": int(grade), "low": low, "high": high, **drawn})
     columns = ["parameter", "grade", "low", "high", "least", "mean", "most"]

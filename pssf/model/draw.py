@@ -1,0 +1,81 @@
+"""draw_knee: a grade and chance -> a knee, by a table of grades."""
+
+from typing import Any
+
+import numpy as np
+
+from ..core.checks import InputError, from_table, require_choice, require_whole
+from ..data.grades import RangeGrades, SeverityGrades, grade_table
+from ..data.records import Pair
+from ..data.shapes import shape_table
+from .knee import MOST_SD, SITES, Knee, Osteophyte
+from .severity import severity_fields
+
+# No value of a normal law is farther from its mean.
+_FARTHEST_SD = 2.0
+
+
+def draw_knee(*, grade: int, rng: np.random.Generator, table: str = "paper", **fixed: Any) -> Knee:
+    """A knee of a KL grade with parameters drawn by a table of grades.
+
+    rng    the only source of chance; size and pose are drawn from it, the texture's seed and the shape from children
+    table  "paper", whose ranges make grades 0 to 2 a function of the joint space, "people", whose grades 0 to 4 overlap
+           as people's do and whose joint spaces are those that readers take, or the path of a TOML file
+    fixed  fields of `Knee` to hold at a value; the draw of the others does not depend on them
+    raises InputError for an unknown grade, table or field, or a rng that is none
+    """
+    law = grade_table(table)
+    require_whole("grade", grade, min(law.grades), max(law.grades), "")
+    if not isinstance(rng, np.random.Generator):
+        raise InputError(f"rng = {rng!r}; allowed: a numpy Generator, such as np.random.default_rng(7)")
+    men = 0.5 if isinstance(law, RangeGrades) else 1 - law.rest.women[grade]
+    sex = fixed.get("sex", "male" if rng.random() < men else "female")
+    require_choice("sex", sex, ("male", "female"))
+    drawn: dict[str, Any] = {"sex": sex, "grade": int(grade), "side": "right" if rng.random() < 0.5 else "left"}
+    for name, shared in law.body.items():
+        drawn[name] = _normal(rng, shared, sex)
+    ranges = law.grade[str(int(grade))] if isinstance(law, RangeGrades) else None
+    if ranges is not None:
+        for name in ("jsw_medial_mm", "jsw_lateral_mm", "subchondral_plate", "varus_deg"):
+            drawn[name] = _uniform(rng, getattr(ranges, name))
+    for name, bounds in law.pose.items():
+        drawn[name] = _uniform(rng, bounds)
+    drawn["texture_seed"] = int(rng.spawn(1)[0].integers(2**63))
+    # From children of their own, so that all else is drawn as it would be without.
+    drawn |= _draw_form(rng.spawn(1)[0], law, sex)
+    if isinstance(law, SeverityGrades):
+        drawn |= severity_fields(law, int(grade), sex, drawn["bone_scale"], rng.spawn(1)[0])
+    elif ranges is not None:
+        drawn["osteophytes"] = _draw_osteophytes(rng, ranges.osteophyte_count, ranges.largest_osteophyte_mm)
+    return from_table(Knee, {**drawn, **fixed}, "draw_knee")
+
+
+def _draw_form(rng: np.random.Generator, table: RangeGrades | SeverityGrades, sex: str) -> dict[str, Any]:
+    """Scores of the shape, and how the small bones lie."""
+    scores = rng.standard_normal(len(shape_table().modes)).clip(-MOST_SD, MOST_SD)
+    form: dict[str, Any] = {"shape": tuple(round(float(score), 4) for score in scores)}
+    form |= {name: _normal(rng, law, sex) for name, law in table.form.items()}
+    has, size_mm = rng.random() < table.fabella.share, _uniform(rng, table.fabella.size_mm)
+    return form | {"fabella_mm": size_mm if has else 0.0}
+
+
+def _normal(rng: np.random.Generator, law: Pair | dict[str, Pair], sex: str) -> float:
+    mean, sd = law[sex] if isinstance(law, dict) else law
+    return round(mean + sd * min(_FARTHEST_SD, max(-_FARTHEST_SD, rng.standard_normal())), 4)
+
+
+def _draw_osteophytes(
+    rng: np.random.Generator, count_range: tuple[int, int], largest_range: Pair
+) -> tuple[Osteophyte, ...]:
+    count = int(rng.integers(count_range[0], count_range[1] + 1))
+    largest = _uniform(rng, largest_range)
+    sites = rng.permutation(len(SITES))
+    shares = rng.uniform(0.3, 1.0, len(SITES))
+    shares[0] = 1.0
+    beaks = [(SITES[sites[i]], round(largest * float(shares[i]), 4)) for i in range(count)]
+    # Below 0.2 mm a beak cannot be told from the margin's own rounding, nor seen in a 0.15 mm pixel.
+    return tuple(Osteophyte(site=site, size_mm=size) for site, size in beaks if size >= 0.2)
+
+
+def _uniform(rng: np.random.Generator, bounds: Pair) -> float:
+    return round(float(rng.uniform(bounds[0], bounds[1])), 4)

@@ -1,0 +1,124 @@
+"""severity_fields: what a grade moves in a knee, by one latent severity that its parameters follow in part."""
+
+from typing import Any
+
+import numpy as np
+from scipy.optimize import brentq
+
+from ..core.checks import Array
+from ..data.grades import Margins, SeverityGrades
+from .knee import Osteophyte
+
+# No value of a normal law is farther from its mean.
+_FARTHEST_SD = 2.5
+_LEAST_MM = 0.2
+
+
+def severity_fields(
+    table: SeverityGrades, grade: int, sex: str, bone_scale: float, rng: np.random.Generator
+) -> dict[str, Any]:
+    """Fields of a knee of a grade that its severity moves.
+
+    bone_scale  as drawn, which is widened
+    rng         of a stream of its own
+    """
+    severity = _cut(rng.standard_normal())
+    narrowed, other = ("medial", "lateral") if rng.random() < table.side.medial else ("lateral", "medial")
+    spaces = _spaces_mm(table, grade, sex, narrowed, severity, rng)
+    rest = table.rest
+    towards = 1.0 if narrowed == "medial" else -1.0
+    plate, varus_deg, age = (_law(law[grade], rng) for law in (rest.plate, rest.varus_deg, rest.age_years))
+    return {
+        "jsw_as": "read",
+        f"jsw_{narrowed}_mm": spaces[0],
+        f"jsw_{other}_mm": spaces[1],
+        "subchondral_plate": round(float(np.clip(plate, 0.7, 2.5)), 4),
+        "varus_deg": round(float(np.clip(towards * varus_deg, -8.0, 8.0)), 4),
+        "age_years": round(float(np.clip(age, 40.0, 90.0)), 4),
+        "bone_scale": round(float(np.clip(bone_scale * rest.wider[grade], 0.85, 1.15)), 4),
+        "osteophytes": _osteophytes(table, grade, narrowed, severity, rng),
+        "grade_read": read_grade(grade, table.reader.kappa, len(table.grades), rng),
+    }
+
+
+def _spaces_mm(
+    table: SeverityGrades, grade: int, sex: str, narrowed: str, severity: float, rng: np.random.Generator
+) -> list[float]:
+    """Of the compartment that narrows and of the other one: those of a person hang together, and go with severity."""
+    laws = getattr(table.spaces, narrowed)[str(grade)]
+    one, other = rng.standard_normal(2)
+    together = table.spaces.correlation
+    scores = [one, together * one + np.sqrt(1 - together**2) * other]
+    with_severity = table.side.shape_with if grade >= 2 else 0.0
+    scores[0] = -with_severity * severity + np.sqrt(1 - with_severity**2) * scores[0]
+    # Centred, so that the mean of a half of men and a half of women is that of the table.
+    more = table.spaces.men_more_mm * (0.5 if sex == "male" else -0.5)
+    within = []
+    for (mean, sd), score in zip(laws, scores, strict=True):
+        left = np.sqrt(max(sd**2 - (table.spaces.men_more_mm / 2) ** 2, 0.0))
+        within.append(round(float(np.clip(mean + more + left * _cut(score), 0.0, 8.0)), 4))
+    return within
+
+
+def _osteophytes(
+    table: SeverityGrades, grade: int, narrowed: str, severity: float, rng: np.random.Generator
+) -> tuple[Osteophyte, ...]:
+    law = table.osteophytes
+    oarsi = _oarsi(law, grade, narrowed, table.side.shape_with * severity, rng)
+    sizes = {}
+    for site, degree in oarsi.items():
+        low, high = law.size_mm[degree]
+        most = law.doubtful_mm if grade == 1 else high
+        sizes[site] = float(rng.uniform(min(low, most), min(high, most)))
+    spiked, size_mm = rng.random() < law.spine[grade], float(rng.uniform(*law.spine_mm))
+    if spiked:
+        sizes[f"{narrowed}_spine"] = size_mm
+    # Below this a beak cannot be told from the margin's own rounding, nor seen in a 0.15 mm pixel.
+    return tuple(Osteophyte(site=site, size_mm=round(mm, 4)) for site, mm in sizes.items() if mm >= _LEAST_MM)
+
+
+def _oarsi(law: Margins, grade: int, narrowed: str, severity: float, rng: np.random.Generator) -> dict[str, int]:
+    """Site -> OARSI grade of its osteophyte, as the definition of a KL grade allows."""
+    person = law.person_sd * rng.standard_normal() + severity
+    latent = {}
+    for site, offset in law.site.items():
+        beside = law.narrowed_side if site.startswith(narrowed) else 0.0
+        latent[site] = law.level[grade] + offset + beside + person + law.site_sd * rng.standard_normal()
+    degrees = {site: int(np.searchsorted([0.0, 1.0, 2.0], value)) for site, value in latent.items()}
+    if grade < 2:
+        return {site: min(degree, grade) for site, degree in degrees.items()}
+    greatest = max(latent, key=lambda site: latent[site])
+    return degrees | {greatest: max(1, degrees[greatest])}
+
+
+def read_grade(grade: int, kappa: float, grades: int, rng: np.random.Generator) -> int:
+    """What a reader calls a knee of a grade: it, or a neighbour of it, so often that kappa comes out.
+
+    kappa  unweighted, where all grades are alike frequent
+    """
+    wrong = brentq(lambda share: _kappa(_reading(share, grades)) - kappa, 0.0, 1.0) if kappa < 1 else 0.0
+    return int(rng.choice(grades, p=_reading(wrong, grades)[grade]))
+
+
+def _reading(wrong: float, grades: int) -> Array:
+    """(grades, grades)  probability of the grade read (columns) of the one meant"""
+    table = np.eye(grades) * (1 - wrong)
+    for grade in range(grades):
+        beside = [other for other in (grade - 1, grade + 1) if 0 <= other < grades]
+        table[grade, beside] = wrong / len(beside)
+    return table
+
+
+def _kappa(reading: Array) -> float:
+    """Cohen's kappa of a table of probabilities whose rows are alike frequent."""
+    joint = reading / len(reading)
+    by_chance = float(joint.sum(axis=0) @ joint.sum(axis=1))
+    return (float(np.trace(joint)) - by_chance) / (1 - by_chance)
+
+
+def _law(law: tuple[float, float], rng: np.random.Generator) -> float:
+    return law[0] + law[1] * _cut(rng.standard_normal())
+
+
+def _cut(score: float) -> float:
+    return float(np.clip(score, -_FARTHEST_SD, _FARTHEST_SD))
