@@ -19,7 +19,7 @@ from .solids import edges_of, mesh_of
 from .tibia import mean_tibia
 
 # Joint space is told at these fractions of the plateau's width from its medial edge, as JSW(x) (Neumann et al. 2009).
-FRACTIONS = (0.15, 0.2, 0.25, 0.3, 0.7, 0.75, 0.8, 0.85)
+FRACTIONS = (0.15, 0.175, 0.2, 0.225, 0.25, 0.275, 0.3, 0.7, 0.725, 0.75, 0.775, 0.8, 0.825, 0.85, 0.875, 0.9)
 # Height bands (mean man's size, in each bone's frame) in which the bones' edges are looked for.
 _CONDYLES, _EPICONDYLES, _PLATEAU = (1.0, 12.0), (22.0, 42.0), (-9.0, 1.0)
 # Farther out than this from the bare bone is osteophyte.

@@ -142,6 +142,17 @@ def verify(folder: Annotated[Path, typer.Argument(help="Folder that pssf cohort 
     print(f"whole     {verified.radiographs} radiographs, {verified.files} files, as they were written")
 
 
+@cohort_app.command()
+def labels(folder: Annotated[Path, typer.Argument(help="Folder that pssf cohort made.")], *, out: Out) -> None:
+    """Labels of a cohort as the field reads them: a CSV with the OAI's columns, .pts, COCO, and pictures by grade."""
+    from ..cohort import write_labels
+
+    with waiting("reading"):
+        paths = write_labels(folder, out)
+    for path in paths:
+        print(path)
+
+
 def study(
     *,
     out: Out,

@@ -1,0 +1,74 @@
+"""write_labels: a cohort -> its labels in the formats that the field reads."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..anatomy.landmarks import CONTOUR_LANDMARKS
+from ..core.checks import InputError
+from ..detector.rendering import for_eyes
+from ..io.atomic import folder
+from ..io.images import load
+from ..io.labels import LabelledImage, write_coco, write_pts
+from ..io.pictures import side_by_side
+from ..io.records import read_csv, write_csv
+from ..model.oarsi import oarsi
+from ..model.radiograph import Radiograph
+
+_SIDE = {"right": 1, "left": 2}
+
+
+def write_labels(cohort: str | Path, out: str | Path) -> list[Path]:
+    """Labels of all radiographs of a cohort, and pictures for eyes sorted by grade.
+
+    readings.csv       a row a radiograph, columns as the Osteoarthritis Initiative names them: ID, SIDE (1 right, 2
+                       left), XRKL and the OARSI grades (`oarsi`), mJSW and JSW150 to JSW900 (mm)
+    landmarks/*.pts    the sixteen contour landmarks
+    coco.json          the same as COCO keypoints
+    images/GRADE/*.png 8 bit, for eyes, as torchvision's ImageFolder and others read them
+
+    cohort  folder that `make_cohort` has filled
+    raises  InputError for a folder that holds no whole cohort, or a disk that is full or cannot be written
+    """
+    cohort, out = Path(cohort), folder(Path(out))
+    rows, images = [], []
+    manifest = cohort / "manifest.csv"
+    if not manifest.exists():
+        raise InputError(f"folder {cohort}: no manifest.csv; allowed: a cohort that is made")
+    for made in read_csv(manifest, ("radiograph", "subject", "file")):
+        radiograph = load(cohort / made["file"])
+        if radiograph.knee is None or radiograph.truth is None:
+            raise InputError(f"file {made['file']}: no knee; allowed: radiographs of a cohort")
+        places = {name: radiograph.truth.landmarks_px[name] for name in CONTOUR_LANDMARKS}
+        rows.append(_reading(made["radiograph"], str(made["subject"]), radiograph))
+        write_pts(folder(out / "landmarks") / f"{made['radiograph']}.pts", places)
+        grade = radiograph.truth.grade
+        picture = f"{'none' if grade is None else grade}/{made['radiograph']}.png"
+        side_by_side(
+            [for_eyes(radiograph).astype(np.uint8)],
+            folder((out / "images" / picture).parent) / f"{made['radiograph']}.png",
+        )
+        size = radiograph.pixels.shape
+        images.append(LabelledImage(file=picture, rows=size[0], cols=size[1], places=places, grade=grade))
+    if not rows:
+        raise InputError(f"folder {cohort}: no radiographs; allowed: a cohort that is made")
+    write_csv(out / "readings.csv", rows)
+    return [out / "readings.csv", write_coco(out / "coco.json", images), out / "landmarks", out / "images"]
+
+
+def _reading(name: str, subject: str, radiograph: Radiograph) -> dict[str, Any]:
+    knee, truth = radiograph.knee, radiograph.truth
+    assert knee is not None
+    assert truth is not None
+    spaces = {f"JSW{round(1000 * at)}": round(space, 4) for at, space in truth.jsw_at_mm.items()}
+    return {
+        "ID": subject,
+        "SIDE": _SIDE[knee.side],
+        "radiograph": name,
+        **({} if knee.grade_read is None else {"XRKL_READ": knee.grade_read}),
+        **oarsi(knee),
+        "mJSW": round(truth.jsw_medial_mm, 4),
+        "lJSW": round(truth.jsw_lateral_mm, 4),
+        **spaces,
+    }

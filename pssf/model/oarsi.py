@@ -1,0 +1,34 @@
+"""oarsi: a knee -> its OARSI grades by the names of the Osteoarthritis Initiative's readings."""
+
+from ..data.oarsi import oarsi_cuts
+from ..data.records import Triple
+from ..data.spongy import trabecular_bone
+from .knee import Knee
+
+_BONES, _SIDES = {"femur": "F", "tibia": "T"}, {"medial": "M", "lateral": "L"}
+
+
+def oarsi(knee: Knee) -> dict[str, int]:
+    """Name -> grade 0 to 3: XROS.. osteophytes, XRJS. narrowing, XRSC.. sclerosis; F or T the bone, M or L the side.
+
+    Grades are of what the knee is built with, not of what can be seen of it under a protocol; their cuts are in
+    `data/oarsi.toml` (Altman and Gold 2007; judgement). XRKL is the KL grade that it was drawn for, if any.
+    """
+    cuts, table = oarsi_cuts(), trabecular_bone()
+    grades = {} if knee.grade is None else {"XRKL": knee.grade}
+    for bone, letter in _BONES.items():
+        for side, of_side in _SIDES.items():
+            sizes = [one.size_mm for one in knee.osteophytes if one.site == f"{side}_{bone}"]
+            grades[f"XROS{letter}{of_side}"] = _grade(max(sizes, default=0.0), cuts.osteophyte_mm)
+    for side, of_side in _SIDES.items():
+        healthy = cuts.healthy_mm[knee.jsw_as][0 if side == "medial" else 1]
+        grades[f"XRJS{of_side}"] = _grade(1 - getattr(knee, f"jsw_{side}_mm") / healthy, cuts.narrowing)
+    for bone, letter in _BONES.items():
+        for side, of_side in _SIDES.items():
+            share = getattr(table, bone).sclerosis * (1.0 if side == "medial" else table.sclerosis.lateral_share)
+            grades[f"XRSC{letter}{of_side}"] = _grade(1 + share * (knee.subchondral_plate - 1), cuts.plate)
+    return grades
+
+
+def _grade(value: float, cuts: Triple) -> int:
+    return sum(value >= cut for cut in cuts)

@@ -1,0 +1,54 @@
+"""Labels of a cohort in the formats that the field reads."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+import pssf
+from pssf import InputError
+from pssf.cohort import make_cohort, plan_cohort, write_labels
+from pssf.io.labels import read_pts
+
+
+@pytest.fixture
+def made(small_protocols, tmp_path):
+    drawn = {"knees": [1, 1], "protocols": small_protocols[:1], "grades": "people"}
+    make_cohort(plan_cohort("quick", seed=5, overrides=drawn), tmp_path / "cohort")
+    return tmp_path / "cohort"
+
+
+def test_labels_of_a_cohort_are_read_back_as_the_field_reads_them(made, tmp_path):
+    folder = made
+    paths = write_labels(folder, tmp_path / "labels")
+    assert all(path.exists() for path in paths)
+    rows = {row["radiograph"]: row for row in csv.DictReader((tmp_path / "labels" / "readings.csv").open())}
+    manifest = list(csv.DictReader((folder / "manifest.csv").open()))
+    assert len(rows) == len(manifest)
+    coco = json.loads((tmp_path / "labels" / "coco.json").read_text())
+    files = {image["id"]: image["file_name"] for image in coco["images"]}
+    names = coco["categories"][0]["keypoints"]
+    assert set(map(tuple, coco["categories"][0]["skeleton"])) >= {(1, 2), (10, 11)}
+    assert (9, 10) not in set(map(tuple, coco["categories"][0]["skeleton"]))
+    for made_row, annotation in zip(manifest, coco["annotations"], strict=True):
+        truth = pssf.load(folder / made_row["file"]).truth
+        places = read_pts(tmp_path / "labels" / "landmarks" / f"{made_row['radiograph']}.pts", names)
+        keypoints = np.array(annotation["keypoints"]).reshape(-1, 3)
+        for name, (x, y, seen) in zip(names, keypoints, strict=True):
+            assert places[name] == pytest.approx(truth.landmarks_px[name], abs=1e-4)
+            assert (y, x) == pytest.approx(truth.landmarks_px[name], abs=1e-4)
+            assert seen == 2
+        picture = tmp_path / "labels" / "images" / files[annotation["image_id"]]
+        assert picture.parent.name == made_row["grade"]
+        reading = rows[made_row["radiograph"]]
+        assert reading["SIDE"] == {"right": "1", "left": "2"}[made_row["side"]]
+        assert float(reading["JSW225"]) == pytest.approx(truth.jsw_at_mm[0.225], abs=1e-4)
+
+
+def test_labels_of_what_is_no_cohort_are_refused(tmp_path):
+    with pytest.raises(InputError, match=r"no manifest\.csv"):
+        write_labels(tmp_path, tmp_path / "out")
+    (tmp_path / "torn.pts").write_text("version: 1\n{\n1 2\n3\n}")
+    with pytest.raises(InputError, match=r"torn\.pts: 2 landmarks"):
+        read_pts(tmp_path / "torn.pts", ["a", "b"])
