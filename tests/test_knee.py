@@ -43,6 +43,32 @@ def test_holding_one_field_leaves_the_draw_of_the_others_alone():
     assert held == dataclasses.replace(free, jsw_medial_mm=4.0)
 
 
+def test_a_body_mass_index_moves_limb_and_fat_and_nothing_else():
+    free = draw_knee(grade=1, rng=np.random.default_rng(3))
+    heavy = draw_knee(grade=1, rng=np.random.default_rng(3), bmi=45.0)
+    assert heavy.limb_ap_mm > free.limb_ap_mm
+    assert heavy.fat_mm > free.fat_mm
+    limb = dict(bmi=free.bmi, limb_ap_mm=free.limb_ap_mm, fat_mm=free.fat_mm)
+    assert dataclasses.replace(heavy, **limb) == free
+
+
+def test_limb_and_fat_can_be_given_whatever_the_body_mass_index():
+    knee = Knee(bmi=45.0, fat_mm=6.0)
+    assert (knee.limb_ap_mm, knee.fat_mm) == (Knee(bmi=45.0).limb_ap_mm, 6.0)
+    drawn = draw_knee(grade=1, rng=np.random.default_rng(3), bmi=45.0, limb_ap_mm=100.0)
+    assert drawn.limb_ap_mm == 100.0
+    # A knee keeps what it measures; None asks for what its BMI gives.
+    again = dataclasses.replace(knee, bmi=20.0, limb_ap_mm=None, fat_mm=None)
+    assert again == Knee(bmi=20.0)
+
+
+@pytest.mark.parametrize("bmi", [14.0, 51.0, math.nan, "27"])
+def test_a_body_mass_index_out_of_range_is_refused_by_the_draw_too(bmi):
+    for make in (Knee, lambda bmi: draw_knee(grade=1, rng=np.random.default_rng(3), bmi=bmi)):
+        with pytest.raises(InputError, match="bmi = "):
+            make(bmi=bmi)
+
+
 @pytest.mark.parametrize(
     ("field", "value"),
     [

@@ -5,7 +5,8 @@ bones        femur, tibia, fibula, patella as nested solids     osteophytes  bea
 femur, tibia their outer shapes, blended                        mean_bone    their solids at the mean man's size
 implicit     fields, blends, settling onto them                 remesh       smoothed, refined, without folds
 shape        lattices that give bones people's form
-soft         skin, fat, muscle                                  planes       fat planes, fat pad, patellar tendon
+soft         skin, subcutaneous fat, fascia                     muscles      muscles, and the fat between them
+envelope     what provably holds a bone, coarsely               tendons      of patella and quadriceps; the fat pad
 cartilage    cartilage and menisci                              tissues      all of these, carved clear of each other
 trabeculae   density of the spongy bone within                  solids       lofts, hulls, height fields, checks
 contours     projected outlines and the gap between them        truth        labels and landmarks

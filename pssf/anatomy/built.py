@@ -95,7 +95,7 @@ def _surfaces(
         _surface(wraps["adipose"], "adipose", "skin", "adipose", assembly),
         _surface(wraps["muscle"], "muscle", "adipose", "muscle", assembly),
     ]
-    for tissue in between(knee, assembly, solids, wraps["muscle"]):
+    for tissue in between(knee, assembly, solids, wraps["muscle"], wraps["intermuscular_fat"]):
         surfaces.append(_sided(tissue.mesh, tissue.material, "muscle", tissue.name, assembly))
     for name, part in solids.items():
         density = _texture(knee, name, spongy_bone, assembly, placed[name].frame)

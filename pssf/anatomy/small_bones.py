@@ -100,7 +100,7 @@ def patella_place(knee: Knee, build: Build, patella: Manifold, femur: Manifold, 
     apex, tendon_mm = points[:, 2].argmin(), knee.insall_salvati * np.ptp(points[:, 2])
     # All is worked out as the patella faces: with axes parallel to its own, and the femur's origin.
     facing, to_leg = rotation(0, -_LAG * pose.flexion_deg), pose.femur_on_tibia()
-    below = np.array(build.shape.tendon.tuberosity) * s + [0.0, 0.0, table.tendon_end_mm * s]
+    below = np.array(build.shape.patellar_tendon.tuberosity) * s + [0.0, 0.0, table.tendon_end_mm * s]
     below = facing @ to_leg[:, :3].T @ (below - to_leg[:, 3])
     front = _front(femur, facing)
     across = formed(np.array([[0.0, 0.0, 20.0]]), build.femur)[0, 0] * s - knee.patellar_shift_mm

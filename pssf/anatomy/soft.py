@@ -7,9 +7,9 @@ from scipy import ndimage
 from ..core.checks import Array
 from ..model.knee import Knee
 from .bone_build import Build, eased
+from .muscles import FASCIA_POWER, intermuscular_fat
 from .solids import column
 
-_POWER = 2.25
 # Least tissue between bone and fascia; over the patella and the tibial crest there is hardly more.
 _COVER_MM = 3.0
 # A bent thigh goes back from here on.
@@ -19,7 +19,7 @@ _COARSER_MM = 0.03
 
 
 def layers(knee: Knee, build: Build, flexion_deg: float, bone_points_mm: Array) -> dict[str, Manifold]:
-    """Nested solids "skin", "adipose" and "muscle", each filled to its outer surface.
+    """Nested solids "skin", "adipose" and "muscle", each filled to its outer surface; "intermuscular_fat" in the last.
 
     flexion_deg     of the femur, which the thigh follows
     bone_points_mm  (n, 3)  vertices of all bones in the leg's frame; the limb is made thick enough to hold them
@@ -36,12 +36,13 @@ def layers(knee: Knee, build: Build, flexion_deg: float, bone_points_mm: Array) 
 
     def grown(ml_mm: float, ap_mm: float, name: str) -> Manifold:
         sections = fascia + np.array([0.0, ml_mm, ap_mm, 0.0, 0.0])
-        return column(sections, np.zeros_like, levels, name, power=_POWER, count=64).simplify(_COARSER_MM)
+        return column(sections, np.zeros_like, levels, name, power=FASCIA_POWER, count=64).simplify(_COARSER_MM)
 
     return {
         "skin": grown(wrap_ml, wrap_ap, "skin"),
         "adipose": grown(wrap_ml - skin, wrap_ap - skin, "adipose"),
         "muscle": grown(0.0, 0.0, "muscle"),
+        "intermuscular_fat": intermuscular_fat(build.shape.muscles, build.shape.deep_fat, fascia, levels, build.scale),
     }
 
 
@@ -65,7 +66,7 @@ def _hold(sections: Array, points_mm: Array) -> Array:
         if len(near):
             x = np.abs(near[:, 0] - held[k, 4]) / (held[k, 1] - _COVER_MM)
             y = np.abs(near[:, 1] - held[k, 3]) / (held[k, 2] - _COVER_MM)
-            growth[k] = max(1.0, float((x**_POWER + y**_POWER).max() ** (1 / _POWER)))
+            growth[k] = max(1.0, float((x**FASCIA_POWER + y**FASCIA_POWER).max() ** (1 / FASCIA_POWER)))
     # The mean of a running maximum of the same width is never below the growth itself, and has no steps.
     growth = ndimage.uniform_filter1d(ndimage.maximum_filter1d(growth, 9, mode="nearest"), 9, mode="nearest")
     held[:, 1:3] *= growth[:, None]

@@ -4,21 +4,26 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from manifold3d import Manifold
+from manifold3d import Manifold, OpType
 
 from ..core.checks import Array
-from ..data.bones import PatellaShape
+from ..data.bones import DeepFat, PatellaShape
 from ..geometry.mesh import Mesh
 from ..model.knee import Knee
 from . import bones, cartilage
+from .envelope import envelope
 from .joint import KneeAssembly
-from .planes import fat_pad, fat_planes, tendon
 from .solids import mesh_of
+from .tendons import fat_pad, patellar_tendon, quadriceps_tendon
 
 # Splinters that carving leaves are not worth a surface.
 _LEAST_MM3 = 1.0
-# The joint lies within this height of the knee frame's origin; bones are cut there before they are carved with.
-_NEAR_MM = 75.0
+# The joint and its tendons lie between these heights; bones are cut there before they are carved with.
+_BELOW_MM, _ABOVE_MM = 75.0, 170.0
+# Less than what lies between the fat and all else: edges of muscles are seen through centimetres of others.
+_COARSER_MM = 0.1
+# No soft tissue is farther up or down.
+_FAR_MM = 230.0
 
 
 @dataclass(frozen=True)
@@ -30,11 +35,14 @@ class Part:
     mesh: Mesh
 
 
-def between(knee: Knee, assembly: KneeAssembly, placed: dict[str, bones.Bone], muscle: Manifold) -> list[Part]:
-    """Cartilage, menisci, patellar tendon, fat pad and fat planes of a knee, in its frame, none overlapping another.
+def between(
+    knee: Knee, assembly: KneeAssembly, placed: dict[str, bones.Bone], muscle: Manifold, fat: Manifold
+) -> list[Part]:
+    """Cartilage, menisci, tendons, fat pad and fat between muscles, in the knee frame, none overlapping another.
 
     placed  the bones, in the knee's frame
     muscle  all that lies within the fascia
+    fat     what muscles leave of it, before all else is taken out
     """
     shape, s, pose = assembly.build.shape, assembly.build.scale, assembly.pose
     spaces_mm = (knee.jsw_medial_mm, knee.jsw_lateral_mm)
@@ -50,21 +58,39 @@ def between(knee: Knee, assembly: KneeAssembly, placed: dict[str, bones.Bone], m
         mesh = Mesh(move(vertices[used]), number.reshape(-1, 3))
         parts.append(Part(name, "cartilage", mesh))
         keep.append(_near(layer.covered(), move))
-    keep += [_cut(placed[name].outer) for name in placed if name not in ("femur", "tibia")]
+    small = [placed[name].outer for name in placed if name not in ("femur", "tibia")]
     rings = [solid.transform(pose.tibia()) for solid in cartilage.menisci(shape.menisci, s)]
+    patella, femur_frame, tibia_frame = placed["patella"].outer, pose.femur(), pose.tibia()
+    upper, lower = _poles(patella)
     joint = [
-        ("patella_cartilage", "cartilage", _behind(placed["patella"].outer, shape.patella, s, pose.femur())),
+        ("patella_cartilage", "cartilage", _behind(patella, shape.patella, s, femur_frame)),
         ("medial_meniscus", "cartilage", rings[0]),
         ("lateral_meniscus", "cartilage", rings[1]),
-        ("patellar_tendon", "tendon", tendon(shape.tendon, s, _apex(placed["patella"].outer), pose.tibia())),
-        ("fat_pad", "adipose", fat_pad(shape.fat_pad, s, pose.tibia())),
+        ("patellar_tendon", "tendon", patellar_tendon(shape.patellar_tendon, s, lower, tibia_frame)),
+        ("quadriceps_tendon", "tendon", quadriceps_tendon(shape.quadriceps_tendon, s, upper, femur_frame)),
+        ("fat_pad", "adipose", fat_pad(shape.fat_pad, s, tibia_frame)),
     ]
-    sheets = [
-        (f"fat_plane_{number}", "adipose", sheet.transform(pose.soft()))
-        for number, sheet in enumerate(fat_planes(shape, s, pose.flexion_deg), start=1)
+    parts += _carved(joint, keep + [_cut(solid) for solid in small], muscle)
+    return [*parts, _between_muscles(fat, placed, parts, shape.deep_fat)]
+
+
+def _between_muscles(fat: Manifold, placed: dict[str, bones.Bone], parts: list[Part], table: DeepFat) -> Part:
+    """What is left of the fat between muscles, clear of all bones and parts by what covers them.
+
+    No face of it lies in one of theirs, where rounding could make them overlap.
+    """
+    meshes = {name: mesh_of(bone.outer) for name, bone in placed.items()} | {part.name: part.mesh for part in parts}
+    patella = [meshes.pop(name) for name in ("patella", "patella_cartilage") if name in meshes]
+    thin = [[meshes.pop(name)] for name in ("patellar_tendon", "quadriceps_tendon", "fat_pad") if name in meshes]
+    small = [[meshes.pop(name)] for name in placed if name not in ("femur", "tibia", "patella")]
+    # Femur and tibia with all that is left: cartilage and menisci, and the joint space between.
+    covers = [
+        envelope(group, table.cover, "cover of bones", _FAR_MM) for group in (list(meshes.values()), patella, *small)
     ]
-    shafts = [placed[name].outer for name in ("femur", "tibia", "fibula")]
-    return parts + _carved(joint, keep, muscle) + _carved(sheets, shafts, muscle)
+    covers += [envelope(group, ((0.0, table.sheath_mm),), "sheath", _FAR_MM) for group in thin]
+    left = Manifold.batch_boolean([fat, *covers], OpType.Subtract).simplify(_COARSER_MM)
+    whole = Manifold.compose([piece for piece in left.decompose() if piece.volume() > _LEAST_MM3])
+    return Part("intermuscular_fat", "adipose", mesh_of(whole))
 
 
 def _carved(wanted: list[tuple[str, str, Manifold]], keep: list[Manifold], muscle: Manifold) -> list[Part]:
@@ -80,9 +106,10 @@ def _carved(wanted: list[tuple[str, str, Manifold]], keep: list[Manifold], muscl
     return parts
 
 
-def _apex(patella: Manifold) -> Array:
+def _poles(patella: Manifold) -> tuple[Array, Array]:
+    """Highest and lowest place of a patella."""
     points = mesh_of(patella).vertices
-    return points[points[:, 2].argmin()]
+    return points[points[:, 2].argmax()], points[points[:, 2].argmin()]
 
 
 def _behind(patella: Manifold, table: PatellaShape, scale: float, frame: Array) -> Manifold:
@@ -101,7 +128,7 @@ def _near(solid: Manifold, move: Callable[[Array], Array]) -> Manifold:
 
 
 def _cut(solid: Manifold) -> Manifold:
-    return solid.trim_by_plane((0.0, 0.0, 1.0), -_NEAR_MM).trim_by_plane((0.0, 0.0, -1.0), -_NEAR_MM)
+    return solid.trim_by_plane((0.0, 0.0, 1.0), -_BELOW_MM).trim_by_plane((0.0, 0.0, -1.0), -_ABOVE_MM)
 
 
 def _touching(solid: Manifold, others: list[Manifold]) -> list[Manifold]:

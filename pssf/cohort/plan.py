@@ -22,8 +22,8 @@ _SHAPE, _NOISE, _RETEST, _TAKING, _BODY = 0, 3, 4, 5, 2**31
 _ROTATION_DEG, _FLEXION_DEG, _BEAM_DEG = 2.0, 2.0, 1.0
 # What the two knees of a subject share.
 _BODY_FIELDS = (
-    "sex", "stature_mm", "bone_scale", "cortex_scale", "limb_ap_mm", "fat_mm", "age_years", "shape",
-    "fibular_tip_mm", "insall_salvati", "fabella_mm",
+    "sex", "stature_mm", "bone_scale", "cortex_scale", "bmi", "limb_ap_mm", "fat_mm", "age_years",
+    "shape", "fibular_tip_mm", "insall_salvati", "fabella_mm",
 )  # fmt: skip
 
 

@@ -213,19 +213,36 @@ class FatPad(Record, frozen=True):
     half: Triple
 
 
-class Tendon(Record, frozen=True):
-    """The patellar tendon: its start from the patella's apex, its end in the tibia's frame, its section's half axes."""
+class PatellarTendon(Record, frozen=True):
+    """Its start from the patella's apex, its end in the tibia's frame, its section's half axes."""
 
     from_apex: Triple
     tuberosity: Triple
     half: Triple
 
 
-class FatPlane(Record, frozen=True):
-    """A sheet of fat between muscles, turned about z."""
+class QuadricepsTendon(Record, frozen=True):
+    """Its start from the patella's base and the way up from there, in the femur's frame; half axes at both ends."""
 
-    turn_deg: float
+    from_base: Triple
+    upwards: Triple
+    half_below: Triple
+    half_above: Triple
+
+
+class MuscleShape(Record, frozen=True):
+    """A muscle. sections: z; half ML, half AP, centre y and centre x in shares of the fascia's half axes there."""
+
+    name: str
     sections: Rows
+
+
+class DeepFat(Record, frozen=True):
+    """What fat within the fascia keeps off: the fascia's own thickness, what covers tendons, and bones by height."""
+
+    fascia_mm: float
+    sheath_mm: float
+    cover: Rows
 
 
 class Limb(Record, frozen=True):
@@ -266,8 +283,10 @@ class BoneShape(Record, frozen=True):
     cartilage: Cartilage
     menisci: Menisci
     fat_pad: FatPad
-    tendon: Tendon
-    fat_planes: tuple[FatPlane, ...]
+    patellar_tendon: PatellarTendon
+    quadriceps_tendon: QuadricepsTendon
+    muscles: tuple[MuscleShape, ...]
+    deep_fat: DeepFat
     soft: Limb
 
 

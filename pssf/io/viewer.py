@@ -72,7 +72,7 @@ def shaded(mesh: trimesh.Trimesh) -> tuple[Triples, Triples, NDArray[np.int64]]:
 
 def _layers(scene: Scene) -> list[dict[str, Any]]:
     """Every surface with its colour, its place in the list of layers and its mesh, the largest first."""
-    # What differs by a number only shares a row: "fat_plane_1", "fat_plane_2".
+    # What differs by a number only shares a row: "screw_1", "screw_2".
     rows = [re.sub(r"_\d+$", "", name) for name in unique_names(scene)]
     places = [_place(row, rows) for row in rows]
     shared = Counter((group, surface.inside) for (group, _), surface in zip(places, scene.surfaces, strict=True))

@@ -5,7 +5,9 @@ from typing import Any
 import numpy as np
 
 from ..core.checks import InputError, from_table, require_choice, require_whole
+from ..data.fields import field_laws
 from ..data.grades import RangeGrades, SeverityGrades, grade_table
+from ..data.limbs import limbs
 from ..data.records import Pair
 from ..data.shapes import shape_table
 from .knee import MOST_SD, SITES, Knee, Osteophyte
@@ -18,10 +20,11 @@ _FARTHEST_SD = 2.0
 def draw_knee(*, grade: int, rng: np.random.Generator, table: str = "paper", **fixed: Any) -> Knee:
     """A knee of a KL grade with parameters drawn by a table of grades.
 
-    rng    the only source of chance; size and pose are drawn from it, the texture's seed and the shape from children
+    rng    the only source of chance; size and pose are drawn from it, texture's seed, shape and BMI from children
     table  "paper", whose ranges make grades 0 to 2 a function of the joint space, "people", whose grades 0 to 4 overlap
            as people's do and whose joint spaces are those that readers take, or the path of a TOML file
-    fixed  fields of `Knee` to hold at a value; the draw of the others does not depend on them
+    fixed  fields of `Knee` to hold at a value; the draw of the others does not depend on them, but for sizes that go
+           with sex, and for limb and fat, which go with BMI
     raises InputError for an unknown grade, table or field, or a rng that is none
     """
     law = grade_table(table)
@@ -47,7 +50,16 @@ def draw_knee(*, grade: int, rng: np.random.Generator, table: str = "paper", **f
         drawn |= severity_fields(law, int(grade), sex, drawn["bone_scale"], rng.spawn(1)[0])
     elif ranges is not None:
         drawn["osteophytes"] = _draw_osteophytes(rng, ranges.osteophyte_count, ranges.largest_osteophyte_mm)
+    bmi = fixed.get("bmi", _normal(rng.spawn(1)[0], limbs().bmi, sex))
+    drawn |= _limb(bmi, sex, drawn)
     return from_table(Knee, {**drawn, **fixed}, "draw_knee")
+
+
+def _limb(bmi: float, sex: str, drawn: dict[str, Any]) -> dict[str, float]:
+    """BMI and what a limb measures: the mean at that BMI and what was drawn about it."""
+    field_laws("knee")["bmi"].check("bmi", bmi)
+    about = {name: law.held(law.mean(bmi, sex) + drawn[name]) for name, law in limbs().limb.items()}
+    return {"bmi": bmi, **about}
 
 
 def _draw_form(rng: np.random.Generator, table: RangeGrades | SeverityGrades, sex: str) -> dict[str, Any]:

@@ -2,10 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, cast
 
 from ..core.checks import InputError, from_table, require, require_choice
 from ..data.fields import check_fields
+from ..data.limbs import limbs
 from ..data.shapes import shape_table
 
 # No score of a shape is farther from the mean.
@@ -50,8 +51,9 @@ class Knee:
     patellar_shift_mm  of the patella's middle from the femur's, laterally
     patellar_tilt_deg  of the patella about its long axis; positive: its lateral edge backwards
     fabella_mm         height of the fabella; 0 where there is none
-    limb_ap_mm         antero-posterior thickness of the limb at the joint
-    fat_mm             subcutaneous fat, medial and lateral
+    bmi                of the person, kg/m2; gives the next two where they are not given
+    limb_ap_mm         antero-posterior thickness of the limb at the joint; None: as people of that BMI and sex have it
+    fat_mm             subcutaneous fat, medial and lateral; None: likewise
     age_years          thins the trabeculae
     texture_seed       of the trabeculae and of the unevenness of cortex, which a knee changed in another field keeps
     grade              KL grade that it was drawn for, or None
@@ -80,8 +82,10 @@ class Knee:
     patellar_shift_mm: float = 3.0
     patellar_tilt_deg: float = 3.0
     fabella_mm: float = 0.0
-    limb_ap_mm: float = 120.0
-    fat_mm: float = 8.0
+    bmi: float = 27.0
+    # None until it is resolved at birth.
+    limb_ap_mm: float = cast(float, None)
+    fat_mm: float = cast(float, None)
     age_years: float = 55.0
     texture_seed: int = 0
     grade: int | None = None
@@ -89,6 +93,9 @@ class Knee:
 
     def __post_init__(self) -> None:
         check_fields("knee", self)
+        for name, law in limbs().limb.items():
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, law.mean(self.bmi, self.sex))
         if not isinstance(self.osteophytes, tuple | list) or not all(
             isinstance(item, Osteophyte) for item in self.osteophytes
         ):

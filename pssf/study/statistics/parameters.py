@@ -24,6 +24,7 @@ BODY = {
     "stature_mm": "stature, mm",
     "bone_scale": "bone scale",
     "cortex_scale": "cortex scale",
+    "bmi": "BMI, kg/m2",
     "limb_ap_mm": "limb, mm",
     "fat_mm": "fat, mm",
     "tibial_slope_deg": "tibial slope, deg",
