@@ -14,7 +14,7 @@ from .femur import mean_femur
 from .implicit import project_solid
 from .joint import KneeAssembly
 from .landmarks import contour_landmarks, plateau_floor
-from .osteophytes import BONE, OsteophyteShape
+from .osteophytes import BONE, Beak
 from .solids import edges_of, mesh_of
 from .tibia import mean_tibia
 
@@ -73,7 +73,7 @@ def osteophyte_meshes(knee: Knee, assembly: KneeAssembly) -> dict[str, Mesh]:
     return meshes
 
 
-def _around(added: Manifold, beak: OsteophyteShape, beaks: tuple[OsteophyteShape, ...]) -> Manifold:
+def _around(added: Manifold, beak: Beak, beaks: tuple[Beak, ...]) -> Manifold:
     """Of what several beaks add to a bone, what is nearest to one of them."""
     tips = np.array([other.tip for other in beaks])
     mine = next(k for k, other in enumerate(beaks) if other is beak)
