@@ -11,19 +11,21 @@ from numpy.typing import NDArray
 from ..core.checks import Array
 from ..data.bones import LipShape, Margin
 from ..model.knee import Osteophyte
-from .implicit import Field
+from .implicit import Field, meet
 from .mean_bone import MeanBone
 from .solids import loft, mesh_of
 
 Deform = Callable[[Array], Array]
 # Points around a section of a lip's rough solid, and millimetres from one section to the next.
 _AROUND, _SECTION_MM = 24, 1.2
-# The bone's outline is sampled at so many stations, no farther than this to either side: its joint surface so far inside
-# of it, its margin so far under that, along ways so long.
+# The bone's outline is sampled at so many stations, no farther than this to either side: its joint surface so far
+# inside of it, its margin so far under that, along ways so long.
 _STATIONS, _FARTHEST_MM = 9, 13.0
 _INWARD_MM, _UNDER_MM, _WAYS_MM, _SAMPLES = 5.0, 3.0, (-12.0, 12.0), 49
 # Points of a margin so little short of its farthest are in its middle together.
 _LEVEL_MM = 0.3
+# Its ends, which lie within most bones, are rounded so far.
+_END_MM = 1.0
 # Bone farther away than this from a lip's profile is as it was.
 _ABOUT_MM = 4.0
 # Of stations of an outline at least so many; and a lip's ends lie so far under the bone, beside its fillet.
@@ -93,14 +95,15 @@ class Lip:
 
     def field(self, points: Array) -> Array:
         """(n,)  approximate distance from the lip at points (n, 3)"""
-        _, out, up = self._local(points)
+        along, out, up = self._local(points)
         up = up - self._bent(out)
         (foot, foot_mm), (tip, tip_mm) = self._balls(0.0)
         axis = tip - foot
         away_out, away_up = out - foot[0], up - foot[1]
         share = np.clip((away_out * axis[0] + away_up * axis[1]) / (axis @ axis), 0.0, 1.0)
         away = np.hypot(away_out - share * axis[0], away_up - share * axis[1])
-        return np.asarray(away - foot_mm - share * (tip_mm - foot_mm))
+        profile = away - foot_mm - share * (tip_mm - foot_mm)
+        return meet(profile, np.abs(along) - self.half_mm, _END_MM)
 
     def solid(self, inset_mm: float) -> Manifold:
         """The lip as a loft of its sections, drawn in; the cortex takes the whole edge of a small one."""
@@ -239,7 +242,7 @@ def _standing_out(lip: Lip, way: Array, margin_mm: float, deform: Deform) -> Lip
         short_mm = lip.size_mm - (float(reach[0]) - margin_mm)
         if abs(short_mm) < _SETTLED_MM and np.abs(spot - lip.spot).max() < _STILL:
             break
-        lip = replace(lip, spot=spot, edge=lip.edge + [short_mm, 0.0, 0.0])
+        lip = replace(lip, spot=spot, edge=lip.edge + np.array([short_mm, 0.0, 0.0]))
     near = lip.farthest + np.vstack((np.zeros(3), _STEP_MM * np.eye(3)))
     normal = deform(near) @ way
     out = normal[1:] - normal[0]

@@ -1,4 +1,4 @@
-"""Osteophytes: lips of the joint margins and spikes on the spines, which flow into the bone, with a cortex of their own."""
+"""Osteophytes: lips of the joint margins and spikes on the spines that flow into the bone, each with a cortex."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,17 +22,17 @@ _THICKENING = 0.06
 # Bone of each kind of site.
 BONE = {"femur": "femur", "tibia": "tibia", "spine": "tibia"}
 # Rounds of evening out the mesh; cones that stand for the hull of tip and feet.
-_ROUNDS = 2
+_ROUNDS = 3
 _CONES = 17
 # Turns in which a tip is moved to where it belongs, and the step of the slopes that this takes.
 _TURNS, _STEP_MM = 12, 1e-3
-_EDGE_MM = 2.0
+_EDGE_MM, _ROUGH_EDGE_MM = 2.0, 1.2
 _DRAWN_IN_MM = 0.3
 
 
 @dataclass(frozen=True)
 class Spike:
-    """On a spine: cones from three feet within the bone to one tip, whose farthest point stands out by the osteophyte's size.
+    """On a spine: cones from three feet in the bone to a tip, whose farthest point stands out by the osteophyte's size.
 
     feet  (3, 3)  centres and the radius of the balls there; tip (3,) likewise; mm
     out   (3,)    unit vector in which it stands out
@@ -80,6 +80,12 @@ class Spike:
 Beak = Lip | Spike
 
 
+def _box(solid: Manifold) -> Manifold:
+    """A box about a solid, with room for it to be drawn in."""
+    low, high = np.array(solid.bounding_box()).reshape(2, 3)
+    return Manifold.cube(high - low + 4 * _DRAWN_IN_MM).translate(low - 2 * _DRAWN_IN_MM)
+
+
 @dataclass(frozen=True)
 class BoneWithOsteophytes:
     """A bone's outer solid with its beaks, in its frame at the mean man's size."""
@@ -91,11 +97,11 @@ class BoneWithOsteophytes:
         """The trabecular solid of the bone with what is inside its beaks."""
         for beak in self.beaks:
             within = beak.solid(_CORTEX_MM / scale + _THICKENING * beak.size_mm)
+            about = self.outer ^ _box(within)
             # A rounded margin may not hold the feet of a small beak; what is outside of the bone, drawn in, is cut off.
-            if (within - self.outer).volume() > 0:
-                around = (-beak.out, *np.eye(3), *-np.eye(3))
-                drawn_in = [self.outer.translate(_DRAWN_IN_MM * way) for way in around]
-                within = Manifold.batch_boolean([within, self.outer, *drawn_in], OpType.Intersect)
+            if (within - about).volume() > 0:
+                drawn_in = [about.translate(_DRAWN_IN_MM * way) for way in (*np.eye(3), *-np.eye(3), -beak.out)]
+                within = Manifold.batch_boolean([within, about, *drawn_in], OpType.Intersect)
             # With edges short enough to bend with the bone.
             inner = inner + within.refine_to_length(_EDGE_MM)
         return inner
@@ -140,7 +146,7 @@ def grow(
 
     rough = mean.outer
     for beak in beaks:
-        rough = rough + beak.solid(0.0).refine_to_length(1.0)
+        rough = rough + beak.solid(0.0).refine_to_length(_ROUGH_EDGE_MM)
     even = laplacian_smooth(rough, whole, _ROUNDS, near, [beak.farthest for beak in beaks])
     return BoneWithOsteophytes(checked(even, f"{mean.name} with osteophytes"), tuple(beaks))
 
