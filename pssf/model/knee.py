@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any
 
-from ..core.checks import InputError, from_table, require, require_choice
+from ..core.checks import InputError, from_table, require
 from ..data.fields import check_fields
 from ..data.shapes import shape_table
 
