@@ -61,6 +61,17 @@ def test_knees_at_the_corners_of_their_ranges_build(corner):
     assert_allclose(pssf.build(knee).measured_jsw_mm(REFERENCE), [2.5, 5.5], atol=0.01)
 
 
+@pytest.mark.parametrize("spaces", [(0.0, 5.5), (6.0, 0.0), (0.0, 0.0), (0.03, 4.0)])
+@pytest.mark.parametrize("posture", [None, "fixed_flexion"])
+def test_bone_stands_on_bone_without_overlap(spaces, posture):
+    knee = pssf.Knee(jsw_medial_mm=spaces[0], jsw_lateral_mm=spaces[1], subchondral_plate=1.8)
+    built = pssf.build(knee, pssf.load_protocol(posture) if posture else None)
+    if posture is None:
+        assert_allclose(built.measured_jsw_mm(REFERENCE), spaces, atol=1e-3)
+    assert (built.bones["femur"].outer ^ built.bones["tibia"].outer).volume() < 1e-6
+    assert str(pssf.check(built.scene)) == "no faults"
+
+
 def test_bones_that_would_overlap_are_refused(knee, built, monkeypatch):
     pose = built.assembly.pose
     sunk = dataclasses.replace(built.assembly, pose=dataclasses.replace(pose, raise_mm=pose.raise_mm - 7.0))

@@ -91,6 +91,31 @@ def test_two_osteophytes_at_one_site_are_refused():
         Knee(osteophytes=(beak, beak))
 
 
+def test_several_osteophytes_of_one_margin_lie_apart():
+    Knee(osteophytes=tuple(Osteophyte(site="medial_tibia", size_mm=2.0, place=place) for place in (0.0, -0.5, 0.6)))
+    with pytest.raises(InputError, match=r"places 0 and 0.4; allowed: one a site, or several at places 0.5 apart"):
+        Knee(osteophytes=tuple(Osteophyte(site="medial_tibia", size_mm=2.0, place=place) for place in (0.4, 0.0)))
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("site", "medial_patella"), ("size_mm", 10.5), ("size_mm", math.nan), ("place", 1.1), ("curve_deg", -50.0)],
+)
+def test_a_field_of_an_osteophyte_out_of_range_is_named(field, value):
+    with pytest.raises(InputError, match=f"{field} = "):
+        Osteophyte(**{"site": "medial_tibia", "size_mm": 2.0, field: value})
+
+
+def test_a_spike_on_a_spine_has_neither_place_nor_curve():
+    with pytest.raises(InputError, match=r"osteophyte at medial_spine: place = 0\.5"):
+        Osteophyte(site="medial_spine", size_mm=2.0, place=0.5)
+
+
+def test_an_osteophytes_place_and_curve_survive_the_table():
+    beak = Osteophyte(site="medial_tibia", size_mm=7.0, place=-0.25, curve_deg=30.0)
+    assert knee_from(knee_table(Knee(osteophytes=(beak,)))).osteophytes == (beak,)
+
+
 def test_a_knee_survives_its_table():
     knee = draw_knee(grade=2, rng=np.random.default_rng(1))
     assert knee_from(knee_table(knee)) == knee

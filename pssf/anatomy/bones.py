@@ -48,14 +48,14 @@ def trimmed(solid: Manifold, direction: int, end_mm: float) -> Manifold:
 
 def grown_femur(build: Build, osteophytes: tuple[Osteophyte, ...]) -> BoneWithOsteophytes:
     """The outer femur at the mean man's size, in its own frame, osteophytes and all."""
-    mean, margin = mean_femur(build.shape.femur), build.shape.osteophytes.femur
-    return grow(osteophytes, mean, margin, build.scale, partial(formed, form=build.femur))
+    mean, margins = mean_femur(build.shape.femur), build.shape.osteophytes
+    return grow(osteophytes, mean, margins, build.scale, partial(formed, form=build.femur))
 
 
 def grown_tibia(build: Build, osteophytes: tuple[Osteophyte, ...]) -> BoneWithOsteophytes:
     """The outer tibia at the mean man's size, in its own frame, osteophytes and all."""
-    mean, margin = mean_tibia(build.shape.tibia), build.shape.osteophytes.tibia
-    return grow(osteophytes, mean, margin, build.scale, partial(formed, form=build.tibia))
+    mean, margins = mean_tibia(build.shape.tibia), build.shape.osteophytes
+    return grow(osteophytes, mean, margins, build.scale, partial(formed, form=build.tibia))
 
 
 def femur(build: Build, grown: BoneWithOsteophytes) -> Bone:

@@ -1,4 +1,4 @@
-"""Osteophytes: beaks at the joint margins and on the spines that flow into the bone, each with a cortex of its own."""
+"""Osteophytes: lips of the joint margins and spikes on the spines that flow into the bone, each with a cortex."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,10 +7,11 @@ import numpy as np
 from manifold3d import Manifold, OpType
 from numpy.typing import NDArray
 
-from ..core.checks import Array
-from ..data.bones import Margin
+from ..core.checks import Array, InputError
+from ..data.bones import Margins
 from ..model.knee import Osteophyte
 from .implicit import blend
+from .lips import Deform, Lip, lip_at
 from .mean_bone import MeanBone
 from .remesh import laplacian_smooth
 from .solids import checked, mesh_of
@@ -20,19 +21,18 @@ _CORTEX_MM = 0.5
 _THICKENING = 0.06
 # Bone of each kind of site.
 BONE = {"femur": "femur", "tibia": "tibia", "spine": "tibia"}
-Deform = Callable[[Array], Array]
 # Rounds of evening out the mesh; cones that stand for the hull of tip and feet.
-_ROUNDS = 2
+_ROUNDS = 3
 _CONES = 17
 # Turns in which a tip is moved to where it belongs, and the step of the slopes that this takes.
 _TURNS, _STEP_MM = 12, 1e-3
-_EDGE_MM = 2.0
+_EDGE_MM, _ROUGH_EDGE_MM = 2.0, 1.2
 _DRAWN_IN_MM = 0.3
 
 
 @dataclass(frozen=True)
-class OsteophyteShape:
-    """Cones from three feet within the bone to one tip, whose farthest point stands out by the osteophyte's size.
+class Spike:
+    """On a spine: cones from three feet in the bone to a tip, whose farthest point stands out by the osteophyte's size.
 
     feet  (3, 3)  centres and the radius of the balls there; tip (3,) likewise; mm
     out   (3,)    unit vector in which it stands out
@@ -77,54 +77,68 @@ class OsteophyteShape:
         return checked(Manifold.batch_hull(balls), "osteophyte")
 
 
+Beak = Lip | Spike
+
+
+def _box(solid: Manifold) -> Manifold:
+    """A box about a solid, with room for it to be drawn in."""
+    low, high = np.array(solid.bounding_box()).reshape(2, 3)
+    return Manifold.cube(high - low + 4 * _DRAWN_IN_MM).translate(low - 2 * _DRAWN_IN_MM)
+
+
 @dataclass(frozen=True)
 class BoneWithOsteophytes:
     """A bone's outer solid with its beaks, in its frame at the mean man's size."""
 
     outer: Manifold
-    beaks: tuple[OsteophyteShape, ...] = ()
+    beaks: tuple[Beak, ...] = ()
 
     def filled(self, inner: Manifold, scale: float) -> Manifold:
         """The trabecular solid of the bone with what is inside its beaks."""
         for beak in self.beaks:
             within = beak.solid(_CORTEX_MM / scale + _THICKENING * beak.size_mm)
+            about = self.outer ^ _box(within)
             # A rounded margin may not hold the feet of a small beak; what is outside of the bone, drawn in, is cut off.
-            if (within - self.outer).volume() > 0:
-                around = (-beak.out, *np.eye(3)[1:], *-np.eye(3)[1:])
-                drawn_in = [self.outer.translate(_DRAWN_IN_MM * way) for way in around]
-                within = Manifold.batch_boolean([within, self.outer, *drawn_in], OpType.Intersect)
+            if (within - about).volume() > 0:
+                drawn_in = [about.translate(_DRAWN_IN_MM * way) for way in (*np.eye(3), *-np.eye(3), -beak.out)]
+                within = Manifold.batch_boolean([within, about, *drawn_in], OpType.Intersect)
             # With edges short enough to bend with the bone.
             inner = inner + within.refine_to_length(_EDGE_MM)
         return inner
 
 
 def grow(
-    osteophytes: tuple[Osteophyte, ...], mean: MeanBone, margin: Margin, scale: float, deform: Deform
+    osteophytes: tuple[Osteophyte, ...], mean: MeanBone, margins: Margins, scale: float, deform: Deform
 ) -> BoneWithOsteophytes:
     """A bone with the osteophytes that belong to it.
 
-    margin   where they are
+    margins  where they are, and their form
     scale    of the knee, whose osteophytes are as large as they say
     deform   what the bone is deformed by afterwards, (n, 3) -> (n, 3), whose stretching is taken back here
+    raises   InputError where one hides the farthest point of another
     """
-    beaks = []
+    beaks: list[Beak] = []
     for osteophyte in osteophytes:
         side, where = osteophyte.site.split("_")
         if BONE[where] == mean.name:
-            direction, size_mm = 1.0 if side == "medial" else -1.0, osteophyte.size_mm / scale
+            size_mm = osteophyte.size_mm / scale
             if where == "spine":
-                beaks.append(_on_spine(direction, mean.outer, size_mm, deform))
+                beaks.append(_on_spine(1.0 if side == "medial" else -1.0, mean.outer, size_mm, deform))
             else:
-                beaks.append(_at_margin(margin, direction, mean.outer, size_mm, deform))
+                margin = {"femur": margins.femur, "tibia": margins.tibia}[where]
+                beaks.append(lip_at(osteophyte, size_mm, mean, (margin, margins.lip), deform))
     if not beaks:
         return BoneWithOsteophytes(mean.outer)
+    _refuse_hidden(osteophytes, beaks, mean.name)
 
     def whole(points: Array) -> Array:
-        shape = mean.field(points)
+        bare = mean.field(points)
+        shape = bare.copy()
         for beak in beaks:
             close = beak.near(points)
-            if close.any():
-                shape[close] = blend(shape[close], beak.field(points[close]), beak.fillet_mm)
+            # Each is blended with the bone alone: blended with each other, one would lift the tip of its neighbour.
+            with_it = blend(bare[close], beak.field(points[close]), beak.fillet_mm)
+            shape[close] = np.minimum(shape[close], with_it)
         return shape
 
     def near(points: Array) -> NDArray[np.bool_]:
@@ -132,28 +146,23 @@ def grow(
 
     rough = mean.outer
     for beak in beaks:
-        rough = rough + beak.solid(0.0).refine_to_length(1.0)
+        rough = rough + beak.solid(0.0).refine_to_length(_ROUGH_EDGE_MM)
     even = laplacian_smooth(rough, whole, _ROUNDS, near, [beak.farthest for beak in beaks])
     return BoneWithOsteophytes(checked(even, f"{mean.name} with osteophytes"), tuple(beaks))
 
 
-def _at_margin(table: Margin, direction: float, bare: Manifold, size_mm: float, deform: Deform) -> OsteophyteShape:
-    points = mesh_of(bare).vertices
-    band = points[(points[:, 2] >= table.band_z[0]) & (points[:, 2] <= table.band_z[1])]
-    margin = float((band[:, 0] * direction).max())
-    tip_mm, foot_mm, width = 0.35 + 0.15 * size_mm, 1.6 + 0.5 * size_mm, 4.0 + 2.0 * size_mm
-    inward = margin - foot_mm - 1.2 - 1.5 * np.array([1.0, 0.0, 1.0])
-    feet = np.column_stack((direction * inward, [-width, 0.0, width], np.full(3, table.foot_z)))
-
-    def shape(stands_mm: float, out: Array) -> OsteophyteShape:
-        tip = np.array([direction * (margin + stands_mm - tip_mm), 0.0, table.tip_z])
-        return OsteophyteShape(feet, foot_mm, tip, tip_mm, size_mm, out)
-
-    way = np.array([direction, 0.0, 0.0])
-    return _standing_out(shape, way, float((deform(band) @ way).max()), size_mm, deform)
+def _refuse_hidden(osteophytes: tuple[Osteophyte, ...], beaks: list[Beak], bone: str) -> None:
+    for beak in beaks:
+        for other in beaks:
+            if other is not beak and float(other.field(beak.farthest[None])[0]) < 0:
+                names = ", ".join(f"{one.site} {one.size_mm:g} mm at {one.place:g}" for one in osteophytes)
+                raise InputError(
+                    f"osteophytes of the {bone} ({names}): one hides the farthest point of another; allowed: smaller "
+                    "ones, or places farther apart"
+                )
 
 
-def _on_spine(direction: float, bare: Manifold, size_mm: float, deform: Deform) -> OsteophyteShape:
+def _on_spine(direction: float, bare: Manifold, size_mm: float, deform: Deform) -> Spike:
     points = mesh_of(bare).vertices
     side = points[points[:, 0] * direction > 1.0]
     height = deform(side)[:, 2]
@@ -161,16 +170,16 @@ def _on_spine(direction: float, bare: Manifold, size_mm: float, deform: Deform) 
     tip_mm, foot_mm = 0.35 + 0.15 * size_mm, 1.0 + 0.3 * size_mm
     feet = top - [0.0, 0.0, foot_mm + 0.6] + np.array([[0.0, -3.0, -0.6], [0.0, 0.0, 0.0], [0.0, 3.0, -0.6]])
 
-    def shape(stands_mm: float, out: Array) -> OsteophyteShape:
+    def shape(stands_mm: float, out: Array) -> Spike:
         tip = top + np.array([0.0, 0.0, stands_mm - tip_mm])
-        return OsteophyteShape(feet, foot_mm, tip, tip_mm, size_mm, out)
+        return Spike(feet, foot_mm, tip, tip_mm, size_mm, out)
 
     return _standing_out(shape, np.array([0.0, 0.0, 1.0]), float(height.max()), size_mm, deform)
 
 
 def _standing_out(
-    shape: Callable[[float, Array], OsteophyteShape], way: Array, margin_mm: float, size_mm: float, deform: Deform
-) -> OsteophyteShape:
+    shape: Callable[[float, Array], Spike], way: Array, margin_mm: float, size_mm: float, deform: Deform
+) -> Spike:
     """The shape whose farthest point, deformed, stands out by its size along a way beyond the deformed bare bone."""
     stands_mm, out = size_mm, way
     for _ in range(_TURNS):

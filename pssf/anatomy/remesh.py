@@ -17,8 +17,10 @@ Choice = Callable[[Array], NDArray[np.bool_]]
 
 # Of a whole bone: rounds of smoothing its mesh, rounds of splitting edges where it bends, and where its shaft begins.
 _ROUNDS, _SPLITS, _SHAFT_FROM_MM = 6, 4, 70.0
+# Rings of triangles about what may move that a fold may take room from.
+_BORDER = 2
 # Shafts are cut off before this height. Rounds of turning inverted faces, and of smoothing in each.
-_USED_MM, _TURNS, _FLATTENINGS = 200.0, 10, 10
+_USED_MM, _TURNS, _FLATTENINGS = 200.0, 16, 10
 # Of a tip: what is about it, how far middles of edges may be off there, splits, and what may be cut off it.
 _TIP_MM, _TIP_TOLERANCE_MM, _TIP_SPLITS, _CUT_MM = 4.0, 0.02, 3, 1e-4
 
@@ -66,17 +68,26 @@ def laplacian_smooth(
     tips  points (3,) of the field's surface that a coarse mesh would cut off
     """
     mesh = mesh_of(solid)
-    places = np.array(mesh.vertices)
-    free = np.ones(len(places), np.bool_) if near is None else near(places)
-    faces = np.asarray(mesh.faces)
+    all_places, all_faces = np.array(mesh.vertices), np.asarray(mesh.faces)
+    may_move = np.ones(len(all_places), np.bool_) if near is None else near(all_places)
+    # A fold at the border of what may move needs room beyond it. Nothing else is touched, and most of a bone is not.
+    with_border = dilate_rings(may_move, all_faces, _BORDER)
+    touched = with_border[all_faces].any(axis=1)
+    used, numbers = np.unique(all_faces[touched], return_inverse=True)
+    places, free = all_places[used], may_move[used]
+    faces: Indices = numbers.reshape(-1, 3).astype(np.int64)
     amid = neighbour_means(faces, len(places))[free]
     places[free] = project_to_surface(places[free], field, None, 5)
     for _ in range(rounds):
         places[free] = project_to_surface((places[free] + amid @ places) / 2, field, None, 2)
-    places = _fix_inverted_faces(places, faces, free, field)
+    places = _fix_inverted_faces(places, faces, with_border[used], field)
     for tip in tips:
         places, faces = _add_tip(places, faces, field, tip)
-    return solid_of(places, faces, "evened")
+    all_places[used] = places[: len(used)]
+    added = np.arange(len(places) - len(used)) + len(all_places)
+    number = np.concatenate((used, added))
+    faces = np.vstack((all_faces[~touched], number[faces]))
+    return solid_of(np.vstack((all_places, places[len(used) :])), faces, "evened")
 
 
 def neighbour_means(faces: Indices, count: int) -> csr_array:

@@ -1,5 +1,7 @@
 """What is known about the radiograph of a built knee: joint spaces, landmarks, and where its osteophytes are."""
 
+from collections.abc import Callable
+
 import numpy as np
 from manifold3d import Manifold, OpType
 
@@ -14,7 +16,7 @@ from .femur import mean_femur
 from .implicit import project_solid
 from .joint import KneeAssembly
 from .landmarks import contour_landmarks, plateau_floor
-from .osteophytes import BONE, OsteophyteShape
+from .osteophytes import BONE
 from .solids import edges_of, mesh_of
 from .tibia import mean_tibia
 
@@ -66,23 +68,25 @@ def osteophyte_meshes(knee: Knee, assembly: KneeAssembly) -> dict[str, Mesh]:
         if not sites:
             continue
         bare = project_solid(mean.outer, mean.field, depth_mm=lambda points: np.full(len(points), -_OUT_MM))
-        added = grown.outer - bare
-        for site, beak in zip(sites, grown.beaks, strict=True):
-            mesh = mesh_of(_around(added, beak, grown.beaks))
-            meshes[site] = assembly.mirrored(Mesh(move(mesh.vertices), mesh.faces))
+        # Moved first: a cut across a triangle stays within it, and the osteophyte within its bone.
+        outer, bare = (_moved(solid, move) for solid in (grown.outer, bare))
+        tips = move(np.array([beak.tip for beak in grown.beaks]))
+        for site, added in _by_site(outer - bare, sites, tips).items():
+            meshes[site] = assembly.mirrored(mesh_of(added))
     return meshes
 
 
-def _around(added: Manifold, beak: OsteophyteShape, beaks: tuple[OsteophyteShape, ...]) -> Manifold:
-    """Of what several beaks add to a bone, what is nearest to one of them."""
-    tips = np.array([other.tip for other in beaks])
-    mine = next(k for k, other in enumerate(beaks) if other is beak)
-    pieces = []
+def _moved(solid: Manifold, move: Callable[[Array], Array]) -> Manifold:
+    return solid.warp_batch(lambda points: move(np.array(points)))
+
+
+def _by_site(added: Manifold, sites: list[str], tips: Array) -> dict[str, Manifold]:
+    """Site -> of what osteophytes with tips (n, 3) add to a bone, what is nearest to those there."""
+    pieces: dict[str, list[Manifold]] = {site: [] for site in sites}
     for piece in added.decompose():
         middle = np.array(piece.bounding_box()).reshape(2, 3).mean(axis=0)
-        if np.linalg.norm(tips - middle, axis=1).argmin() == mine:
-            pieces.append(piece)
-    return Manifold.batch_boolean(pieces, OpType.Add)
+        pieces[sites[int(np.linalg.norm(tips - middle, axis=1).argmin())]].append(piece)
+    return {site: Manifold.batch_boolean(parts, OpType.Add) for site, parts in pieces.items()}
 
 
 def _gaps(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> tuple[Gap, Gap]:

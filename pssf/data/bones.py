@@ -144,18 +144,41 @@ class FabellaShape(Record, frozen=True):
 
 
 class Margin(Record, frozen=True):
-    """Where a bone's margin is looked for, and how high an osteophyte's tip and feet are."""
+    """Where a bone's margin is looked for, about how high it is, the way to the joint (+1 up, -1 down), and how far the
+    joint surface is above what of an osteophyte is nearest to it.
+    """
 
     band_z: Pair
-    tip_z: float
-    foot_z: float
+    at_z: float
+    joint: float
+    drop_mm: float
+
+
+class LipShape(Record, frozen=True):
+    """Form of an osteophyte at a margin; pairs: of the smallest, and more of it a millimetre of size.
+
+    edge_mm    radius of its edge
+    base_mm    height of its base, and what it is at most
+    long_mm    length along the margin, and what it is at most
+    bulge      how far its base alone stands out, in shares of its size
+    turn_deg   of the way outwards from sideways, at the front and back ends of the margin
+    """
+
+    edge_mm: Pair
+    base_mm: Pair
+    highest_mm: float
+    long_mm: Pair
+    longest_mm: float
+    bulge: float
+    turn_deg: float
 
 
 class Margins(Record, frozen=True):
-    """Of the bones that bear osteophytes."""
+    """Of the bones that bear osteophytes, and the form of these."""
 
     femur: Margin
     tibia: Margin
+    lip: LipShape
 
 
 class FemoralCartilage(Record, frozen=True):

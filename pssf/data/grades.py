@@ -37,12 +37,13 @@ class Side(Record, frozen=True):
 
 
 class Spaces(Record, frozen=True):
-    """Joint spaces as readers take them, mm: correlation of both, what men have more, and laws by the narrowed side.
+    """Joint spaces as readers take them, mm: correlation of both, the least that is drawn, what men have more, and laws by the narrowed side.
 
     medial, lateral  grade -> mean and deviation of the space that narrows and of the other one
     """
 
     correlation: float
+    least_mm: float
     men_more_mm: float
     medial: dict[str, tuple[Pair, Pair]]
     lateral: dict[str, tuple[Pair, Pair]]

@@ -2,31 +2,44 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from typing import Any, cast
 
-from ..core.checks import InputError, from_table, require, require_choice
+from ..core.checks import InputError, from_table, require
 from ..data.fields import check_fields
 from ..data.limbs import limbs
 from ..data.shapes import shape_table
 
 # No score of a shape is farther from the mean.
 MOST_SD = 3.0
+# Osteophytes of one margin lie at least so far apart, in the measure of their places; nearer ones are one.
+APART = 0.5
 SITES = ("medial_femur", "lateral_femur", "medial_tibia", "lateral_tibia", "medial_spine", "lateral_spine")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Osteophyte:
-    """A bony beak at a joint margin or on a tibial spine; size_mm is how far its tip stands out.
+    """A bony lip at a joint margin, or a spike on a tibial spine.
 
-    raises  InputError for an unknown site or a size outside 0.2 to 6 mm
+    size_mm    how far its farthest point stands out of the bare bone
+    place      along the margin: -1 in front, +1 behind, 0 in its middle
+    curve_deg  of the lip's edge towards the joint, or away from it where it is negative
+    raises     InputError for an unknown site, a value out of range (`data/osteophyte_fields.toml`), or a place or curve
+               of what is on a spine
     """
 
     site: str
     size_mm: float
+    place: float = 0.0
+    curve_deg: float = 0.0
 
     def __post_init__(self) -> None:
-        require_choice("osteophyte site", self.site, SITES)
-        require("osteophyte size_mm", self.size_mm, 0.2, 6.0, "mm")
+        check_fields("osteophyte", self)
+        if self.site.endswith("_spine") and (self.place or self.curve_deg):
+            raise InputError(
+                f"osteophyte at {self.site}: place = {self.place:g}, curve_deg = {self.curve_deg:g} deg; allowed: 0, "
+                "since it stands on the spine's top"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +71,7 @@ class Knee:
     texture_seed       of the trabeculae and of the unevenness of cortex, which a knee changed in another field keeps
     grade              KL grade that it was drawn for, or None
     grade_read         what a reader calls it, who may be off by one; None where no reader is drawn
-    raises             InputError for a value out of range, or two osteophytes at one site
+    raises             InputError for a value out of range, or two osteophytes at one place
     """
 
     side: str = "right"
@@ -102,9 +115,17 @@ class Knee:
             raise InputError(f"osteophytes = {self.osteophytes!r}; allowed: a tuple of Osteophyte")
         object.__setattr__(self, "osteophytes", tuple(self.osteophytes))
         object.__setattr__(self, "shape", require_scores(self.shape))
-        sites = [item.site for item in self.osteophytes]
-        if len(set(sites)) < len(sites):
-            raise InputError(f"osteophytes at {', '.join(sites)}; allowed: one a site")
+        _require_apart(self.osteophytes)
+
+
+def _require_apart(osteophytes: tuple[Osteophyte, ...]) -> None:
+    ordered = sorted(osteophytes, key=lambda item: (item.site, item.place))
+    for one, other in pairwise(ordered):
+        if one.site == other.site and other.place - one.place < APART:
+            raise InputError(
+                f"osteophytes at {one.site}, places {one.place:g} and {other.place:g}; allowed: one a site, or several "
+                f"at places {APART:g} apart"
+            )
 
 
 def require_scores(scores: Any) -> tuple[float, ...]:

@@ -56,7 +56,7 @@ def _spaces_mm(
     within = []
     for (mean, sd), score in zip(laws, scores, strict=True):
         left = np.sqrt(max(sd**2 - (table.spaces.men_more_mm / 2) ** 2, 0.0))
-        within.append(round(float(np.clip(mean + more + left * _cut(score), 0.0, 8.0)), 4))
+        within.append(round(float(np.clip(mean + more + left * _cut(score), table.spaces.least_mm, 8.0)), 4))
     return within
 
 
