@@ -1,6 +1,6 @@
 """BuiltKnee: a knee, its solids as a scene, and its labels, as one object."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from manifold3d import Manifold
@@ -22,6 +22,7 @@ from .solids import checked, mesh_of
 from .tissues import between
 from .trabeculae import BONES, Trabeculae, trabeculae
 from .truth import labels, measured_jsw_mm, osteophyte_meshes
+from .wear import worn
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -132,7 +133,10 @@ def _bones(knee: Knee, assembly: KneeAssembly) -> dict[str, _Placed]:
     if knee.fabella_mm:
         fabella, in_femur = small_bones.fabella(knee, build, femur.outer)
         parts["fabella"] = (fabella, _after(in_femur, pose.femur()), still)
-    return {name: _Placed(_placed(part, at), _after(inner, at)) for name, (part, at, inner) in parts.items()}
+    placed = {name: _Placed(_placed(part, at), _after(inner, at)) for name, (part, at, inner) in parts.items()}
+    plate_mm = build.shape.tibia.plate_mm * build.cortex * build.plate
+    tibia = worn(placed["tibia"].solids, placed["femur"].solids.outer, plate_mm)
+    return placed | {"tibia": replace(placed["tibia"], solids=tibia)}
 
 
 def _after(first: Array, then: Array) -> Array:

@@ -13,11 +13,13 @@ from ..model.knee import Knee
 from . import bones, cartilage
 from .envelope import envelope
 from .joint import KneeAssembly
-from .solids import mesh_of
+from .solids import mesh_of, solid_of
 from .tendons import fat_pad, patellar_tendon, quadriceps_tendon
 
 # Splinters that carving leaves are not worth a surface.
 _LEAST_MM3 = 1.0
+# In a joint space below this cartilage of one bone may meet the other, away from where the space is told.
+_NARROW_MM = 3.0
 # The joint and its tendons lie between these heights; bones are cut there before they are carved with.
 _BELOW_MM, _ABOVE_MM = 75.0, 170.0
 # Less than what lies between the fat and all else: edges of muscles are seen through centimetres of others.
@@ -55,9 +57,10 @@ def between(
     for name, layer, move in zip(("femur_cartilage", "tibia_cartilage"), layers, moves, strict=True):
         vertices, faces = layer.alone()
         used, number = np.unique(faces, return_inverse=True)
-        mesh = Mesh(move(vertices[used]), number.reshape(-1, 3))
-        parts.append(Part(name, "cartilage", mesh))
+        parts.append(Part(name, "cartilage", Mesh(move(vertices[used]), number.reshape(-1, 3))))
         keep.append(_near(layer.covered(), move))
+    if min(spaces_mm) < _NARROW_MM:
+        parts = _worn(parts[0], parts[1], placed)
     small = [placed[name].outer for name in placed if name not in ("femur", "tibia")]
     rings = [solid.transform(pose.tibia()) for solid in cartilage.menisci(shape.menisci, s)]
     patella, femur_frame, tibia_frame = placed["patella"].outer, pose.femur(), pose.tibia()
@@ -91,6 +94,15 @@ def _between_muscles(fat: Manifold, placed: dict[str, bones.Bone], parts: list[P
     left = Manifold.batch_boolean([fat, *covers], OpType.Subtract).simplify(_COARSER_MM)
     whole = Manifold.compose([piece for piece in left.decompose() if piece.volume() > _LEAST_MM3])
     return Part("intermuscular_fat", "adipose", mesh_of(whole))
+
+
+def _worn(femoral: Part, tibial: Part, placed: dict[str, bones.Bone]) -> list[Part]:
+    """Cartilage of femur and tibia where it may be thicker than the space that is left: what the other has is gone."""
+    femur, tibia = placed["femur"].outer, placed["tibia"].outer
+    upper = solid_of(femoral.mesh.vertices, femoral.mesh.faces, femoral.name) - _cut(tibia)
+    lower = solid_of(tibial.mesh.vertices, tibial.mesh.faces, tibial.name) - _cut(femur) - upper
+    kept = [(part, solid) for part, solid in ((femoral, upper), (tibial, lower)) if solid.volume() > _LEAST_MM3]
+    return [Part(part.name, part.material, mesh_of(solid)) for part, solid in kept]
 
 
 def _carved(wanted: list[tuple[str, str, Manifold]], keep: list[Manifold], muscle: Manifold) -> list[Part]:

@@ -37,7 +37,7 @@ class Side(Record, frozen=True):
 
 
 class Spaces(Record, frozen=True):
-    """Joint spaces as readers take them, mm: correlation of both, the least that is drawn, what men have more, and laws by the narrowed side.
+    """Joint spaces as readers take them, mm: correlation of both, the least drawn, what men have more, laws by side.
 
     medial, lateral  grade -> mean and deviation of the space that narrows and of the other one
     """

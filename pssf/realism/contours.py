@@ -11,14 +11,13 @@ import numpy as np
 
 from ..anatomy.joint import assemble
 from ..anatomy.landmarks import CONTOUR_LANDMARKS, contour_landmarks
-from ..anatomy.solids import mesh_of
+from ..anatomy.wear import outer_bones
 from ..core.checks import Array, InputError, require_whole
 from ..core.parallel import ordered_map
 from ..data.bones import mean_shape
 from ..data.grades import grade_table
 from ..data.landmarks import GradeContours, LandmarkReference
 from ..data.records import Pair
-from ..geometry.mesh import Mesh
 from ..geometry.view import view_of
 from ..model.draw import draw_knee
 from ..model.knee import Knee
@@ -92,9 +91,7 @@ def drawn_landmarks(
 def _landmarks_of(knee: Knee, protocol: Protocol) -> Array:
     """(16, 2)  the labels of a right knee, without building what they do not need"""
     assembly = assemble(knee, mean_shape(), protocol.posture)
-    upper, lower = mesh_of(assembly.femur.outer), mesh_of(assembly.tibia.outer)
-    femur = assembly.mirrored(Mesh(assembly.femur_mm(upper.vertices), upper.faces))
-    tibia = assembly.mirrored(Mesh(assembly.tibia_mm(lower.vertices), lower.faces))
+    femur, tibia = (assembly.mirrored(mesh) for mesh in outer_bones(assembly))
     view = view_of(protocol)
     return film_mm(contour_landmarks(femur, tibia, view, 1, assembly.pose.lean_deg), "right", view.pixel_mm)
 
