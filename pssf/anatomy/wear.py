@@ -3,7 +3,7 @@
 import numpy as np
 from manifold3d import Manifold, OpType
 
-from ..core.checks import InputError
+from ..core.checks import Array, InputError
 from ..geometry.mesh import Mesh
 from .bones import Bone
 from .joint import KneeAssembly
@@ -32,9 +32,10 @@ def worn(tibia: Bone, femur: Manifold, plate_mm: float) -> Bone:
             f"femur and tibia overlap by {shared:.3g} mm3, in places by more than {MOST_MM:g} mm (joint spaces, "
             "osteophytes and pose leave them no room); allowed: less, which is worn off the plateau"
         )
+    near = _near(femur, np.array((tibia.outer ^ femur).bounding_box()).reshape(2, 3), _CONTACT_MM + plate_mm)
     return Bone(
-        outer=_without(tibia.outer, femur, _CONTACT_MM),
-        inner=_without(tibia.inner, femur, _CONTACT_MM + plate_mm),
+        outer=_without(tibia.outer, near, _CONTACT_MM),
+        inner=_without(tibia.inner, near, _CONTACT_MM + plate_mm),
         canal=tibia.canal,
     )
 
@@ -46,6 +47,14 @@ def outer_bones(assembly: KneeAssembly) -> tuple[Mesh, Mesh]:
         for bone, move in ((assembly.femur, assembly.femur_mm), (assembly.tibia, assembly.tibia_mm))
     )
     return mesh_of(femur), mesh_of(worn(Bone(outer=tibia, inner=tibia), femur, 0.0).outer)
+
+
+def _near(femur: Manifold, box_mm: Array, margin_mm: float) -> Manifold:
+    """What of a femur is in a box (2, 3) or as near to it: what is worn has no more to do with the rest."""
+    low, high = box_mm[0] - margin_mm, box_mm[1] + margin_mm
+    for axis, way in enumerate(np.eye(3)):
+        femur = femur.trim_by_plane(tuple(way), low[axis]).trim_by_plane(tuple(-way), -high[axis])
+    return femur
 
 
 def _without(solid: Manifold, femur: Manifold, apart_mm: float) -> Manifold:
