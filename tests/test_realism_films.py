@@ -9,6 +9,7 @@ from scipy.ndimage import gaussian_filter
 
 import pssf
 from pssf.realism import domains, films_section
+from pssf.realism.blind import blind_test
 from pssf.realism.films import centred, measured
 from pssf.realism.form import PITCH_MM, PLATEAU_MM, Place, field_of, joint_pixel, stretched
 from pssf.realism.outline import cheapest_path, trace_outline
@@ -200,3 +201,29 @@ def test_the_page_holds_what_it_is_given_and_fetches_nothing():
     assert "x &amp; y" in page
     assert "alt &lt;text&gt;" in page
     assert "http" not in page.replace("http-equiv", "")
+
+
+def test_a_reader_is_shown_as_many_real_films_as_simulated_ones_and_the_key_tells_which():
+    def film(number, status="found"):
+        return {"status": status, "file": f"{number}.png", "grade": number % 5}
+
+    records = {
+        "clinic": [film(k) for k in range(20)] + [film(99, "low score")],
+        "few": [film(k) for k in range(3)],
+        "simulated": [film(k) for k in range(100, 130)],
+    }
+    shown = []
+
+    def form(name, one):
+        shown.append((name, one["file"]))
+        return np.full((10, 12), 7, np.uint8)
+
+    (figure,), (key,) = blind_test(records, "simulated", form, seed=3)
+    assert figure.png.startswith(b"\x89PNG")
+    assert [(row["source"], row["file"]) for row in key.rows] == shown
+    sources = [row["source"] for row in key.rows]
+    assert (sources.count("clinic"), sources.count("simulated"), key.shown) == (12, 12, 0)
+    assert sources != sorted(sources)
+    assert len({row["file"] for row in key.rows}) == 24
+    assert blind_test(records, "simulated", form, seed=3)[1] == (key,)
+    assert blind_test({"few": records["few"], "simulated": records["simulated"]}, "simulated", form, seed=3) == ((), ())

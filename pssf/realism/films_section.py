@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..core.checks import Array
 from ..study.report.page import Picture
+from .blind import blind_test
 from .domains import ALL, effects, told_apart, transferred
 from .films import FINE, TONE, Record, learnable
 from .form import Place, field_of, stretched
@@ -66,6 +67,7 @@ def films_section(
     records  source -> one record a film, as `measure_films` gives them
     """
     compared, found = compare(records, replicates=replicates, seed=seed), found_rows(records)
+    figures, key = blind_test(records, SIMULATED, lambda name, one: _form(read(name, one["file"]), one), seed)
     tables = (
         Table(name="films_found", rows=found, caption="Films of each source, and what became of them."),
         Table(name="films_domains", rows=compared.domains, caption=_CAPTIONS["domains"]),
@@ -75,13 +77,14 @@ def films_section(
         Table(name="films_tone", rows=quantity_rows(records, TONE), caption=_CAPTIONS["tone"]),
         Table(name="films_texture", rows=quantity_rows(records, FINE), caption=_CAPTIONS["fine"]),
         Table(name="films_form_texture", rows=quantity_rows(records, "texture"), caption=_CAPTIONS["form"], shown=40),
+        *key,
     )
     return Section(
         name="Films",
         line=summary_line(compared),
         text=_TEXT,
         tables=tuple(table for table in tables if table.rows),
-        figures=contact_sheets(records, read),
+        figures=(*contact_sheets(records, read), *figures),
         facts={
             "found": found, "domains": compared.domains, "transfer": compared.transfer, "effects": compared.groups,
         },
