@@ -8,7 +8,7 @@ from manifold3d import Manifold, OpType
 from numpy.typing import NDArray
 
 from ..core.checks import Array, InputError
-from ..data.bones import Margins
+from ..data.bones import Margin, Margins
 from ..model.knee import Osteophyte
 from .implicit import blend
 from .lips import Deform, Lip, lip_at
@@ -28,6 +28,8 @@ _CONES = 17
 _TURNS, _STEP_MM = 12, 1e-3
 _EDGE_MM, _ROUGH_EDGE_MM = 2.0, 1.2
 _DRAWN_IN_MM = 0.3
+# At a margin, at the mean man's size; and how far its feet are from there, away from the joint.
+_SMALL_MM, _FOOT_MM = 0.38, 3.0
 
 
 @dataclass(frozen=True)
@@ -126,7 +128,10 @@ def grow(
                 beaks.append(_on_spine(1.0 if side == "medial" else -1.0, mean.outer, size_mm, deform))
             else:
                 margin = {"femur": margins.femur, "tibia": margins.tibia}[where]
-                beaks.append(lip_at(osteophyte, size_mm, mean, (margin, margins.lip), deform))
+                if size_mm < _SMALL_MM and osteophyte.place == 0:
+                    beaks.append(_at_margin(margin, 1.0 if side == "medial" else -1.0, mean.outer, size_mm, deform))
+                else:
+                    beaks.append(lip_at(osteophyte, size_mm, mean, (margin, margins.lip), deform))
     if not beaks:
         return BoneWithOsteophytes(mean.outer)
     _refuse_hidden(osteophytes, beaks, mean.name)
@@ -160,6 +165,24 @@ def _refuse_hidden(osteophytes: tuple[Osteophyte, ...], beaks: list[Beak], bone:
                     f"osteophytes of the {bone} ({names}): one hides the farthest point of another; allowed: smaller "
                     "ones, or places farther apart"
                 )
+
+
+def _at_margin(table: Margin, direction: float, bare: Manifold, size_mm: float, deform: Deform) -> Spike:
+    """What is too small for a lip, whose profile would be thinner than triangles are long, is a spike."""
+    points = mesh_of(bare).vertices
+    band = points[(points[:, 2] >= table.band_z[0]) & (points[:, 2] <= table.band_z[1])]
+    margin = float((band[:, 0] * direction).max())
+    tip_mm, foot_mm, width = 0.35 + 0.15 * size_mm, 1.6 + 0.5 * size_mm, 4.0 + 2.0 * size_mm
+    inward = margin - foot_mm - 1.2 - 1.5 * np.array([1.0, 0.0, 1.0])
+    foot_z = table.at_z - _FOOT_MM * table.joint
+    feet = np.column_stack((direction * inward, [-width, 0.0, width], np.full(3, foot_z)))
+
+    def shape(stands_mm: float, out: Array) -> Spike:
+        tip = np.array([direction * (margin + stands_mm - tip_mm), 0.0, table.at_z])
+        return Spike(feet, foot_mm, tip, tip_mm, size_mm, out)
+
+    way = np.array([direction, 0.0, 0.0])
+    return _standing_out(shape, way, float((deform(band) @ way).max()), size_mm, deform)
 
 
 def _on_spine(direction: float, bare: Manifold, size_mm: float, deform: Deform) -> Spike:
