@@ -45,7 +45,7 @@ def phantoms_for_knees(monkeypatch, tmp_path):
     made = clinic(tmp_path / "drawn")
     (made / "0" / "air9R.png").unlink()
 
-    def simulated(where, protocol, knees, seed, execution):
+    def simulated(where, plan, execution):
         shutil.copytree(made, where, dirs_exist_ok=True)
         return films.Source(name=run.SIMULATED, folder=where, films=list_films(where))
 
@@ -121,7 +121,7 @@ def test_an_inverted_film_measures_what_it_does_upright(tmp_path):
 @pytest.mark.parametrize(
     ("options", "line"),
     [
-        (("--knees", "3"), "pssf: knees = 3; allowed: whole numbers from 6 to 100000"),
+        (("--knees", "3"), "pssf: knees = 3; allowed: whole numbers from 10 to 100000"),
         (("--films", "nowhere"), "pssf: films = nowhere; allowed: a folder of films, or of folders of them"),
         (("--bones", "nowhere"), "pssf: folder nowhere: bones = none"),
         (("--protocol", "referense"), "pssf: "),

@@ -7,8 +7,9 @@ from manifold3d import Manifold
 from numpy.typing import NDArray
 
 from ..core.checks import Array
-from ..data.bones import BoneShape, Menisci, Meniscus
+from ..data.bones import BoneShape
 from ..data.records import Pair
+from ..data.soft import Menisci, Meniscus
 from ..geometry.mesh import Indices
 from .femur import mean_femur
 from .implicit import Field, gradient, lengths

@@ -5,7 +5,7 @@ from manifold3d import Manifold, OpType
 from scipy.interpolate import PchipInterpolator
 
 from ..core.checks import Array
-from ..data.bones import DeepFat, MuscleShape
+from ..data.soft import DeepFat, MuscleShape
 from .solids import column
 
 _STEP_MM, _COUNT = 12.0, 20

@@ -4,7 +4,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from ..core.checks import Array
-from ..data.bones import FatPad, PatellarTendon, QuadricepsTendon
+from ..data.soft import FatPad, PatellarTendon, QuadricepsTendon
 from .pose import moved
 from .solids import checked
 

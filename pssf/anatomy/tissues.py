@@ -7,7 +7,8 @@ import numpy as np
 from manifold3d import Manifold, OpType
 
 from ..core.checks import Array
-from ..data.bones import DeepFat, PatellaShape
+from ..data.bones import PatellaShape
+from ..data.soft import DeepFat
 from ..geometry.mesh import Mesh
 from ..model.knee import Knee
 from . import bones, cartilage
@@ -18,6 +19,8 @@ from .tendons import fat_pad, patellar_tendon, quadriceps_tendon
 
 # Splinters that carving leaves are not worth a surface.
 _LEAST_MM3 = 1.0
+# So little that two solids share is rounding.
+_MEETING_MM3 = 1e-6
 # In a joint space below this cartilage of one bone may meet the other, away from where the space is told.
 _NARROW_MM = 3.0
 # The joint and its tendons lie between these heights; bones are cut there before they are carved with.
@@ -59,8 +62,7 @@ def between(
         used, number = np.unique(faces, return_inverse=True)
         parts.append(Part(name, "cartilage", Mesh(move(vertices[used]), number.reshape(-1, 3))))
         keep.append(_near(layer.covered(), move))
-    if min(spaces_mm) < _NARROW_MM:
-        parts = _worn(parts[0], parts[1], placed)
+    parts = _clear(parts[0], parts[1], placed, min(spaces_mm) < _NARROW_MM)
     small = [placed[name].outer for name in placed if name not in ("femur", "tibia")]
     rings = [solid.transform(pose.tibia()) for solid in cartilage.menisci(shape.menisci, s)]
     patella, femur_frame, tibia_frame = placed["patella"].outer, pose.femur(), pose.tibia()
@@ -96,13 +98,21 @@ def _between_muscles(fat: Manifold, placed: dict[str, bones.Bone], parts: list[P
     return Part("intermuscular_fat", "adipose", mesh_of(whole))
 
 
-def _worn(femoral: Part, tibial: Part, placed: dict[str, bones.Bone]) -> list[Part]:
-    """Cartilage of femur and tibia where it may be thicker than the space that is left: what the other has is gone."""
-    femur, tibia = placed["femur"].outer, placed["tibia"].outer
-    upper = solid_of(femoral.mesh.vertices, femoral.mesh.faces, femoral.name) - _cut(tibia)
-    lower = solid_of(tibial.mesh.vertices, tibial.mesh.faces, tibial.name) - _cut(femur) - upper
-    kept = [(part, solid) for part, solid in ((femoral, upper), (tibial, lower)) if solid.volume() > _LEAST_MM3]
-    return [Part(part.name, part.material, mesh_of(solid)) for part, solid in kept]
+def _clear(femoral: Part, tibial: Part, placed: dict[str, bones.Bone], narrow: bool) -> list[Part]:
+    """Cartilage of femur and tibia without what the patella has, and in a narrow joint what the other bone has."""
+    parts = [part for part in (femoral, tibial) if len(part.mesh.faces)]
+    solids = {part.name: solid_of(part.mesh.vertices, part.mesh.faces, part.name) for part in parts}
+    takes = {femoral.name: [placed["patella"].outer], tibial.name: []}
+    if narrow:
+        takes[femoral.name].append(_cut(placed["tibia"].outer))
+        takes[tibial.name] += [_cut(placed["femur"].outer), *(solids[n] for n in (femoral.name,) if n in solids)]
+    kept = []
+    for part in parts:
+        meeting = [other for other in takes[part.name] if (solids[part.name] ^ other).volume() > _MEETING_MM3]
+        left = Manifold.batch_boolean([solids[part.name], *meeting], OpType.Subtract)
+        if left.volume() > _LEAST_MM3:
+            kept.append(Part(part.name, part.material, mesh_of(left)) if meeting else part)
+    return kept
 
 
 def _carved(wanted: list[tuple[str, str, Manifold]], keep: list[Manifold], muscle: Manifold) -> list[Part]:
