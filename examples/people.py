@@ -1,4 +1,4 @@
-"""Twelve drawn knees beside each other: four of each grade, as different from one another as people's bones are."""
+"""Fifteen drawn knees in fixed flexion: three of each KL grade, as different from one another as people are."""
 
 import dataclasses
 from pathlib import Path
@@ -13,11 +13,12 @@ ROWS, COLS, HALF_MM = 360, 330, (60.0, 55.0)
 
 def run(out: Path, pixels: int = 1024) -> list[Path]:
     """Write the picture; `pixels` is the side of the detector."""
-    reference = pssf.load_protocol("reference")
-    protocol = dataclasses.replace(reference, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
+    view = pssf.load_protocol("fixed_flexion")
+    protocol = dataclasses.replace(view, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
     columns = []
-    for number in range(4):
-        knees = [pssf.draw_knee(grade=grade, rng=np.random.default_rng(10 * number + grade)) for grade in (0, 1, 2)]
+    for grade in range(5):
+        chance = [np.random.default_rng(10 * number + grade) for number in range(3)]
+        knees = [pssf.draw_knee(grade=grade, rng=rng, table="people") for rng in chance]
         columns.append(np.vstack([shown(knee, protocol) for knee in knees]))
     return [side_by_side(columns, out / "people.png")]
 
@@ -30,7 +31,7 @@ def shown(knee: pssf.Knee, protocol: pssf.Protocol) -> np.ndarray:
     part = pssf.present(radiograph.pixels, look="processed")[
         round(row - tall) : round(row + tall), round(col - wide) : round(col + wide)
     ]
-    return panel(part, ROWS, COLS, f"grade {knee.grade}, {knee.sex}, {knee.side}")
+    return panel(part, ROWS, COLS, f"KL {knee.grade}, {knee.sex}, {knee.side}")
 
 
 if __name__ == "__main__":

@@ -30,7 +30,7 @@ def lip(site: str, size_mm: float, **where: float):
 
 @pytest.mark.parametrize("site", MARGINS)
 @pytest.mark.parametrize(
-    ("size_mm", "place", "curve_deg"), [(0.3, 0.0, 0.0), (4.0, 0.0, 45.0), (4.0, -0.7, -30.0), (10.0, 0.4, 20.0)]
+    ("size_mm", "place", "curve_deg"), [(0.4, 0.0, 0.0), (4.0, 0.0, 45.0), (4.0, -0.7, -30.0), (10.0, 0.4, 20.0)]
 )
 def test_a_lip_stands_out_of_the_deformed_margin_by_its_size_wherever_it_is(site, size_mm, place, curve_deg):
     grown, form, margin = lip(site, size_mm, place=place, curve_deg=curve_deg)
