@@ -185,7 +185,7 @@ def test_the_part_on_films_counts_compares_and_shows():
     assert {row["group"] for row in tables["films_domains"]} == {
         "joint space", "contour", "margins", "shape", "plate", "first order", "texture", "all",
     }  # fmt: skip
-    assert [figure.name for figure in section.figures] == ["sheet_0", "sheet_2"]
+    assert [figure.name for figure in section.figures] == ["sheet_0", "sheet_2", "blind"]
     assert section.line.startswith("clinic told from simulated with AUC 0.")
     assert all(figure.png.startswith(b"\x89PNG") for figure in section.figures)
 

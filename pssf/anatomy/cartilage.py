@@ -98,8 +98,7 @@ def _full_mm(shape: BoneShape, scale: float, spaces_mm: tuple[float, float]) -> 
 
     def full(points: Array) -> Array:
         medial = np.clip(0.5 + points[:, 0] / 12.0, 0.0, 1.0)
-        space_mm = medial * spaces_mm[0] + (1 - medial) * spaces_mm[1]
-        return np.asarray(np.minimum(shape.cartilage.share * space_mm, shape.cartilage.most_mm) / scale)
+        return shape.cartilage.share / scale * (medial * spaces_mm[0] + (1 - medial) * spaces_mm[1])
 
     return full
 

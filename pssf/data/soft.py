@@ -29,7 +29,6 @@ class Cartilage(Record, frozen=True):
     """Share of the joint space on each bone, and where on them."""
 
     share: float
-    most_mm: float
     femur: FemoralCartilage
     tibia: tuple[Oval, ...]
 
