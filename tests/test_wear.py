@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose
 
 import pssf
 from pssf.anatomy.solids import solid_of
+from pssf.anatomy.wear import worn
 
 FIXED_FLEXION = pssf.load_protocol("fixed_flexion")
 WORN = pssf.Knee(jsw_as="read", jsw_medial_mm=0.1, jsw_lateral_mm=4.0, varus_deg=5.0, grade=4)
@@ -54,3 +55,4 @@ def test_what_is_not_worn_is_the_same_object_as_before():
     wide = dataclasses.replace(WORN, jsw_medial_mm=4.0, varus_deg=0.0)
     one = pssf.build(wide, FIXED_FLEXION)
     assert_allclose(one.measured_jsw_mm(FIXED_FLEXION), (4.0, 4.0), atol=1e-3)
+    assert worn(one.bones["tibia"], one.bones["femur"].outer, 0.3) is one.bones["tibia"]

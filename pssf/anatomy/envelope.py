@@ -29,9 +29,8 @@ def envelope(meshes: list[Mesh], margin_mm: Rows, name: str, reach_mm: float) ->
     angle = np.linspace(0.0, 2 * np.pi, _DIRECTIONS, endpoint=False)
     normals = np.column_stack((np.cos(angle), np.sin(angle)))
     supports = np.max([_supports(mesh, levels, normals) for mesh in meshes], axis=0)
-    nearest = ndimage.distance_transform_edt(~np.isfinite(supports[:, 0]), return_distances=False, return_indices=True)[
-        0
-    ]
+    empty = ~np.isfinite(supports[:, 0])
+    (nearest,) = ndimage.distance_transform_edt(empty, return_distances=False, return_indices=True)
     supports = supports[nearest]
     rows = np.array(sorted(margin_mm))
     margins = np.interp(levels, rows[:, 0], rows[:, 1])

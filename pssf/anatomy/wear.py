@@ -24,15 +24,15 @@ def worn(tibia: Bone, femur: Manifold, plate_mm: float) -> Bone:
     plate_mm      thickness of the plate under the worn surface
     raises        InputError where that would be deeper than MOST_MM
     """
-    shared = (tibia.outer ^ femur).volume()
-    if shared <= _NOTHING_MM3:
+    shared = tibia.outer ^ femur
+    if shared.volume() <= _NOTHING_MM3:
         return tibia
     if (tibia.outer ^ femur.translate((0.0, 0.0, MOST_MM))).volume() > _NOTHING_MM3:
         raise InputError(
-            f"femur and tibia overlap by {shared:.3g} mm3, in places by more than {MOST_MM:g} mm (joint spaces, "
-            "osteophytes and pose leave them no room); allowed: less, which is worn off the plateau"
+            f"femur and tibia overlap by {shared.volume():.3g} mm3, in places by more than {MOST_MM:g} mm (joint "
+            "spaces, osteophytes and pose leave them no room); allowed: less, which is worn off the plateau"
         )
-    near = _near(femur, np.array((tibia.outer ^ femur).bounding_box()).reshape(2, 3), _CONTACT_MM + plate_mm)
+    near = _near(femur, np.array(shared.bounding_box()).reshape(2, 3), _CONTACT_MM + plate_mm)
     return Bone(
         outer=_without(tibia.outer, near, _CONTACT_MM),
         inner=_without(tibia.inner, near, _CONTACT_MM + plate_mm),

@@ -9,6 +9,7 @@ from scipy import ndimage
 from ..core.checks import InputError, require, require_choice, require_whole
 from ..data.detectors import detectors
 from ..data.looks import Film, Processed, looks
+from ..model.exposure import MARKERS
 from ..model.radiograph import Radiograph
 from .looks import film, linear, processed
 from .marker import drawn_letter
@@ -17,7 +18,6 @@ LOOKS = ("linear", "processed", "film")
 # Width of the shadow of the collimator's leaves, and of its penumbra; height of a marker and its distance from that
 # shadow. Shares of the smaller side of the image.
 _LEAF, _PENUMBRA, _MARKER, _APART = 0.025, 0.002, 0.055, 0.02
-_MARKERS = {"right": "R", "left": "L"}
 
 
 def present(
@@ -100,7 +100,7 @@ def _shown(signal: NDArray[np.float32], look: str | Processed | Film, pixel_mm: 
 
 def _marked(shown: NDArray[np.float32], side: str) -> NDArray[np.float32]:
     """A view (rows, cols), 0 to 1, within the collimator's shadow, with a side marker in its upper lateral corner."""
-    require_choice("side", side, tuple(_MARKERS))
+    require_choice("side", side, tuple(MARKERS))
     rows, cols = shown.shape
     smaller = min(rows, cols)
     leaf = max(1, round(_LEAF * smaller))
@@ -110,4 +110,4 @@ def _marked(shown: NDArray[np.float32], side: str) -> NDArray[np.float32]:
     # In a view from the front a right knee has its lateral side at the left.
     inset = leaf + _APART * smaller
     place, anchor = ((inset, inset), "la") if side == "right" else ((cols - inset, inset), "ra")
-    return np.maximum(shown * field, drawn_letter((rows, cols), _MARKERS[side], _MARKER * smaller, place, anchor))
+    return np.maximum(shown * field, drawn_letter((rows, cols), MARKERS[side], _MARKER * smaller, place, anchor))

@@ -13,7 +13,8 @@ from .protocol import Protocol
 _CUT_SD = 2.0
 # Only a protocol that bends the knee bends it more or less.
 _OF_BENT = ("flexion_deg", "tibia_forward_deg")
-_MARKERS = {"right": "R", "left": "L"}
+# Letter of a side.
+MARKERS = {"right": "R", "left": "L"}
 
 
 def draw_exposure(protocol: Protocol, *, rng: np.random.Generator, side: str | None = None) -> Protocol:
@@ -30,7 +31,7 @@ def draw_exposure(protocol: Protocol, *, rng: np.random.Generator, side: str | N
         raise InputError(f"protocol = {protocol!r}; allowed: a Protocol, as load_protocol gives it")
     if not isinstance(rng, np.random.Generator):
         raise InputError(f"rng = {rng!r}; allowed: a numpy.random.Generator")
-    require_choice("side", side, (*_MARKERS, None))
+    require_choice("side", side, (*MARKERS, None))
     table = exposures()
     # All are drawn, so that one more field of use leaves the others as they were.
     drawn = {name: float(_normal(rng)) * sd for name, sd in (table.spread | table.factor).items()}
@@ -42,7 +43,7 @@ def draw_exposure(protocol: Protocol, *, rng: np.random.Generator, side: str | N
         values |= {name: getattr(protocol, name) for name in _OF_BENT}
     values["sod_mm"] = values["sdd_mm"] - (protocol.sdd_mm - protocol.sod_mm)
     within = {name: _within(name, value) for name, value in values.items()}
-    letter = _MARKERS[side] if marked and side is not None else "none"
+    letter = MARKERS[side] if marked and side is not None else "none"
     field: dict[str, Any] = {"field_width_mm": round(width, 1), "field_height_mm": round(height, 1), "marker": letter}
     return replace(protocol, **(field | within))
 

@@ -1,5 +1,6 @@
 """severity_fields: what a grade moves in a knee, by one latent severity that its parameters follow in part."""
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -96,8 +97,13 @@ def read_grade(grade: int, kappa: float, grades: int, rng: np.random.Generator) 
 
     kappa  unweighted, where all grades are alike frequent
     """
-    wrong = brentq(lambda share: _kappa(_reading(share, grades)) - kappa, 0.0, 1.0) if kappa < 1 else 0.0
-    return int(rng.choice(grades, p=_reading(wrong, grades)[grade]))
+    return int(rng.choice(grades, p=_reading(_wrong_share(kappa, grades), grades)[grade]))
+
+
+@cache  # one reader reads all knees of a table
+def _wrong_share(kappa: float, grades: int) -> float:
+    """Of knees, the share that is called by a neighbouring grade."""
+    return float(brentq(lambda share: _kappa(_reading(share, grades)) - kappa, 0.0, 1.0)) if kappa < 1 else 0.0
 
 
 def _reading(wrong: float, grades: int) -> Array:
