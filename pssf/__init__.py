@@ -38,7 +38,9 @@ if TYPE_CHECKING:
     from .io.meshes import export_meshes
     from .model.draw import draw_knee
     from .model.exposure import draw_exposure
-    from .model.knee import Knee, Osteophyte
+    from .model.knee import Cyst, Knee, Osteophyte
+    from .model.look import draw_look
+    from .model.progress import progress, true_change
     from .model.protocol import Protocol, load_protocol
     from .model.radiograph import Radiograph, Truth
     from .raycast import Paths, Report, check, trace
@@ -54,8 +56,10 @@ _WHERE = {
     "io.masks": ("load_masks", "save_masks"),
     "io.meshes": ("export_meshes",),
     "model.exposure": ("draw_exposure",),
+    "model.look": ("draw_look",),
     "model.draw": ("draw_knee",),
-    "model.knee": ("Knee", "Osteophyte"),
+    "model.knee": ("Cyst", "Knee", "Osteophyte"),
+    "model.progress": ("progress", "true_change"),
     "model.protocol": ("Protocol", "load_protocol"),
     "model.radiograph": ("Radiograph", "Truth"),
     "raycast": ("Paths", "Report", "check", "trace"),
@@ -64,6 +68,7 @@ _WHERE = {
 
 __all__ = [
     "BuiltKnee",
+    "Cyst",
     "Density",
     "InputError",
     "Knee",
@@ -81,16 +86,19 @@ __all__ = [
     "check",
     "draw_exposure",
     "draw_knee",
+    "draw_look",
     "export_meshes",
     "load",
     "load_masks",
     "load_parameters",
     "load_protocol",
     "present",
+    "progress",
     "save",
     "save_masks",
     "simulate",
     "trace",
+    "true_change",
 ]
 
 

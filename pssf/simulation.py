@@ -4,10 +4,12 @@ from collections.abc import Collection
 from dataclasses import replace
 from functools import cache
 from importlib.metadata import version
+from typing import Any
 
-from .anatomy import BuiltKnee, build
+from .anatomy import BuiltKnee, BuiltPair, build, build_pair
 from .core.checks import InputError, require_choice, require_seed, require_workers
 from .core.timer import Timer
+from .geometry.mesh import Mesh
 from .geometry.scene import Scene
 from .geometry.view import view_of
 from .model.knee import Knee
@@ -19,10 +21,11 @@ from .xray.materials import check_materials
 from .xray.technique import technique_of
 
 KEEP = ("path_mm", "primary", "scatter", "noise_free", "masks")
+Subject = Knee | BuiltKnee | BuiltPair | Scene | tuple[Knee | BuiltKnee, Knee | BuiltKnee]
 
 
 def simulate(
-    knee: Knee | BuiltKnee | Scene,
+    knee: Subject,
     protocol: Protocol,
     *,
     seed: int = 0,
@@ -31,10 +34,10 @@ def simulate(
     workers: int = 2,
     paths: Paths | None = None,
 ) -> Radiograph:
-    """A radiograph of a knee, or of a scene of one's own.
+    """A radiograph of a knee, of both knees, or of a scene of one's own.
 
-    knee     a Knee; what `build` made of one, where several protocols see it in one posture; or a scene of one's own,
-             which stands in the room as it is
+    knee     a Knee; what `build` made of one, where several protocols see it in one posture; right and left, for a
+             protocol that takes both (`apart_mm`); or a scene of one's own, which stands in the room as it is
     seed     of the noise; the same seed gives the same bytes on any number of workers
     keep     maps to hold in `kept`, of "path_mm", "primary", "scatter", "noise_free"; and "masks", for a knee's `truth`
     engine   "embree" or "scanline"
@@ -44,10 +47,12 @@ def simulate(
              of another scene or view
     """
     _check(knee, protocol, seed, keep, engine, workers)
-    clock, technique = Timer(), technique_of(protocol)
-    subject = build(knee, protocol) if isinstance(knee, Knee) else knee
-    built = subject if isinstance(subject, BuiltKnee) else None
-    scene = subject.scene if isinstance(subject, BuiltKnee) else subject
+    clock = Timer()
+    subject = _built(knee, protocol)
+    # What a radiograph keeps is the beam as it was, not how it was found.
+    protocol = subject.aimed(protocol) if isinstance(subject, BuiltKnee) else protocol
+    technique = technique_of(protocol)
+    scene = subject if isinstance(subject, Scene) else subject.scene
     clock.lap("anatomy")
     check_materials(scene.materials)
     if paths is None:
@@ -64,8 +69,7 @@ def simulate(
         pixels=image.pixels,
         protocol=protocol,
         seed=seed,
-        knee=None if built is None else built.knee,
-        truth=None if built is None else _truth(built, protocol, keep),
+        **_known(subject, protocol, keep),
         engine=engine,
         audit=paths.audit.counts(),
         versions=versions(),
@@ -74,9 +78,7 @@ def simulate(
     )
 
 
-def _check(
-    knee: Knee | BuiltKnee | Scene, protocol: Protocol, seed: int, keep: Collection[str], engine: str, workers: int
-) -> None:
+def _check(knee: Subject, protocol: Protocol, seed: int, keep: Collection[str], engine: str, workers: int) -> None:
     require_choice("engine", engine, ENGINES)
     require_workers(workers)
     require_seed(seed)
@@ -86,19 +88,50 @@ def _check(
         raise InputError("keep = masks of a scene; allowed: of a Knee, whose bones are known by name")
     if not isinstance(protocol, Protocol):
         raise InputError(f"protocol = {protocol!r}; allowed: a Protocol, as load_protocol gives it")
+    pair = isinstance(knee, tuple) and len(knee) == 2
+    knees: Any = knee.knees if isinstance(knee, BuiltPair) else knee if pair else (knee,)
+    for one in knees:
+        _check_one(one, protocol)
+    if isinstance(knee, Knee | BuiltKnee) and protocol.apart_mm:
+        raise InputError(
+            f"apart_mm = {protocol.apart_mm:g} mm with one knee; allowed: 0, or simulate((right, left), ...)"
+        )
+    if isinstance(knee, BuiltPair) and knee.apart_mm != protocol.apart_mm:
+        raise InputError(f"apart_mm = {protocol.apart_mm:g} mm; allowed: {knee.apart_mm:g} mm, as the knees were built")
+
+
+def _check_one(knee: object, protocol: Protocol) -> None:
     if not isinstance(knee, Knee | BuiltKnee | Scene):
-        raise InputError(f"knee = {knee!r}; allowed: a Knee, a BuiltKnee or a Scene")
+        raise InputError(f"knee = {knee!r}; allowed: a Knee, a BuiltKnee, a right and a left one, or a Scene")
     if isinstance(knee, BuiltKnee) and knee.assembly.posture != protocol.posture:
         raise InputError(
             f"knee built in {knee.assembly.posture}; allowed: {protocol.posture}, as build(knee, protocol) makes it"
         )
 
 
-def _truth(built: BuiltKnee, protocol: Protocol, keep: Collection[str]) -> Truth:
-    truth = built.truth(protocol)
-    if "masks" not in keep:
-        return truth
-    return replace(truth, masks={name: shadow(mesh, protocol) for name, mesh in built.solids().items()})
+def _built(knee: Subject, protocol: Protocol) -> BuiltKnee | BuiltPair | Scene:
+    if isinstance(knee, Knee):
+        return build(knee, protocol)
+    return build_pair(*knee, protocol) if isinstance(knee, tuple) else knee
+
+
+def _known(subject: BuiltKnee | BuiltPair | Scene, protocol: Protocol, keep: Collection[str]) -> dict[str, Any]:
+    """Fields of a radiograph that say of what it is; none where it is of a scene of one's own."""
+    masked = "masks" in keep
+    if isinstance(subject, BuiltKnee):
+        truth = subject.truth(protocol)
+        return {"knee": subject.knee, "truth": _masked(truth, subject.solids(), protocol) if masked else truth}
+    if isinstance(subject, BuiltPair):
+        truths = subject.truths(protocol)
+        if masked:
+            pairs = zip(truths, subject.solids(), strict=True)
+            truths = tuple(_masked(truth, solids, protocol) for truth, solids in pairs)
+        return {"knees": tuple(built.knee for built in subject.knees), "truths": truths}
+    return {}
+
+
+def _masked(truth: Truth, solids: dict[str, Mesh], protocol: Protocol) -> Truth:
+    return replace(truth, masks={name: shadow(mesh, protocol) for name, mesh in solids.items()})
 
 
 def _check_paths(paths: Paths, scene: Scene, protocol: Protocol) -> None:

@@ -54,7 +54,7 @@ def test_meshes_writes_what_is_asked_for(tmp_path):
         (("simulate", "--grade", 5), "pssf: grade = 5; allowed: whole numbers from 0 to 2"),
         (
             ("simulate", "--protocol", "refrence"),
-            "pssf: protocol = 'refrence'; allowed: caudal_beam, fixed_flexion, ",
+            "pssf: protocol = 'refrence'; allowed: ap_standing, bilateral, caudal_beam, fixed_flexion, ",
         ),
         (
             ("simulate", "--engine", "embre"),
@@ -72,6 +72,7 @@ def test_meshes_writes_what_is_asked_for(tmp_path):
         (("cohort", "--engine", "embre"), "pssf: engine = 'embre'; allowed: embree, scanline (did you mean 'embree'?)"),
         (("study", "--preset", "quik"), "pssf: preset = 'quik'; allowed: quick, paper, people (did you mean 'quick'?)"),
         (("study", "--films", "nowhere"), "pssf: folder nowhere: films = none; allowed: "),
+        (("realism", "--films", "a", "--knees", "20", "--films=b"), "pssf: --films: given 2 times; allowed: once"),
         (("study", "--films", ".", "--films-protocol", "low"), "pssf: films-protocol = 'low'; allowed: reference, "),
     ],
 )

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from pssf import InputError, PlaneWaves
-from pssf.geometry.density import Density, integrated
+from pssf.geometry.density import Density, Moved, integrated
 
 part = st.floats(-3, 3)
 
@@ -82,3 +82,11 @@ def test_a_density_that_does_not_give_one_finite_number_a_segment_is_refused(giv
 @pytest.mark.parametrize("given", [[1, 2, 3], (1.0, 2.0, 3.0), np.array([1, 2, 3], np.float32)])
 def test_any_three_numbers_serve_for_three_segments(given):
     assert_allclose(integrated(Any(given), STARTS, ENDS), [1, 2, 3])
+
+
+@given(by=st.tuples(part, part, part))
+def test_a_density_that_has_moved_is_where_its_solid_is(by):
+    waves = PlaneWaves(mean=0.7, amplitudes=(0.4,), waves_per_mm=((0.3, -0.8, 1.1),), phases=(0.2,))
+    starts, ends = np.random.default_rng(2).uniform(-20, 20, (2, 9, 3))
+    moved = Moved(density=waves, by_mm=by)
+    assert_allclose(moved.integrate(starts + by, ends + by), waves.integrate(starts, ends), rtol=1e-9, atol=1e-9)

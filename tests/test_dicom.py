@@ -16,7 +16,7 @@ from pssf.io.images import save_parameters
 INTENTS = ("processing", "presentation")
 PROTOCOLS = ("reference", "low_dose", "geometry_shift")
 DETECTORS = {"full": {}, "small": {"rows": 256, "cols": 256, "pixel_mm": 1.2}, "odd": {"rows": 5, "cols": 7}}
-TOLD = ("knee", "protocol", "seed", "truth", "engine", "audit", "versions")
+TOLD = ("knee", "knees", "protocol", "seed", "truth", "truths", "engine", "audit", "versions")
 
 
 def complaints(path):

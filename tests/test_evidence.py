@@ -9,9 +9,10 @@ import pytest
 
 from pssf.core.checks import InputError
 from pssf.study import StudySettings
+from pssf.study.learn.refit import refitted
 from pssf.study.learn.scenarios import one_split
 from pssf.study.learn.split import split_subjects
-from pssf.study.predictions import Outcome
+from pssf.study.predictions import TASKS, Outcome, class_names, class_of, joined, tasks_of
 from pssf.study.statistics.evidence import tables_of_features, tables_of_models
 from pssf.study.statistics.importance import by_family
 
@@ -133,3 +134,36 @@ def test_a_knee_whose_joint_is_not_found_is_left_out_of_scores_and_reliability_a
     assert (tables["reliability"]["knees"] == 17).all()
     found = one_split(0, table=cohort[~lost], names=NAMES, settings=LIGHT).predictions
     assert 5 not in set(found["knee"])
+
+
+def test_tasks_are_those_whose_grades_a_cohort_has():
+    assert list(tasks_of([0, 1, 2])) == ["0 vs 2", "0/1/2"]
+    assert list(tasks_of([0, 4])) == ["0 vs 3+4"]
+    assert list(tasks_of(range(5))) == list(TASKS)
+    assert class_of(np.array([4, 0, 3]), TASKS["0 vs 3+4"]).tolist() == [1, 0, 1]
+    assert class_names("0 vs 3+4") == ("normal", "moderate OA or severe OA")
+
+
+def test_grades_3_and_4_are_told_from_0_as_one_class_and_leave_the_other_tasks_alone():
+    cohort = table(6)
+    worse = cohort[cohort["grade"] > 0].copy()
+    for name in ("subject", "knee"):
+        worse[name] += 100
+    worse["radiograph"] = "worse_" + worse["radiograph"]
+    worse["grade"] += 2
+    worse["glcm_a"] += 3.0
+    outcomes, tables = study(pd.concat([cohort, worse], ignore_index=True), LIGHT)
+    found = joined([outcome.predictions for outcome in outcomes])
+    assert set(found["task"]) == set(TASKS)
+    advanced = found[found["task"] == "0 vs 3+4"].drop_duplicates("radiograph")
+    assert ((advanced["subject"] >= 100) == (advanced["truth"] == 1)).all()
+    scores = tables["scores"].query("task == '0 vs 3+4' and scenario == 'within' and model == 'lr'")
+    assert (scores["auc"] > 0.9).all()
+    assert set(tables["confusion"].query("task == '0 vs 3+4'")["true_grade"]) == {0, 3}
+    _, without = study(cohort, LIGHT)
+    assert set(without["scores"]["task"]) == {"0 vs 2", "0/1/2"}
+    kept = {one.name: one for one in refitted(cohort, NAMES, LIGHT, {"all": PROTOCOLS})}
+    assert {one.task for one in kept.values()} == {"0 vs 2", "0/1/2"}
+    both = pd.concat([cohort, worse], ignore_index=True)
+    advanced = {one.name: one for one in refitted(both, NAMES, LIGHT, {"all": PROTOCOLS})}["lr_l1_0v34_all"]
+    assert advanced.grades == (0, 3)

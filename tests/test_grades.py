@@ -78,6 +78,12 @@ def test_a_reader_is_off_by_one_at_most_and_as_often_as_kappa_says(kappa):
     assert (agree - chance) / (1 - chance) == pytest.approx(kappa, abs=4 * 0.6 / np.sqrt(len(meant)))
 
 
+def test_a_table_changes_one_value_of_its_base_and_no_other_draw():
+    paper, people = grade_table("paper"), grade_table("people")
+    assert list(people.body) == list(paper.body)
+    assert {name for name in paper.body if paper.body[name] != people.body[name]} == {"tibial_slope_deg"}
+
+
 def test_a_table_of_ones_own_takes_the_body_from_its_base(tmp_path):
     own = tmp_path / "own.toml"
     own.write_text("""base = "paper"

@@ -41,8 +41,12 @@ def test_labels_of_a_cohort_are_read_back_as_the_field_reads_them(made, tmp_path
             assert seen == 2
         picture = tmp_path / "labels" / "images" / files[annotation["image_id"]]
         assert picture.parent.name == made_row["grade"]
+        assert made_row["grade_table"] == "people"
         reading = rows[made_row["radiograph"]]
         assert reading["SIDE"] == {"right": "1", "left": "2"}[made_row["side"]]
+        assert float(reading["attrition_medial_mm"]) == float(made_row["truth_attrition_medial_mm"])
+        assert int(reading["XRATTM"]) == sum(truth.attrition_mm["medial"] >= cut for cut in (0.25, 1.0, 2.0))
+        assert float(reading["femorotibial_deg"]) == pytest.approx(175 + float(made_row["varus_deg"]), abs=1e-3)
         assert float(reading["JSW225"]) == pytest.approx(truth.jsw_at_mm[0.225], abs=1e-4)
 
 

@@ -147,3 +147,31 @@ def test_what_scatters_behind_the_leaves_is_black_and_changes_no_grey_within_the
 def test_a_field_of_no_pixel_is_refused(field_mm, what):
     with pytest.raises(InputError, match=what):
         pssf.present(limb().astype(np.uint16), pixel_mm=0.2, field_mm=field_mm)
+
+
+def test_drawn_looks_vary_as_the_table_says_and_the_same_chance_gives_the_same_look():
+    spread = looks().spread
+    drawn = [pssf.draw_look(rng=np.random.default_rng(seed)) for seed in range(400)]
+    assert drawn[7] == pssf.draw_look(rng=np.random.default_rng(7))
+    for name in ("latitude_gain", "edge_gain", "dark", "bright", "bend"):
+        law, values = getattr(spread, name), np.array([getattr(look, name) for look in drawn])
+        values = np.log(values) if name == "edge_gain" else values
+        assert law.low - 1e-3 <= values.min()
+        assert values.max() <= law.high + 1e-3
+        # Standard error of the mean of 400, three times; holding at the ends moves it by less than a fifth of the SD.
+        assert abs(values.mean() - law.mean) < (3 / np.sqrt(400) + 0.2) * law.sd
+        assert 0.5 * law.sd < values.std() < 1.1 * law.sd
+    assert all(look.power == looks().processed.power for look in drawn)
+
+
+def test_every_drawn_look_shows_a_limb_from_dark_to_bright():
+    pixels = limb(waves(0.3, 64)).astype(np.uint16)
+    for seed in range(20):
+        shown = pssf.present(pixels, look=pssf.draw_look(rng=np.random.default_rng(seed)), pixel_mm=0.15)
+        assert np.ptp(shown) > 60
+        assert shown[:, :24].max() <= shown[:, 64:192].min() + 60
+
+
+def test_a_look_needs_a_generator():
+    with pytest.raises(InputError, match=r"rng = 7; allowed: a numpy\.random\.Generator"):
+        pssf.draw_look(rng=7)

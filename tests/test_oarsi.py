@@ -6,13 +6,13 @@ from pssf.model.oarsi import oarsi
 
 
 def test_a_healthy_knee_has_no_grade_above_0():
-    assert set(oarsi(pssf.Knee()).values()) == {0}
-    assert len(oarsi(pssf.Knee())) == 4 + 2 + 4
+    assert set(oarsi(pssf.Knee(), {}).values()) == {0}
+    assert len(oarsi(pssf.Knee(), {})) == 4 + 2 + 4 + 4
 
 
 @pytest.mark.parametrize(("size_mm", "grade"), [(0.5, 0), (0.8, 1), (2.1, 1), (2.2, 2), (5.0, 3)])
 def test_an_osteophyte_is_graded_at_its_own_margin(size_mm, grade):
-    readings = oarsi(pssf.Knee(osteophytes=(pssf.Osteophyte(site="lateral_tibia", size_mm=size_mm),)))
+    readings = oarsi(pssf.Knee(osteophytes=(pssf.Osteophyte(site="lateral_tibia", size_mm=size_mm),)), {})
     assert readings.pop("XROSTL") == grade
     assert set(readings.values()) == {0}
 
@@ -21,11 +21,24 @@ def test_a_space_is_graded_by_what_is_lost_of_the_way_it_is_measured():
     for measured, (healthy, _) in oarsi_cuts().healthy_mm.items():
         kept = [1 - cut - 1e-6 for cut in oarsi_cuts().narrowing]
         knees = [pssf.Knee(jsw_as=measured, jsw_medial_mm=max(1.0, healthy * share)) for share in (0.9, *kept[:2])]
-        assert [oarsi(knee)["XRJSM"] for knee in knees] == [0, 1, 2]
+        assert [oarsi(knee, {})["XRJSM"] for knee in knees] == [0, 1, 2]
 
 
 def test_sclerosis_is_read_medially_before_laterally():
-    readings = oarsi(pssf.Knee(subchondral_plate=2.2, grade=2))
+    readings = oarsi(pssf.Knee(subchondral_plate=2.2, grade=2), {})
     assert readings["XRSCTM"] == 3
     assert readings["XRSCTM"] > readings["XRSCTL"]
     assert readings["XRKL"] == 2
+
+
+@pytest.mark.parametrize(("depth_mm", "grade"), [(0.0, 0), (0.24, 0), (0.3, 1), (1.0, 2), (3.9, 3)])
+def test_attrition_is_graded_by_its_depth_on_its_own_side(depth_mm, grade):
+    readings = oarsi(pssf.Knee(), {"medial": 0.0, "lateral": depth_mm})
+    assert (readings["XRATTM"], readings["XRATTL"]) == (0, grade)
+
+
+def test_the_largest_cyst_of_a_compartment_is_graded():
+    cysts = tuple(pssf.Cyst(site="medial_tibia", diameter_mm=mm, place=at) for mm, at in ((2.0, -0.5), (5.0, 0.5)))
+    readings = oarsi(pssf.Knee(cysts=cysts), {})
+    assert readings.pop("XRCYTM") == 2
+    assert set(readings.values()) == {0}

@@ -9,6 +9,7 @@ from pssf.data.tables import protocol_names
 from pssf.model.protocol import field_rows, protocol_from, protocol_table
 
 STUDY = ("geometry_shift", "low_dose", "reference")
+VIEWS = ("fixed_flexion", "lyon_schuss", "rosenberg", "ap_standing", "lateral", "skyline", "bilateral")
 
 
 def test_the_three_protocols_of_the_study_come_with_the_package():
@@ -28,12 +29,53 @@ def test_low_dose_differs_from_reference_in_mas_alone():
     assert dataclasses.replace(low, name="reference", mas=reference.mas) == reference
 
 
-@pytest.mark.parametrize("name", [name for name in protocol_names() if name not in (*STUDY, "fixed_flexion")])
+@pytest.mark.parametrize("name", [name for name in protocol_names() if name not in (*STUDY, *VIEWS)])
 def test_the_other_protocols_move_a_single_factor(name):
     reference, other = (protocol_table(load_protocol(one)) for one in ("reference", name))
     moved = {field for field in reference if other[field] != reference[field]} - {"name"}
     assert len(moved) == 1 or moved == {"sdd_mm", "sod_mm"}
     assert other["sdd_mm"] - other["sod_mm"] == reference["sdd_mm"] - reference["sod_mm"]
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("lyon_schuss", dict(projection="PA", beam_along="medial_plateau", beam_angle_deg=0.0)),
+        ("rosenberg", dict(projection="PA", flexion_deg=45.0, beam_angle_deg=10.0, sdd_mm=1016.0)),
+        ("ap_standing", dict(projection="AP", flexion_deg=0.0, beam_angle_deg=0.0)),
+    ],
+)
+def test_a_view_is_taken_as_its_source_says(name, said):
+    protocol = load_protocol(name)
+    assert {field: getattr(protocol, field) for field in said} == said
+
+
+def test_a_lateral_is_bent_by_20_to_30_degrees_under_a_beam_5_to_7_towards_the_head():
+    lateral = load_protocol("lateral")
+    assert lateral.projection == "ML"
+    assert 20 <= lateral.flexion_deg <= 30
+    assert -7 <= lateral.beam_angle_deg <= -5
+
+
+def test_merchants_beam_is_30_degrees_from_thighs_bent_by_45():
+    skyline = load_protocol("skyline")
+    assert skyline.projection == "axial"
+    assert skyline.flexion_deg == 45
+    assert skyline.flexion_deg - skyline.tibia_forward_deg - skyline.beam_angle_deg == 30
+
+
+@pytest.mark.parametrize(
+    ("name", "more", "why"),
+    [
+        ("lateral", dict(beam_along="medial_plateau"), "margins of the plateau are seen edge on"),
+        ("skyline", dict(beam_along="medial_plateau"), "margins of the plateau are seen edge on"),
+        ("lateral", dict(apart_mm=220.0), "one knee would hide the other"),
+        ("rosenberg", dict(flexion_deg=60.1), "flexion_deg = 60.1 deg; allowed: 0 to 60"),
+    ],
+)
+def test_a_posture_that_does_not_fit_a_knee_is_refused_with_the_reason(name, more, why):
+    with pytest.raises(InputError, match=why):
+        dataclasses.replace(load_protocol(name), **more)
 
 
 def test_every_field_is_documented_once():

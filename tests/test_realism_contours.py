@@ -8,6 +8,7 @@ import pssf
 from pssf.anatomy.landmarks import CONTOUR_LANDMARKS
 from pssf.data.landmarks import landmark_reference
 from pssf.realism import contours
+from pssf.realism.cohort_landmarks import cohort_landmarks
 
 REFERENCE = landmark_reference()
 
@@ -136,3 +137,47 @@ def test_the_picture_is_a_png_and_the_same_again():
     one, other = (contours.compare(made_up(count=9), REFERENCE).figure for _ in range(2))
     assert one == other
     assert one.startswith(b"\x89PNG")
+
+
+def written(folder, monkeypatch, labels, side):
+    """A cohort's manifest whose files hold these labels, one a grade and twice."""
+    (folder / "manifest.csv").write_text(
+        "protocol,file\n" + "".join(f"fixed_flexion,{name}\n" for name in labels) + "reference,other\n"
+    )
+
+    def parameters(path):
+        grade, place = labels[path.name]
+        pixel_mm = 0.3
+        medial = 1.0 if side == "right" else -1.0
+        spots = {
+            name: (-y / pixel_mm, x * medial / pixel_mm) for name, (x, y) in zip(CONTOUR_LANDMARKS, place, strict=True)
+        }
+        truth = pssf.Truth(jsw_medial_mm=4.0, jsw_lateral_mm=4.0, grade=grade, landmarks_px=spots)
+        protocol = dataclasses.replace(pssf.load_protocol("fixed_flexion"), pixel_mm=pixel_mm)
+        return {"knee": pssf.Knee(side=side), "truth": truth, "protocol": protocol}
+
+    monkeypatch.setattr("pssf.realism.cohort_landmarks.load_parameters", parameters)
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_landmarks_of_a_cohort_are_its_labels_on_the_film(side, tmp_path, monkeypatch):
+    places = {f"k{k}.tif": (k % 2, made_up(grade=k % 2, count=1, seed=k).places_mm[0]) for k in range(6)}
+    written(tmp_path, monkeypatch, places, side)
+    sample = cohort_landmarks(tmp_path, "fixed_flexion")
+    assert_allclose(sample.places_mm, [place for _, place in places.values()], atol=1e-9)
+    assert sample.grades.tolist() == [0, 1] * 3
+    sizes = contours.compare(sample, REFERENCE).sizes
+    assert {(row["grade"], row["quantity"]) for row in sizes} >= {
+        (0, "medial_gap_least_mm"),
+        (1, "lateral_gap_least_mm"),
+    }
+
+
+def test_a_folder_without_cohort_and_a_protocol_that_it_has_not_are_refused(tmp_path, monkeypatch):
+    with pytest.raises(pssf.InputError, match=r"no manifest\.csv"):
+        cohort_landmarks(tmp_path, "reference")
+    written(tmp_path, monkeypatch, {"k.tif": (None, made_up(count=1).places_mm[0])}, "right")
+    with pytest.raises(pssf.InputError, match="protocol = 'low_dose'; allowed: fixed_flexion, reference"):
+        cohort_landmarks(tmp_path, "low_dose")
+    with pytest.raises(pssf.InputError, match=r"k\.tif: grade = None"):
+        cohort_landmarks(tmp_path, "fixed_flexion")

@@ -17,7 +17,9 @@ from pssf.geometry.density import Density
 from pssf.geometry.view import View
 
 HEALTHY = dict(seed=3, scale=1.0, frame=np.eye(3, 4), mirror=(1.0, 1.0, 1.0), sclerosis=1.0, age_years=55.0, sex="male")
-FLAT = dict(shaft=0.15, bvtv=0.15, medial=0.0, load=0.0, plate_medial=0.0, plate_lateral=0.0, fan=0.0, scar_bvtv=0.0)
+FLAT = dict(
+    shaft=0.15, bvtv=0.15, medial=0.0, load=0.0, plate=0.0, hard_medial=0.0, hard_lateral=0.0, fan=0.0, scar_bvtv=0.0
+)
 NO_STRUTS = dict(gain=0.0, gain_shaft=0.0)
 EVEN = dict(FLAT, gain=1.0, gain_shaft=1.0)
 
@@ -236,6 +238,12 @@ def test_sclerosis_makes_the_plate_denser_medially_more_than_laterally_and_leave
     assert 1.25 < rise[23.0, -2.5] < 1.47  # Rapagna 2021: 1.47 right under the plate
     assert 1.02 < rise[-23.0, -2.5] < 0.5 + 0.5 * rise[23.0, -2.5]
     assert all(1.0 <= rise[at, -40.0] < 1.02 for at in (23.0, -23.0))
+    # It goes deeper than the plate's own rise does.
+    below = {
+        name: bvtv(bone_of, x + 23.0, -9.0) / bvtv(bone_of, x + 23.0, -2.5)
+        for name, bone_of in (("healthy", healthy), ("hard", hard))
+    }
+    assert below["hard"] > below["healthy"]
     assert bone("fibula", sclerosis=1.78) == bone("fibula")
 
 
@@ -256,9 +264,12 @@ def test_a_bone_of_another_size_has_the_same_regions_further_apart_and_struts_of
     assert_allclose(small.integrate(starts, ends), usual.integrate(starts, ends), rtol=1e-9)
 
 
+LEVEL = dict(scar_slope=0.0, scar_bow_per_mm=0.0, scar_dome_per_mm=0.0, scar_ripple_mm=0.0)
+
+
 def test_the_scar_is_counted_in_full_however_thin_it_is():
     for half_mm in (0.5, 0.005):
-        scarred = region(bone(), scar_per_mm=1 / half_mm, scar_slope=0.0, scar_bow_per_mm=0.0)
+        scarred = region(bone(), scar_per_mm=1 / half_mm, **LEVEL)
         at = np.array([[scarred.region.scar_x, 0.0, scarred.region.scar_z]])
         up, across = np.array([0.0, 0.0, 20.0]), np.array([0.0, 15.0, 0.0])
         plain = region(scarred, scar_bvtv=0.0)
@@ -268,6 +279,23 @@ def test_the_scar_is_counted_in_full_however_thin_it_is():
         assert_allclose(added[0], 2 * half_mm * strength, rtol=0.01)
         assert_allclose(added[1], 30.0 * strength, rtol=1e-6)
     assert all(-20 <= bone(seed=seed).region.scar_z <= -15 for seed in range(20))
+
+
+def test_the_scar_is_seen_as_a_line_from_whatever_height_it_is_looked_at():
+    """A level sheet is seen as one only edge on; a domed one has a place that is edge on to any beam of up to 8 deg."""
+    heights = np.linspace(-8.0, 8.0, 161)
+    for degrees in (0.0, 5.0, 8.0):
+        rise = np.tan(np.deg2rad(degrees))
+        sharp = {}
+        for name, form in (("level", LEVEL), ("domed", {**LEVEL, "scar_dome_per_mm": -0.004})):
+            scarred = region(bone(), scar_y=0.0, **form)
+            middle = np.array([scarred.region.scar_x, 0.0, scarred.region.scar_z]) + heights[:, None] * [0, 0, 1]
+            way = np.array([0.0, 22.0, 22.0 * rise])
+            plain = region(scarred, scar_bvtv=0.0)
+            added = [one.integrate(middle - way, middle + way) for one in (scarred, plain)]
+            sharp[name] = float(np.abs(np.diff(added[0] - added[1])).max())
+        assert sharp["domed"] > 0.5
+        assert degrees == 0.0 or sharp["domed"] > 2.0 * sharp["level"]
 
 
 def test_between_surfaces_that_share_a_density_the_path_is_its_integral_there():

@@ -2,12 +2,16 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 import pssf
+from pssf.anatomy.joint import assemble
 from pssf.anatomy.solids import solid_of
-from pssf.anatomy.wear import worn
+from pssf.anatomy.wear import attrition_mm, outer_bones, worn
+from pssf.data.bones import mean_shape
+from pssf.model.protocol import Posture
 
 FIXED_FLEXION = pssf.load_protocol("fixed_flexion")
 WORN = pssf.Knee(jsw_as="read", jsw_medial_mm=0.1, jsw_lateral_mm=4.0, varus_deg=5.0, grade=4)
@@ -56,3 +60,40 @@ def test_what_is_not_worn_is_the_same_object_as_before():
     one = pssf.build(wide, FIXED_FLEXION)
     assert_allclose(one.measured_jsw_mm(FIXED_FLEXION), (4.0, 4.0), atol=1e-3)
     assert worn(one.bones["tibia"], one.bones["femur"].outer, 0.3) is one.bones["tibia"]
+
+
+def test_attrition_is_the_depth_that_is_gone_of_the_plateau_on_its_side(built, monkeypatch):
+    depths = built.truth(FIXED_FLEXION).attrition_mm
+    assert depths["lateral"] == 0.0
+    after = outer_bones(built.assembly)[1]
+    monkeypatch.setattr("pssf.anatomy.wear.worn", lambda tibia, femur, plate_mm: tibia)
+    before = outer_bones(built.assembly)[1]
+    # Heights of both plateaus, place by place, of the compartment away from the spines.
+    gone = _heights(before.vertices) - _heights(after.vertices)
+    assert np.nanmax(gone) == pytest.approx(depths["medial"], abs=0.15)
+
+
+def _heights(vertices):
+    """(n, n)  highest vertex in each cell of 1 mm of the medial plateau; nan where there is none"""
+    cells = np.full((30, 60), np.nan)
+    for x, y, z in vertices[vertices[:, 2] > -15.0]:
+        at = int(x) - 10, int(y + 30)
+        if 10.0 <= x < 40.0 and 0 <= at[1] < 60:
+            cells[at] = np.nanmax([cells[at], z])
+    return cells
+
+
+def test_attrition_is_told_alike_whatever_posture_is_built():
+    bent, straight = (assemble(WORN, mean_shape(), posture) for posture in (FIXED_FLEXION.posture, Posture()))
+    assert attrition_mm(bent) == attrition_mm(straight)
+    assert attrition_mm(bent)["medial"] > 0.25
+
+
+def test_a_left_knee_is_worn_on_the_side_that_a_right_one_is(built):
+    left = assemble(dataclasses.replace(WORN, side="left"), mean_shape(), FIXED_FLEXION.posture)
+    assert attrition_mm(left) == built.truth(FIXED_FLEXION).attrition_mm
+
+
+def test_bones_apart_have_no_attrition():
+    wide = dataclasses.replace(WORN, jsw_medial_mm=4.0, varus_deg=0.0)
+    assert attrition_mm(assemble(wide, mean_shape(), FIXED_FLEXION.posture)) == {"medial": 0.0, "lateral": 0.0}

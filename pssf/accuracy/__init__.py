@@ -6,6 +6,7 @@ stages     simulate from cold to warm; nodes of the spectrum
 chain      the stages of simulate: seconds, share, error
 physics    spectrum, attenuation, primary and scatter beside references
 morphometry  drawn knees beside published sizes, and the errors of their labels
+views      what beams and turns do to films, beside films of people; the kernel of scatter in each view
 solids     spheres as polyhedra, and their exact chords
 builds     random knees, built or refused
 tessellation  outlines of the bones by triangles
@@ -44,11 +45,13 @@ from .scatter import scatter_rows
 from .stages import spectrum_rows, stage_rows
 from .tessellation import tessellation_rows
 from .texture import spread_rows, step_rows
+from .view_scatter import view_scatter_rows
+from .views import view_rows
 
 # Those that measure memory come first: a process that is started begins with the peak of the one that started it.
 TABLES = (
     "engines", "growth", "nested", "stages", "chain", "agreement", "spectrum", "focal_spot", "physics",
-    "monte_carlo", "scatter", "tessellation", "texture_steps", "texture", "builds", "knees",
+    "monte_carlo", "scatter", "tessellation", "texture_steps", "texture", "builds", "knees", "views", "view_scatter",
 )  # fmt: skip
 # Only by name: minutes long and about the study rather than about a radiograph; and one that needs another package.
 BY_NAME = ("localisation", "localisation_limits", "ablation", "gvxr")
@@ -66,7 +69,7 @@ def measure(
     """Measure what is asked for and write it as CSV, with machine.json and a figure; returns their paths.
 
     tables    of TABLES or BY_NAME; "growth" is worked out from "engines"
-    knees     how many are drawn for "agreement", "texture", "builds" and "knees"
+    knees     how many are drawn for "agreement", "texture", "builds", "knees" and "views"
     readme    source checkout whose READMEs get the tables, too
     progress  told what is being measured
     raises    InputError for an unknown table, a folder that is no checkout, a disk that is full or cannot be written
@@ -116,6 +119,8 @@ def _jobs(engines: list[Row], knees: int, workers: int) -> dict[str, Callable[[]
         "texture": lambda: spread_rows(knees, workers),
         "builds": lambda: build_rows(knees, workers),
         "knees": lambda: knee_rows(knees, workers),
+        "views": lambda: view_rows(knees, workers),
+        "view_scatter": lambda: view_scatter_rows(workers),
         "localisation": lambda: localisation_rows(knees, workers),
         "localisation_limits": lambda: limit_rows(knees, workers),
         "ablation": lambda: _ablation(workers),

@@ -5,6 +5,8 @@ bones        femur, tibia, fibula, patella as nested solids     osteophytes  bea
 femur, tibia their outer shapes, blended                        mean_bone    their solids at the mean man's size
 implicit     fields, blends, settling onto them                 remesh       smoothed, refined, without folds
 shape        lattices that give bones people's form
+plateau      its margins, and a beam along it               turned_truth labels from the side and along the leg
+pair         both knees of a person in one scene            bend         soft tissue about a bent knee
 soft         skin, subcutaneous fat, fascia                     muscles      muscles, and the fat between them
 envelope     what provably holds a bone, coarsely               tendons      of patella and quadriceps; the fat pad
 cartilage    cartilage and menisci                              tissues      all of these, carved clear of each other
@@ -14,6 +16,7 @@ landmarks    sixteen places on the contours, as on people's films
 """
 
 from .built import BuiltKnee, build
+from .pair import BuiltPair, build_pair
 from .trabeculae import BONES
 
-__all__ = ["BONES", "BuiltKnee", "build"]
+__all__ = ["BONES", "BuiltKnee", "BuiltPair", "build", "build_pair"]

@@ -12,11 +12,12 @@ import numpy as np
 from manifold3d import Manifold
 
 from ..core.checks import Array
-from ..data.bones import BoneShape, TibiaShape
+from ..data.bones import BoneShape, FemurShape, RoughZone, TibiaShape
 from ..data.records import Rows
 from ..data.shapes import shape_table
 from ..geometry.freeform import Lattice, displaced
 from ..model.knee import Knee
+from .roughness import roughness
 from .shape import knee_form, lattices_of
 from .solids import SHAFT_POWER, ring
 from .tibia import plateau_height
@@ -44,10 +45,13 @@ class Form:
     end      +1: the shaft goes up from the joint; -1: down
     lean     (x, y) by which the shaft then leans, a millimetre away from the joint
     slope    by which it leans in x once it is upright from the side
+    rough    where it is rough, and the seed of that
     """
 
     lattice: Lattice
     end: int
+    rough: tuple[RoughZone, ...] = ()
+    seed: int = 0
     lean: tuple[float, float] = (0.0, 0.0)
     slope: float = 0.0
 
@@ -75,7 +79,7 @@ class Build:
     fall              by how much it falls a millimetre before it is sloped
     femur_valgus_deg  by which the femoral shaft leans laterally, proximally
     tibia_varus_deg   by which the tibial shaft leans medially, distally
-    seed              of how uneven its cortex is
+    seed              of how uneven its cortex is, and of how rough
     """
 
     shape: BoneShape
@@ -103,8 +107,8 @@ def build_of(knee: Knee, shape: BoneShape) -> Build:
     sex_scale = size.female_over_male if knee.sex == "female" else 1.0
     scale = sex_scale * knee.bone_scale * knee.stature_mm / getattr(size.stature_mm, knee.sex)
     lattices = lattices_of(knee.shape, knee_form(shape_table()))
-    femur = _form(lattices["femur"], +1, shape.femur.sections, scale)
-    tibia = _form(lattices["tibia"], -1, shape.tibia.sections, scale)
+    femur = _form(lattices["femur"], +1, shape.femur, scale, knee.texture_seed)
+    tibia = _form(lattices["tibia"], -1, shape.tibia, scale, knee.texture_seed)
     # The tibia leans as this person's does; the femur as makes the angle between them the one of a straight leg. Of an
     # angle beyond that each has half.
     varus = float(np.rad2deg(np.arctan(tibia.slope)))
@@ -124,11 +128,13 @@ def build_of(knee: Knee, shape: BoneShape) -> Build:
     )
 
 
-def _form(lattice: Lattice, end: int, sections: Rows, scale: float) -> Form:
+def _form(lattice: Lattice, end: int, shape: FemurShape | TibiaShape, scale: float, seed: int) -> Form:
+    sections = shape.sections
     heights = np.linspace(_LEAN_FROM_MM, _LEAN_TO_MM, 5)
     middles = _middles(sections, end * heights, lambda points: displaced(points, lattice))
     lean_x, lean_y = np.polyfit(heights, middles, 1)[0]
-    form = Form(lattice=lattice, end=end, lean=(float(lean_x), float(lean_y)))
+    lean = (float(lean_x), float(lean_y))
+    form = Form(lattice=lattice, end=end, rough=shape.rough, seed=seed, lean=lean)
     heights = np.array(_SHAFT_MM) / scale
     far = _middles(sections, end * heights, lambda points: formed(points, form))
     return replace(form, slope=float(np.diff(far[:, 0])[0] / np.diff(heights)[0]))
@@ -154,7 +160,7 @@ def formed(points: Array, form: Form) -> Array:
     beyond = np.maximum(form.end * points[:, 2] - _LEAN_TO_MM, 0.0)
     # Where the lattice ends its displacements stay the same; a shaft goes straight on.
     places = displaced(points - beyond[:, None] * [0.0, 0.0, form.end], form.lattice)
-    places += beyond[:, None] * [*form.lean, form.end]
+    places += beyond[:, None] * [*form.lean, form.end] + roughness(points, form.rough, form.seed, form.end)
     return places @ form.upright().T
 
 

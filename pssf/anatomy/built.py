@@ -1,9 +1,10 @@
 """BuiltKnee: a knee, its solids as a scene, and its labels, as one object."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from manifold3d import Manifold
+from manifold3d import Manifold, OpType
 
 from ..core.checks import Array, InputError
 from ..data.bones import mean_shape
@@ -11,18 +12,24 @@ from ..data.spongy import TrabecularBone, trabecular_bone
 from ..geometry.density import Density
 from ..geometry.mesh import Mesh
 from ..geometry.scene import Scene, Surface
-from ..geometry.view import view_of
+from ..geometry.view import View, view_of
 from ..model.knee import Knee
 from ..model.protocol import Posture, Protocol
 from ..model.radiograph import Truth
 from . import bones, small_bones, soft
+from .cysts import CystSolids, cyst_meshes, cysts_of
 from .joint import KneeAssembly, assemble
+from .plateau import along_plateau, inter_margin_mm
 from .pose import moved
 from .solids import checked, mesh_of
 from .tissues import between
 from .trabeculae import BONES, Trabeculae, trabeculae
 from .truth import labels, measured_jsw_mm, osteophyte_meshes
-from .wear import worn
+from .turned_truth import turned_labels
+from .wear import attrition_mm, worn
+
+# Trabecular bone that is outside its cortex by no more than this is drawn in there by so much.
+_MENDED_MM3, _DRAWN_IN_MM = 1.0, 0.1
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -32,30 +39,68 @@ class BuiltKnee:
     knee      its parameters
     scene     closed surfaces between named materials, in the knee frame, mm
     assembly  how its bones stand
-    bones     femur, tibia, fibula and patella, by name, before they are mirrored as `assembly` says
+    bones     femur, tibia, fibula and patella, by name, before they are turned and mirrored as `assembly` says
+    cysts     bone -> its cysts, likewise
     """
 
     knee: Knee
     scene: Scene
     assembly: KneeAssembly
     bones: dict[str, bones.Bone]
+    cysts: dict[str, list[CystSolids]]
 
     def truth(self, protocol: Protocol) -> Truth:
         """Labels and landmarks on a radiograph of it under a protocol; without masks, which `simulate` casts."""
-        return labels(self.knee, self.assembly, self.scene, view_of(protocol))
+        return self.truth_in(view_of(self.aimed(protocol)))
+
+    def truth_in(self, view: View) -> Truth:
+        """The same in a view of one's own, of the knee where its scene has it."""
+        if self.assembly.posture.is_frontal:
+            return labels(self.knee, self.assembly, self.scene, view, self._worn_mm)
+        return turned_labels(self.knee, self.assembly, self._outer(), view)
+
+    def aimed(self, protocol: Protocol) -> Protocol:
+        """The protocol with its beam fitted to this knee, where it says that the beam goes along the medial plateau.
+
+        raises  InputError where no beam does
+        """
+        if protocol.beam_along == "horizontal":
+            return protocol
+        return along_plateau(self.assembly, mesh_of(self.bones["tibia"].outer), protocol)
+
+    def inter_margin_mm(self, protocol: Protocol) -> float:
+        """Height on the film of the front margin of the medial plateau over its back one, scaled to the joint plane.
+
+        raises  InputError for a view in which the plateau is not seen from the front
+        """
+        return inter_margin_mm(self.assembly, mesh_of(self.bones["tibia"].outer), self.aimed(protocol))
+
+    @cached_property
+    def _worn_mm(self) -> dict[str, float]:
+        # Of the posture that spaces are defined in, and so the same under every protocol.
+        return attrition_mm(self.assembly)
+
+    def _outer(self) -> dict[str, Mesh]:
+        return {name: mesh_of(bone.outer) for name, bone in self.bones.items()}
 
     def measured_jsw_mm(self, protocol: Protocol) -> tuple[float, float]:
-        """Medial and lateral joint space measured on the projected contours, osteophytes and all."""
-        return measured_jsw_mm(self.knee, self.assembly, self.scene, view_of(protocol))
+        """Medial and lateral joint space measured on the projected contours, osteophytes and all.
+
+        raises  InputError for a view that shows none
+        """
+        if not self.assembly.posture.is_frontal:
+            raise InputError(f"projection = {self.assembly.posture.projection!r}; allowed: AP or PA")
+        return measured_jsw_mm(self.knee, self.assembly, self.scene, view_of(self.aimed(protocol)))
 
     def osteophytes(self) -> dict[str, Mesh]:
         """Site -> what an osteophyte adds to its bone, in the knee frame, mm."""
         return osteophyte_meshes(self.knee, self.assembly)
 
     def solids(self) -> dict[str, Mesh]:
-        """Name -> mesh, mm, of each bone and each osteophyte: what a mask is made of."""
+        """Name -> mesh, mm, of each bone, each osteophyte and the cysts of a site: what a mask is made of."""
         solids = {surface.name: surface.arrays for surface in self.scene.surfaces if surface.name in BONES}
-        return solids | {f"{site}_osteophyte": mesh for site, mesh in self.osteophytes().items()}
+        solids |= {f"{site}_osteophyte": mesh for site, mesh in self.osteophytes().items()}
+        return solids | {f"{site}_cyst": mesh for site, mesh in cyst_meshes(self.cysts, self.assembly).items()}
 
     def __repr__(self) -> str:
         return f"BuiltKnee({self.knee!r}, {len(self.scene.surfaces)} surfaces)"
@@ -76,14 +121,14 @@ def build(knee: Knee, protocol: Protocol | None = None) -> BuiltKnee:
     posture = Posture() if protocol is None else protocol.posture
     assembly = assemble(knee, mean_shape(), posture)
     placed = _bones(knee, assembly)
-    scene = Scene(_surfaces(knee, assembly, placed, trabecular_bone()))
-    return BuiltKnee(
-        knee=knee, scene=scene, assembly=assembly, bones={name: part.solids for name, part in placed.items()}
-    )
+    solids = {name: part.solids for name, part in placed.items()}
+    cysts = cysts_of(knee, assembly, solids)
+    scene = Scene(_surfaces(knee, assembly, placed, cysts))
+    return BuiltKnee(knee=knee, scene=scene, assembly=assembly, bones=solids, cysts=cysts)
 
 
 def _surfaces(
-    knee: Knee, assembly: KneeAssembly, placed: "dict[str, _Placed]", spongy_bone: TrabecularBone
+    knee: Knee, assembly: KneeAssembly, placed: "dict[str, _Placed]", cysts: dict[str, list[CystSolids]]
 ) -> list[Surface]:
     shape, pose = assembly.build, assembly.pose
     solids = {name: part.solids for name, part in placed.items()}
@@ -99,13 +144,17 @@ def _surfaces(
     for tissue in between(knee, assembly, solids, wraps["muscle"], wraps["intermuscular_fat"]):
         surfaces.append(_sided(tissue.mesh, tissue.material, "muscle", tissue.name, assembly))
     for name, part in solids.items():
-        density = _texture(knee, name, spongy_bone, assembly, placed[name].frame)
+        density = _texture(knee, name, trabecular_bone(), assembly, placed[name].frame)
         surfaces.append(_surface(part.outer, "cortical_bone", "muscle", name, assembly))
         spongy = ("trabecular_bone", "cortical_bone", f"{name}_trabecular")
         surfaces.append(_surface(part.inner, *spongy, assembly, inside_density=density))
         if part.canal is not None:
             canal = ("marrow", "trabecular_bone", f"{name}_marrow")
             surfaces.append(_surface(part.canal, *canal, assembly, outside_density=density))
+        for number, cyst in enumerate(cysts.get(name, ()), start=1):
+            wall = ("cortical_bone", "trabecular_bone", f"{name}_cyst_{number}_wall")
+            surfaces.append(_surface(cyst.wall, *wall, assembly, outside_density=density))
+            surfaces.append(_surface(cyst.soft, "marrow", "cortical_bone", f"{name}_cyst_{number}", assembly))
     return surfaces
 
 
@@ -136,7 +185,8 @@ def _bones(knee: Knee, assembly: KneeAssembly) -> dict[str, _Placed]:
     placed = {name: _Placed(_placed(part, at), _after(inner, at)) for name, (part, at, inner) in parts.items()}
     plate_mm = build.shape.tibia.plate_mm * build.cortex * build.plate
     tibia = worn(placed["tibia"].solids, placed["femur"].solids.outer, plate_mm)
-    return placed | {"tibia": replace(placed["tibia"], solids=tibia)}
+    placed |= {"tibia": replace(placed["tibia"], solids=tibia)}
+    return {name: replace(part, solids=_nested(name, part.solids)) for name, part in placed.items()}
 
 
 def _after(first: Array, then: Array) -> Array:
@@ -150,7 +200,7 @@ def _texture(knee: Knee, bone: str, table: TrabecularBone, assembly: KneeAssembl
         table,
         seed=knee.texture_seed,
         scale=assembly.build.scale,
-        frame=frame,
+        frame=frame if assembly.turn is None else assembly.turn @ frame,
         mirror=assembly.mirror,
         sclerosis=knee.subchondral_plate,
         age_years=knee.age_years,
@@ -163,10 +213,24 @@ def _placed(part: bones.Bone, transform: Array) -> bones.Bone:
     return bones.Bone(outer=part.outer.transform(transform), inner=part.inner.transform(transform), canal=canal)
 
 
+def _nested(name: str, part: bones.Bone) -> bones.Bone:
+    """A bone whose trabecular bone lies within it: where a thin cortex folds it is drawn in by _DRAWN_IN_MM.
+
+    raises  InputError where more than _MENDED_MM3 lies outside
+    """
+    outside_mm3 = (part.inner - part.outer).volume()
+    if outside_mm3 <= 1e-6:
+        return part
+    if outside_mm3 > _MENDED_MM3:
+        raise InputError(f"{name}: its trabecular bone leaves its host by {outside_mm3:.3g} mm3; allowed: 0")
+    ways = [part.outer.translate(tuple(way)) for way in _DRAWN_IN_MM * np.vstack((np.eye(3), -np.eye(3)))]
+    return replace(part, inner=Manifold.batch_boolean([part.inner, part.outer, *ways], OpType.Intersect))
+
+
 def _check_nesting(placed: dict[str, bones.Bone], muscle: Manifold) -> None:
     """Refuse shells that leave their host and bones that meet: path lengths would then be wrong in silence."""
     for name, part in placed.items():
-        shells = [("trabecular bone", part.inner, part.outer), ("cortex", part.outer, muscle)]
+        shells = [("cortex", part.outer, muscle)]
         shells += [("marrow", part.canal, part.inner)] if part.canal is not None else []
         for what, inside, host in shells:
             if (inside - host).volume() > 1e-6:

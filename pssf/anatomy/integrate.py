@@ -65,8 +65,10 @@ class Steps(NamedTuple):
 class Region(NamedTuple):
     """The smooth part of one bone's density, as in `data/trabeculae.toml`; lengths inverted, for divisions take time.
 
-    plate_medial, plate_lateral  relative rise of BV/TV at the subchondral plate, sclerosis included
-    scar_x, scar_z, scar_bvtv    where this bone's scar is, and how strong
+    plate                        relative rise of BV/TV at the subchondral plate
+    hard_medial, hard_lateral    what sclerosis adds to it there, and deeper
+    scar_x, scar_y, scar_z       where this bone's scar is
+    scar_phase, scar_bvtv        of its ripple, and how strong it is
     marrow, per_bvtv             density without bone, and what a BV/TV of 1 adds to it
     """
 
@@ -79,20 +81,28 @@ class Region(NamedTuple):
     load: float
     column_mm: float
     column_per_mm: float
-    plate_medial: float
-    plate_lateral: float
+    plate: float
     plate_per_mm: float
+    hard_medial: float
+    hard_lateral: float
+    hard_per_mm: float
     fan: float
     fan_mm: float
+    squat: float
     joint: Triple
     below: float
     dips: tuple[Triple, Triple, Triple]
     gain: float
     gain_shaft: float
     scar_x: float
+    scar_y: float
     scar_z: float
+    scar_phase: float
     scar_slope: float
     scar_bow_per_mm: float
+    scar_dome_per_mm: float
+    scar_ripple_mm: float
+    scar_ripple_per_mm: float
     scar_bvtv: float
     scar_per_mm: float
     scar_wide_per_mm: float
@@ -132,13 +142,19 @@ def _nodes(lanes: Array, region: Region, struts: Struts) -> None:
         for dip in region.dips:
             surface += dip[2] * _bell((x - dip[0]) * dip[1])
         high, deep = min(z - surface - region.joint[1], region.below), y - region.joint[0]
-        depth = max(region.joint[2] - math.sqrt(deep * deep + high * high), 0.0) * region.plate_per_mm
-        plate = region.plate_medial * (0.5 + 0.5 * medial) + region.plate_lateral * (0.5 - 0.5 * medial)
-        mean *= 1.0 + plate * fade * _bell(depth)
+        depth = max(region.joint[2] - math.sqrt(deep * deep + high * high), 0.0)
+        hard = region.hard_medial * (0.5 + 0.5 * medial) + region.hard_lateral * (0.5 - 0.5 * medial)
+        more = region.plate * _bell(depth * region.plate_per_mm) + hard * _bell(depth * region.hard_per_mm)
+        # What bone there is more at the plate is a dense mesh, not thicker struts.
         swing = mean * (region.gain_shaft + (region.gain - region.gain_shaft) * fade)
+        mean *= 1.0 + more * fade
+        back = y - region.scar_y
         over = z - region.scar_z - region.scar_slope * x - region.scar_bow_per_mm * x * x
-        lanes[_FAR + _A + n] = u * region.scale * struts.per_mm[0] + struts.shift[0] + _PERIODS
-        lanes[_FAR + _B + n] = place[2] * struts.per_mm[1] + struts.shift[1] + _PERIODS
+        over -= region.scar_dome_per_mm * back * back
+        over -= region.scar_ripple_mm * math.sin(x * region.scar_ripple_per_mm + region.scar_phase)
+        across, up = u * region.scale / region.squat, place[2] * region.squat
+        lanes[_FAR + _A + n] = across * struts.per_mm[0] + struts.shift[0] + _PERIODS
+        lanes[_FAR + _B + n] = up * struts.per_mm[1] + struts.shift[1] + _PERIODS
         lanes[_FAR + _C + n] = place[1] * struts.per_mm[2] + struts.shift[2] + _PERIODS + _ON_PLANE / 2
         lanes[_FAR + _SWING + n], lanes[_FAR + _REST + n] = swing, mean - swing
         lanes[_FAR + _OVER + n] = over * region.scar_per_mm
@@ -235,9 +251,10 @@ def _next_piece(lanes: Array, piece: int) -> tuple[int, int, int]:
         if abs(abs(lanes[_RISE + _C + n]) - 1.0) > 1e-9:
             planes = 2
         added = (high - low) * (lanes[_NEAR + _REST + n] + (low + high) / 2 * lanes[_RISE + _REST + n])
-        over, rise = lanes[_NEAR + _OVER + n], lanes[_RISE + _OVER + n]
-        one, two = over + low * rise, over + high * rise
-        if min(one, two) < _SCAR_ENDS and max(one, two) > -_SCAR_ENDS:
+        over, rise, beyond = lanes[_NEAR + _OVER + n], lanes[_RISE + _OVER + n], lanes[_FAR + _OVER + n]
+        # Told of the whole piece, so that its parts add up.
+        if min(over, beyond) < _SCAR_ENDS and max(over, beyond) > -_SCAR_ENDS:
+            one, two = over + low * rise, over + high * rise
             # The profile (1 + q^2)^-1.5 is the slope of q / sqrt(1 + q^2): exact however thin it is beside a sample.
             mean = (1.0 + one * one) ** -1.5
             if abs(rise) > 1e-7:

@@ -16,7 +16,7 @@ from .femur import mean_femur
 from .flexion import flexed
 from .mean_bone import MeanBone
 from .osteophytes import BoneWithOsteophytes
-from .pose import Pose, moved
+from .pose import Pose, moved, rotation
 from .solids import mesh_of
 from .spaces import solve_pose
 from .tibia import mean_tibia
@@ -27,36 +27,54 @@ class KneeAssembly:
     """A knee's build, its outer femur and tibia at the mean man's size, and where they go.
 
     defined_under  the protocol that its joint spaces are defined under
+    defined        how its bones stand for that protocol
     posture        that it stands in
     mirror         (x, y, z) factors of +1 or -1: a left knee is mirrored in x, one with the detector before it in y
+    turn           (3, 3)  last turn of the leg, before it is mirrored; None where it is seen from the front
     """
 
     defined_under: Protocol
+    defined: Pose
     posture: Posture
     build: Build
     femur: BoneWithOsteophytes
     tibia: BoneWithOsteophytes
     pose: Pose
     mirror: tuple[float, float, float]
+    turn: Array | None = None
 
     def femur_mm(self, points: Array) -> Array:
-        """(n, 3)  places of the mean man's femur in the room, before it is mirrored
+        """(n, 3)  places of the mean man's femur in the leg as it stands
 
         points  (n, 3)  mm
         """
         return moved(stand_femur(points, self.build), self.pose.femur())
 
     def tibia_mm(self, points: Array) -> Array:
-        """(n, 3)  places of the mean man's tibia in the room, before it is mirrored
+        """(n, 3)  places of the mean man's tibia in the leg as it stands
 
         points  (n, 3)  mm
         """
         return moved(stand_tibia(points, self.build), self.pose.tibia())
 
+    def turned(self, points: Array) -> Array:
+        """(n, 3)  places of a leg that stands where the posture turns them, mm
+
+        points  (n, 3)  mm
+        """
+        return points if self.turn is None else points @ self.turn.T
+
+    def seen(self, points: Array) -> Array:
+        """(n, 3)  places of a right leg that stands where the detector sees them: turned and mirrored, mm
+
+        points  (n, 3)  mm
+        """
+        return self.turned(points) * self.mirror
+
     def mirrored(self, mesh: Mesh) -> Mesh:
-        """A mesh as it is in the mirror, wound outward again."""
+        """A mesh turned, as it is in the mirror, wound outward again."""
         faces = mesh.faces if np.prod(self.mirror) > 0 else np.ascontiguousarray(mesh.faces[:, ::-1])
-        return Mesh(mesh.vertices * self.mirror, faces)
+        return Mesh(self.seen(mesh.vertices), faces)
 
 
 # What a knee's joint spaces are defined under, by `Knee.jsw_as`.
@@ -96,4 +114,5 @@ def assemble(knee: Knee, shape: BoneShape, posture: Posture) -> KneeAssembly:
         lean_deg=defined.lean_deg - posture.tilt_deg + protocol.tilt_deg,
     )
     mirror = (1.0 if knee.side == "right" else -1.0, posture.mirror_y, 1.0)
-    return KneeAssembly(protocol, posture, build, femur, tibia, pose, mirror)
+    turn = None if posture.is_frontal else rotation(*posture.turn)
+    return KneeAssembly(protocol, defined, posture, build, femur, tibia, pose, mirror, turn)

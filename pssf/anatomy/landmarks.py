@@ -25,6 +25,7 @@ from ..core.checks import Array
 from ..geometry.mesh import Indices, Mesh
 from ..geometry.view import View, project
 from .contours import envelope, turned_px
+from .solids import crossing_sides
 
 TIBIAL = (
     "tibia_lateral_edge", "tibia_lateral_1", "tibia_lateral_2", "lateral_spine", "between_spines",
@@ -160,12 +161,7 @@ def _on_tibia(seen: Array, tibia: Mesh) -> list[tuple[float, float]]:
 
 def _section(seen: Array, tibia: Mesh, x_mm: float) -> _Contour:
     """The upper outline of the part of the tibia that is seen at a place in x: depth along the beam, and height."""
-    beyond = seen[:, 0] >= x_mm
-    cut = tibia.faces[np.ptp(beyond[tibia.faces].astype(np.int8), axis=1) > 0]
-    starts, ends = cut, np.roll(cut, -1, axis=1)
-    crossing = beyond[starts] != beyond[ends]
-    starts, ends = starts[crossing], ends[crossing]
-    share = (x_mm - seen[starts, 0]) / (seen[ends, 0] - seen[starts, 0])
+    starts, ends, share = crossing_sides(seen[:, 0], tibia.faces, x_mm)
     both = np.column_stack((tibia.vertices[:, 1], seen[:, 1]))
     points = both[starts] + share[:, None] * (both[ends] - both[starts])
     # Two sides of each triangle cross, and what lies between them is of the outline.

@@ -9,13 +9,14 @@ import numpy as np
 from manifold3d import Manifold
 
 from ..core.checks import Array
-from ..data.bones import FemurShape, TibiaShape
+from ..data.bones import FemurShape, RoughZone, TibiaShape
 from ..data.shapes import shape_table
 from ..data.store import Arrays, Origin, kept
 from ..geometry.freeform import displaced, with_displacements
 from ..geometry.mesh import Indices
 from .implicit import Field, lengths, project_to_surface
 from .remesh import mesh_bone
+from .roughness import in_zones
 from .shape import BoneForm, knee_form
 from .solids import checked, mesh_of, solid_of, split_where
 
@@ -28,6 +29,8 @@ _DEPTHS_MM = (0.0, 0.5, 1.0, 1.75, 2.75, 4.0, 5.5, 7.5)
 _STEPS, _TURNS, _SETTLED_MM = 4, 12, 0.005
 # Edges whose middles most people's forms would move off them by more are split, up to so many times.
 _BENT_MM, _SPLITS, _FAR_SD = 0.05, 5, 2.0
+# Longest edge where a bone is rough: a quarter of the shortest wave.
+_ROUGH_MM = 2.0
 
 
 OfBone = TypeVar("OfBone", FemurShape, TibiaShape)
@@ -45,6 +48,7 @@ class MeanBone:
     edge_mm       longest edge of its triangles, away from the shaft
     tolerance_mm  how far middles of edges may be off the field
     form          how people's bones of this kind are formed, for which its triangles are small enough
+    zones         where it is rough, likewise
     """
 
     name: str
@@ -54,6 +58,7 @@ class MeanBone:
     edge_mm: float
     tolerance_mm: float
     form: BoneForm
+    zones: tuple[RoughZone, ...]
 
     @property
     def outer(self) -> Manifold:
@@ -96,7 +101,7 @@ class MeanBone:
 
     def _made(self) -> Arrays:
         solids = mesh_bone(self.rough(), self.field, self.edge_mm, (self.tolerance_mm, _INNER_MM))
-        outer, coarser = (mesh_of(flexible(checked(solid, self.name), self.form)) for solid in solids)
+        outer, coarser = (mesh_of(flexible(checked(solid, self.name), self.form, self.zones)) for solid in solids)
         ways = [coarser.vertices]
         for depth in _DEPTHS_MM[1:]:
             ways.append(project_to_surface(ways[-1], self.field, partial(_everywhere, depth), _STEPS))
@@ -119,6 +124,7 @@ def mean_bone(
         edge_mm=shape.edge_mm,
         tolerance_mm=shape.tolerance_mm,
         form=knee_form(shape_table()).bones[name],
+        zones=shape.rough,
     )
 
 
@@ -135,16 +141,18 @@ def _along(ways: Array, depth_mm: Array) -> Array:
     return ways[level, each] + share[:, None] * (ways[level + 1, each] - ways[level, each])
 
 
-def flexible(solid: Manifold, form: BoneForm) -> Manifold:
+def flexible(solid: Manifold, form: BoneForm, zones: tuple[RoughZone, ...] = ()) -> Manifold:
     """The same solid with edges short enough to bend as people's forms have it.
 
-    Edges are split whose middles would be more than 0.05 mm off in the mean form and two standard deviations from it.
+    Edges are split whose middles would be more than 0.05 mm off in the mean form and two standard deviations from it,
+    and those of over 2 mm where the bone is rough.
     """
     mesh = mesh_of(solid)
 
     def bent(places: Array, edges: Indices) -> tuple[Indices, Array]:
         middles = places[edges].mean(axis=1)
         off = _sagitta(places, edges, middles, form) > _BENT_MM
+        off |= in_zones(middles, zones) & (lengths(np.diff(places[edges], axis=1)[:, 0]) > _ROUGH_MM)
         return edges[off], middles[off]
 
     return solid_of(*split_where(mesh.vertices, mesh.faces, _SPLITS, bent), "flexible")

@@ -16,6 +16,8 @@ from .solids import checked, column, mesh_of, thickness
 
 # Straight shafts and what trabeculae blur are drawn with fewer triangles, within this.
 _COARSER_MM = 0.02
+# Of the patella's sections, and between them.
+_PATELLA_COUNT, _PATELLA_STEP_MM = 64, 1.25
 # Of the patella, upwards and downwards.
 _DRAWN_IN_MM = 0.35
 # Of the fibula, towards the tibia.
@@ -69,8 +71,10 @@ def patella(build: Build) -> Bone:
     sections = scaled(table.sections, 1.0)
     low, high = sections[:, 0].min(), sections[:, 0].max()
     cortex = thickness(table.cortex, build.cortex)
-    outer = column(sections, np.zeros_like, levels(low, high, 1.0), "patella", power=2.1)
-    inner = column(sections, cortex, levels(low + 1.2, high - 1.2, 1.0), "patella marrow", power=2.1)
+    outer, inner = (
+        column(sections, inset, levels(low + end, high - end, _PATELLA_STEP_MM), name, 2.1, _PATELLA_COUNT)
+        for inset, end, name in ((np.zeros_like, 0.0, "patella"), (cortex, 1.2, "patella marrow"))
+    )
     # Sections are drawn in sideways, which leaves little where the outline is all but level.
     drawn_in = [outer.translate((0.0, 0.0, way * _DRAWN_IN_MM)) for way in (-1.0, 1.0)]
     inner = Manifold.batch_boolean([inner, *drawn_in], OpType.Intersect)
@@ -81,7 +85,7 @@ def patella(build: Build) -> Bone:
 
     # Simplified only when they are deformed: flat places do not stay flat.
     return Bone(
-        outer=checked(formed_as(outer).simplify(_COARSER_MM / 2), "patella"),
+        outer=checked(formed_as(outer).simplify(_COARSER_MM), "patella"),
         inner=checked(formed_as(inner).simplify(_COARSER_MM), "patella marrow"),
     )
 

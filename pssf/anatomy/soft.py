@@ -6,6 +6,7 @@ from scipy import ndimage
 
 from ..core.checks import Array
 from ..model.knee import Knee
+from .bend import bend_of, sheared_deg
 from .bone_build import Build, eased
 from .muscles import FASCIA_POWER, intermuscular_fat
 from .solids import column
@@ -16,6 +17,9 @@ _COVER_MM = 3.0
 THIGH_FROM_MM = 20.0
 # Skin bends little along the leg: what lies within this of a plane is drawn as one.
 _COARSER_MM = 0.03
+# A bent thigh comes nearer to the joint line, and goes on above the muscles' ends by so much, so that its end stays out
+# of the picture.
+_LONGER_MM, _LONGER_PER_DEG_MM, _RING_MM = 150.0, 4.0, 11.0
 
 
 def layers(knee: Knee, build: Build, flexion_deg: float, bone_points_mm: Array) -> dict[str, Manifold]:
@@ -29,21 +33,26 @@ def layers(knee: Knee, build: Build, flexion_deg: float, bone_points_mm: Array) 
     wrap_ml, wrap_ap = fat + skin, max(2.0, fat * table.anterior_fat_share) + skin
     half_ml = size.male_tibial_ml_mm / 2 * build.scale + table.capsule_mm + wrap_ml
     rows = [[z, half_ml + more, knee.limb_ap_mm / 2 * share, y, 0.0] for z, more, share, y in table.sections]
-    coarse = _follow_shafts(np.array(rows), flexion_deg, build)
+    bend = bend_of(flexion_deg, build.scale)
+    longer_mm = min(_LONGER_MM, _LONGER_PER_DEG_MM * bend.angle_deg)
+    rows += [[rows[-1][0] + longer_mm, *rows[-1][1:]]] if longer_mm else []
+    coarse = _follow_shafts(np.array(rows), sheared_deg(flexion_deg), build)
     # The patella stands in front of the limb's middle: where bone needs room the section moves there before it grows.
-    fascia = _hold(_resample(coarse) - np.array([0.0, wrap_ml, wrap_ap, 0.0, 0.0]), bone_points_mm)
+    fascia = _hold(_resample(coarse) - np.array([0.0, wrap_ml, wrap_ap, 0.0, 0.0]), bend.straight(bone_points_mm))
     levels = np.linspace(-205.0, 205.0, 38)
+    rings = np.append(levels, np.arange(1.0, 1.0 + longer_mm // _RING_MM) * _RING_MM + levels[-1])
 
     def grown(ml_mm: float, ap_mm: float, name: str) -> Manifold:
         sections = fascia + np.array([0.0, ml_mm, ap_mm, 0.0, 0.0])
-        return column(sections, np.zeros_like, levels, name, power=FASCIA_POWER, count=64).simplify(_COARSER_MM)
+        return column(sections, np.zeros_like, rings, name, power=FASCIA_POWER, count=64).simplify(_COARSER_MM)
 
-    return {
+    solids = {
         "skin": grown(wrap_ml, wrap_ap, "skin"),
         "adipose": grown(wrap_ml - skin, wrap_ap - skin, "adipose"),
         "muscle": grown(0.0, 0.0, "muscle"),
         "intermuscular_fat": intermuscular_fat(build.shape.muscles, build.shape.deep_fat, fascia, levels, build.scale),
     }
+    return {name: bend.solid(solid, name) for name, solid in solids.items()}
 
 
 def _resample(sections: Array) -> Array:

@@ -58,6 +58,20 @@ def edges_of(faces: Indices) -> Indices:
     return np.column_stack((key // number, key % number))
 
 
+def crossing_sides(values: Array, faces: Indices, at: float) -> tuple[Indices, Indices, Array]:
+    """Sides of triangles that cross a level: vertices (n,) at which they start and end, and the share (n,) of the way.
+
+    values  (k,)    of vertices
+    faces   (m, 3)  vertex numbers; the two sides of a triangle that cross come one after the other
+    """
+    beyond = values >= at
+    cut = faces[np.ptp(beyond[faces].astype(np.int8), axis=1) > 0]
+    starts, ends = cut, np.roll(cut, -1, axis=1)
+    crossing = beyond[starts] != beyond[ends]
+    starts, ends = starts[crossing], ends[crossing]
+    return starts, ends, (at - values[starts]) / (values[ends] - values[starts])
+
+
 def dilate_rings(chosen: NDArray[np.bool_], faces: Indices, rings: int) -> NDArray[np.bool_]:
     """(n,)  which vertices are chosen, or within so many edges of one that is
 

@@ -16,6 +16,7 @@ from .contours import measure_gap
 from .landmarks import plateau_floor
 from .pose import Pose, moved, turned_by
 from .solids import edges_of, mesh_of
+from .subluxation import SubluxedPose
 
 # Of the mean man's femur: about here it flexes, the middle of the condyles' round backs.
 _PIVOT_MM = (0.0, 2.0, 23.0)
@@ -40,7 +41,7 @@ def solve_pose(knee: Knee, build: Build, femur: Manifold, tibia: Manifold, proto
     posture = protocol.posture
     wanted = np.array([knee.jsw_medial_mm, knee.jsw_lateral_mm])
     _, y, z = (formed(np.array([_PIVOT_MM]), build.femur)[0] * build.scale).tolist()
-    pose = Pose(
+    pose: Pose = SubluxedPose(
         tilt_deg=0.0,
         raise_mm=float(wanted.mean()) + 2.0,
         shift_mm=0.0,
@@ -49,6 +50,7 @@ def solve_pose(knee: Knee, build: Build, femur: Manifold, tibia: Manifold, proto
         pivot_mm=(0.0, y, z),
         lean_deg=build.tibia_varus_deg - knee.lean_deg - posture.tilt_deg,
         forward_deg=posture.tibia_forward_deg,
+        medial_mm=knee.subluxation_mm,
     )
     measure = _measure(knee, build, (femur, tibia), protocol)
     for _ in range(_TURNS):

@@ -62,7 +62,7 @@ def between(
         used, number = np.unique(faces, return_inverse=True)
         parts.append(Part(name, "cartilage", Mesh(move(vertices[used]), number.reshape(-1, 3))))
         keep.append(_near(layer.covered(), move))
-    parts = _clear(parts[0], parts[1], placed, min(spaces_mm) < _NARROW_MM)
+    parts = _clear(parts[0], parts[1], placed, min(spaces_mm) < _NARROW_MM or knee.subluxation_mm != 0)
     small = [placed[name].outer for name in placed if name not in ("femur", "tibia")]
     rings = [solid.transform(pose.tibia()) for solid in cartilage.menisci(shape.menisci, s)]
     patella, femur_frame, tibia_frame = placed["patella"].outer, pose.femur(), pose.tibia()
@@ -101,31 +101,69 @@ def _between_muscles(fat: Manifold, placed: dict[str, bones.Bone], parts: list[P
 def _clear(femoral: Part, tibial: Part, placed: dict[str, bones.Bone], narrow: bool) -> list[Part]:
     """Cartilage of femur and tibia without what the patella has, and in a narrow joint what the other bone has."""
     parts = [part for part in (femoral, tibial) if len(part.mesh.faces)]
-    solids = {part.name: solid_of(part.mesh.vertices, part.mesh.faces, part.name) for part in parts}
-    takes = {femoral.name: [placed["patella"].outer], tibial.name: []}
+    takes: dict[str, list[Manifold]] = {femoral.name: [placed["patella"].outer], tibial.name: []}
+    met = parts if narrow else [part for part in parts if takes[part.name]]
+    solids = {part.name: solid_of(part.mesh.vertices, part.mesh.faces, part.name) for part in met}
     if narrow:
         takes[femoral.name].append(_cut(placed["tibia"].outer))
         takes[tibial.name] += [_cut(placed["femur"].outer), *(solids[n] for n in (femoral.name,) if n in solids)]
     kept = []
     for part in parts:
         meeting = [other for other in takes[part.name] if (solids[part.name] ^ other).volume() > _MEETING_MM3]
+        if not meeting:
+            kept.append(part)
+            continue
         left = Manifold.batch_boolean([solids[part.name], *meeting], OpType.Subtract)
         if left.volume() > _LEAST_MM3:
-            kept.append(Part(part.name, part.material, mesh_of(left)) if meeting else part)
+            kept.append(Part(part.name, part.material, mesh_of(left)))
     return kept
 
 
 def _carved(wanted: list[tuple[str, str, Manifold]], keep: list[Manifold], muscle: Manifold) -> list[Part]:
     """What is left of solids within the fascia, without those to keep clear of and without each other."""
-    parts, taken = [], list(keep)
-    for name, material, solid in wanted:
+    apart: list[Manifold] = []
+    for _, _, solid in wanted:
         left = solid ^ muscle
-        for other in _touching(left, taken):
+        for other in _touching(left, apart):
             left = left - other
-        if left.volume() > _LEAST_MM3:
-            parts.append(Part(name, material, mesh_of(left)))
-            taken.append(left)
-    return parts
+        apart.append(left)
+    carved = _without(apart, keep)
+    return [
+        Part(name, material, mesh_of(solid))
+        for (name, material, _), solid in zip(wanted, carved, strict=True)
+        if solid.volume() > _LEAST_MM3
+    ]
+
+
+def _without(solids: list[Manifold], bones: list[Manifold]) -> list[Manifold]:
+    """Solids without bones, which have far more faces: they are taken out of all solids at once that do not touch."""
+    left = list(range(len(solids)))
+    carved = list(solids)
+    while left:
+        group: list[int] = []
+        for i in left:
+            if not _touching(solids[i], [solids[j] for j in group]):
+                group.append(i)
+        left = [i for i in left if i not in group]
+        own = {i: solids[i].as_original() for i in group}
+        whole = Manifold.compose(list(own.values()))
+        for bone in _touching(whole, bones):
+            whole = whole - bone
+        whose = {solid.original_id(): i for i, solid in own.items()}
+        pieces: dict[int, list[Manifold]] = {i: [] for i in group}
+        for piece in whole.decompose():
+            pieces[_source(piece, whose)].append(piece)
+        for i in group:
+            carved[i] = Manifold.compose(pieces[i])
+    return carved
+
+
+def _source(piece: Manifold, whose: dict[int, int]) -> int:
+    """Of which solid a piece is, by the numbers of the originals that its faces come from."""
+    mesh = piece.to_mesh64()
+    faces = zip(mesh.run_original_id, np.diff(mesh.run_index), strict=True)
+    (found,) = {whose[source] for source, count in faces if count and source in whose}
+    return found
 
 
 def _poles(patella: Manifold) -> tuple[Array, Array]:

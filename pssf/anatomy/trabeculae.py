@@ -21,7 +21,7 @@ BONES = ("femur", "tibia", "fibula", "patella", "fabella")
 # Spongy as another bone.
 _AS = {"fabella": "patella"}
 # Samples a voxel of the lattice, and samples over which the smooth part is taken as straight.
-FINE, PIECE = 1, 20
+FINE, PIECE = 1, 10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +96,7 @@ def trabeculae(
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1 + BONES.index(bone),)))
     x, z, y = (rng.random(3) * table.lattice.voxels).tolist()
     return Trabeculae(
-        region=_region(bone, table, rng.random(3).tolist(), scale, sclerosis, age_years, sex),
+        region=_region(bone, table, rng.random(5).tolist(), scale, sclerosis, age_years, sex),
         seed=int(seed),
         table=table.lattice,
         shift=(x, z, y),
@@ -113,7 +113,7 @@ def _region(
     age_years: float,
     sex: str,
 ) -> Region:
-    """chance  uniform numbers: height of the scar, how strong it is, and where"""
+    """chance  uniform numbers: height of the scar, how strong it is, where across, where front to back, its ripple"""
     part, hard, scar, ageing, tissue = (
         getattr(table, _AS.get(bone, bone)),
         table.sclerosis,
@@ -122,7 +122,8 @@ def _region(
         table.tissue,
     )
     excess = part.sclerosis * hard.per_plate * (sclerosis - 1)
-    plates = [max(0.0, (1 + part.plate) * (1 + excess * share) - 1) for share in (1.0, hard.lateral_share)]
+    # A plate thinner than a healthy one takes no more than its own rise.
+    added = [max(-part.plate, (1 + part.plate) * excess * share) for share in (1.0, hard.lateral_share)]
     years = age_years - ageing.reference_years
     left = (1 - ageing.per_year * years) * ageing.mean[sex]
     contrast = 1 + ageing.contrast_per_year[sex] * years
@@ -135,13 +136,18 @@ def _region(
     return Region(
         **same,
         middle_mm=table.side.middle_mm,
-        plate_medial=plates[0],
-        plate_lateral=plates[1],
+        hard_medial=added[0],
+        hard_lateral=added[1],
+        hard_per_mm=1 / hard.deep_mm if excess > 0 else 1 / part.plate_mm,
         joint=part.joint,
         dips=(dips[0], dips[1], dips[2]),
         scar_x=scar.off_mm * (2 * chance[2] - 1),
+        scar_y=scar.dome_off_mm * (2 * chance[3] - 1),
         scar_z=part.scar_mm[0] + (part.scar_mm[1] - part.scar_mm[0]) * chance[0],
         scar_wide_per_mm=1 / scar.wide_mm,
+        scar_ripple_mm=scar.ripple_mm,
+        scar_ripple_per_mm=2 * np.pi / scar.ripple_length_mm,
+        scar_phase=2 * np.pi * chance[4],
         scale=float(scale),
         per_scale=1 / scale,
         marrow=tissue.marrow,

@@ -1,14 +1,16 @@
-"""The command line: pssf simulate | meshes | cohort | study | read | accuracy | quality | realism | protocols.
+"""The command line: pssf simulate | meshes | cohort | study | read | accuracy | quality | realism | grades |
+protocols.
 
 options  what commands share
 make     simulate, meshes, cohort, study
 read     read
-measure  accuracy, quality, realism, protocols
+measure  accuracy, quality, realism, grades, protocols
 
 Commands import what they need when they run, so that help does not wait for what computes.
 """
 
 import sys
+from typing import Any
 
 import typer
 
@@ -24,7 +26,7 @@ app = typer.Typer(
 )
 _COMMANDS = (
     *(make.simulate, make.meshes, make.study, read),
-    *(measure.accuracy, measure.quality, measure.realism, measure.protocols),
+    *(measure.accuracy, measure.quality, measure.realism, measure.grades, measure.protocols),
 )
 for command in _COMMANDS:
     app.command()(command)
@@ -34,6 +36,7 @@ app.add_typer(make.cohort_app, name="cohort")
 def main() -> None:
     """Run the command line; bad input ends in one line and exit code 2."""
     try:
+        _require_once(sys.argv[1:])
         sys.exit(app(standalone_mode=False))
     except typer.Abort:
         sys.exit(130)
@@ -42,6 +45,28 @@ def main() -> None:
         sys.exit(130)
     except Exception as error:
         sys.exit(_refused(error))
+
+
+def _require_once(arguments: list[str]) -> None:
+    """Refuse an option that is given twice where the parser would keep the last one and say nothing."""
+    given = [word.split("=")[0] for word in arguments if word.startswith("--")]
+    twice = sorted({name for name in given if given.count(name) > 1} - {"--"})
+    if not twice:
+        return
+    from ..core.checks import InputError
+
+    root = typer.main.get_command(app)
+    commands = [root]
+    for command in commands:
+        commands += getattr(command, "commands", {}).values()
+    lists = {name for command in commands for option in command.params if _is_list(option) for name in option.opts}
+    for name in twice:
+        if name not in lists:
+            raise InputError(f"{name}: given {given.count(name)} times; allowed: once")
+
+
+def _is_list(option: Any) -> bool:
+    return getattr(option, "multiple", False) or option.nargs != 1
 
 
 def _refused(error: Exception) -> int:

@@ -1,4 +1,4 @@
-"""Commands that measure or tell: accuracy, quality, realism, protocols."""
+"""Commands that measure or tell: accuracy, quality, realism, grades, protocols."""
 
 import sys
 from pathlib import Path
@@ -68,6 +68,10 @@ def realism(
     bones: Annotated[
         Path | None, typer.Option(help="Real bones: an .npz, or folders femur, tibia, patella of meshes in mm.")
     ] = None,
+    cohort: Annotated[
+        Path | None,
+        typer.Option(help="Folder that pssf cohort made: contours are of its radiographs under the protocol."),
+    ] = None,
     protocol: ProtocolName = "reference",
     knees: Annotated[int, typer.Option(help="Knees that are drawn, the grades alike.")] = 200,
     grades: Grades = "people",
@@ -76,7 +80,8 @@ def realism(
 ) -> None:
     """Simulated knees beside real bones, contours and films: one page, and tables (CSV); goes on where a run stopped.
 
-    Each part is measured where its material is given; contours stand beside published ones always.
+    Each part is measured where its material is given; contours stand beside published ones always: joint gaps, plateau
+    and convergence by grade in contours_sizes.csv.
     """
     from ..core.execution import Execution
     from ..core.progress import bar
@@ -94,6 +99,7 @@ def realism(
         execution,
         films=films,
         bones_folder=bones,
+        cohort=cohort,
         protocol=protocol,
         knees=knees,
         grades=grades,
@@ -103,6 +109,40 @@ def realism(
     for line in found.lines:
         print(line)
     print(f"page      {found.page}")
+
+
+def grades(
+    *,
+    out: Out,
+    table: Annotated[str, typer.Option(help="Table of grades: paper, people, or the path of a .toml file.")] = "people",
+    knees: Annotated[int, typer.Option(help="Knees that are drawn, the grades alike.")] = 2000,
+    seed: Seed = 0,
+) -> None:
+    """How well a table's grades can be told at best, from what its knees are built with: the joint space, or all of it.
+
+    No image is made. A study of radiographs of such knees can do no better, chance aside.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    from ..io.atomic import folder
+    from ..io.results import save_table
+    from ..study import require_extra
+
+    require_extra()
+    from ..study.learn.separability import separability
+
+    with waiting("drawing and fitting"):
+        found = separability(table, knees=knees, seed=seed)
+    shown = Table("grades", "known", "how", "knees", "AUC", "95 %", "smaller gap on people's films")
+    for row in found.to_dict("records"):
+        people = "" if row["people"] != row["people"] else f"{row['people']:.2f}"
+        interval = f"{row['low']:.2f} to {row['high']:.2f}"
+        shown.add_row(row["grades"], row["known"], row["how"], str(row["knees"]), f"{row['auc']:.3f}", interval, people)
+    Console(width=None if sys.stdout.isatty() else 160).print(shown)
+    path = folder(out) / "separability.csv"
+    save_table(path, found)
+    print(path)
 
 
 def protocols(

@@ -13,6 +13,7 @@ from ..io.images import load
 from ..io.labels import LabelledImage, write_coco, write_pts
 from ..io.pictures import side_by_side
 from ..io.records import read_csv, write_csv
+from ..model.axes import axes
 from ..model.oarsi import oarsi
 from ..model.radiograph import Radiograph
 
@@ -23,7 +24,8 @@ def write_labels(cohort: str | Path, out: str | Path) -> list[Path]:
     """Labels of all radiographs of a cohort, and pictures for eyes sorted by grade.
 
     readings.csv       a row a radiograph, columns as the Osteoarthritis Initiative names them: ID, SIDE (1 right, 2
-                       left), XRKL and the OARSI grades (`oarsi`), mJSW and JSW150 to JSW900 (mm)
+                       left), XRKL and the OARSI grades (`oarsi`), mJSW and JSW150 to JSW900 (mm);
+                       then depths of attrition (mm), femorotibial angle, slope and patellar height (`axes`)
     landmarks/*.pts    the sixteen contour landmarks
     coco.json          the same as COCO keypoints
     images/GRADE/*.png 8 bit, for eyes, as torchvision's ImageFolder and others read them
@@ -40,6 +42,9 @@ def write_labels(cohort: str | Path, out: str | Path) -> list[Path]:
         radiograph = load(cohort / made["file"])
         if radiograph.knee is None or radiograph.truth is None:
             raise InputError(f"file {made['file']}: no knee; allowed: radiographs of a cohort")
+        if not set(CONTOUR_LANDMARKS) <= set(radiograph.truth.landmarks_px):
+            seen = radiograph.protocol.projection
+            raise InputError(f"file {made['file']}: projection = {seen!r}; allowed: AP or PA, which show the contours")
         places = {name: radiograph.truth.landmarks_px[name] for name in CONTOUR_LANDMARKS}
         rows.append(_reading(made["radiograph"], str(made["subject"]), radiograph))
         write_pts(folder(out / "landmarks") / f"{made['radiograph']}.pts", places)
@@ -67,8 +72,10 @@ def _reading(name: str, subject: str, radiograph: Radiograph) -> dict[str, Any]:
         "SIDE": _SIDE[knee.side],
         "radiograph": name,
         **({} if knee.grade_read is None else {"XRKL_READ": knee.grade_read}),
-        **oarsi(knee),
+        **oarsi(knee, truth.attrition_mm),
         "mJSW": round(truth.jsw_medial_mm, 4),
         "lJSW": round(truth.jsw_lateral_mm, 4),
         **spaces,
+        **{f"attrition_{side}_mm": depth for side, depth in truth.attrition_mm.items()},
+        **axes(knee),
     }

@@ -1,6 +1,7 @@
 """Makes the radiographs of a plan, knee by knee, in processes of this machine or on a cluster."""
 
 import json
+import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
@@ -111,10 +112,11 @@ def make_case(case: Case, site: Site, engine: str, threads: int) -> list[Row]:
         if built.assembly.posture != exposure.protocol.posture:
             built, paths = build(case.knee, exposure.protocol), None
         how: dict[str, Any] = {"seed": exposure.seed, "engine": engine, "workers": threads}
+        protocol = built.aimed(exposure.protocol)
         # Radiographs of one geometry, such as reference and low dose, have the same paths.
-        if paths is None or (paths.view, paths.texture) != (view_of(exposure.protocol), exposure.protocol.texture):
-            paths = trace(built.scene, exposure.protocol, engine=engine, workers=threads)
-        radiograph = simulate(built, exposure.protocol, paths=paths, **how)
+        if paths is None or (paths.view, paths.texture) != (view_of(protocol), protocol.texture):
+            paths = trace(built.scene, protocol, engine=engine, workers=threads)
+        radiograph = simulate(built, protocol, paths=paths, **how)
         path = save(radiograph, site.folder / "images" / f"{exposure.name}.tif")
         rows.append(_row(case, exposure, radiograph, path.relative_to(site.folder), records.sha256(path)))
     records.write_rows(site.folder, case.index, rows)
@@ -145,7 +147,7 @@ def _standing(plan: Plan, folder: Path, workers: int, kept: Callable[[int], None
 def _row(case: Case, exposure: Exposure, radiograph: Radiograph, file: Path, digest: str) -> Row:
     truth = radiograph.truth
     assert truth is not None
-    knee, protocol = knee_table(case.knee), protocol_table(exposure.protocol)
+    knee, protocol = knee_table(case.knee), protocol_table(radiograph.protocol)
     row: Row = {
         "radiograph": exposure.name,
         "subject": case.subject,
@@ -153,6 +155,7 @@ def _row(case: Case, exposure: Exposure, radiograph: Radiograph, file: Path, dig
         "side": knee.pop("side"),
         "sex": knee.pop("sex"),
         "grade": knee.pop("grade"),
+        "grade_table": case.grades,
         "protocol": protocol.pop("name"),
         "seed": exposure.seed,
         "engine": radiograph.engine,
@@ -163,8 +166,9 @@ def _row(case: Case, exposure: Exposure, radiograph: Radiograph, file: Path, dig
         row |= {"kind": exposure.kind, "turn": exposure.turn, "of_knee": exposure.of_knee}
     # A knee has a flexion and a rotation of its own, which a posture adds to.
     stands = {f"posture_{name}": protocol.pop(name) for name in asdict(exposure.protocol.posture)}
-    row |= {**knee, **{name: json.dumps(knee[name]) for name in ("shape", "osteophytes")}} | protocol | stands
+    row |= {**knee, **{name: json.dumps(knee[name]) for name in ("shape", "osteophytes", "cysts")}} | protocol | stands
     for name in ("medial", "lateral"):
-        place = truth.landmarks_px[f"{name}_joint_line"]
+        place = truth.landmarks_px.get(f"{name}_joint_line", (math.nan, math.nan))
         row |= {f"truth_{name}_row_px": round(place[0], 4), f"truth_{name}_col_px": round(place[1], 4)}
+    row |= {f"truth_attrition_{name}_mm": depth for name, depth in truth.attrition_mm.items()}
     return row | {f"audit_{name}": count for name, count in radiograph.audit.items()}

@@ -47,12 +47,16 @@ class Exposure:
 
 @dataclass(frozen=True)
 class Case:
-    """One knee of a subject, and the radiographs to be made of it."""
+    """One knee of a subject, and the radiographs to be made of it.
+
+    grades  name or path of the table that it was drawn by
+    """
 
     subject: int
     index: int
     knee: Knee
     exposures: tuple[Exposure, ...]
+    grades: str
 
 
 @dataclass(frozen=True)
@@ -170,7 +174,7 @@ def _retest(seed: int, case: Case, protocol: Protocol, at: int) -> list[Case]:
         )
         placed = replace(protocol, beam_angle_deg=protocol.beam_angle_deg + beam * _BEAM_DEG)
         taken = (exposure("perturbation", turn, placed, states[turn + 1]),)
-        cases.append(Case(subject=case.subject, index=at + turn - 1, knee=knee, exposures=taken))
+        cases.append(replace(case, index=at + turn - 1, knee=knee, exposures=taken))
     return cases
 
 
@@ -223,7 +227,7 @@ def _case(place: _Place, protocols: list[Protocol], preset: Preset) -> Case:
             taking = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, _TAKING, turn)))
             protocol = draw_exposure(protocol, rng=taking, side=knee.side)
         exposures.append(Exposure(name, protocol, int(state[0] >> np.uint64(1))))
-    return Case(subject=subject, index=number, knee=knee, exposures=tuple(exposures))
+    return Case(subject=subject, index=number, knee=knee, exposures=tuple(exposures), grades=preset.grades)
 
 
 @lru_cache(maxsize=1)  # the other knee of a subject comes next

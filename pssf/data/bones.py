@@ -50,6 +50,16 @@ class Condyles(Record, frozen=True):
     lateral: Condyle
 
 
+class RoughZone(Record, frozen=True):
+    """Where a bone is rough: an ellipsoid, the way in which places are moved, by how much, lengths of the waves."""
+
+    centre: Triple
+    half: Triple
+    way: Triple
+    sd_mm: float
+    lengths_mm: Pair
+
+
 class FemurShape(Record, frozen=True):
     """Distal femur; z = 0 at the condyles' distal end."""
 
@@ -70,6 +80,7 @@ class FemurShape(Record, frozen=True):
     canal_full_z_mm: float
     notch: Notch
     condyles: Condyles
+    rough: tuple[RoughZone, ...]
 
 
 class Unevenness(Record, frozen=True):
@@ -109,6 +120,7 @@ class TibiaShape(Record, frozen=True):
     tolerance_mm: float
     bumps: tuple[Ellipsoid, ...]
     relief: tuple[Bell, ...]
+    rough: tuple[RoughZone, ...]
 
 
 class FibulaShape(Record, frozen=True):

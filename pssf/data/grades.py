@@ -1,5 +1,6 @@
 """GradeTable: what a drawn knee of a grade may be, as `data/grades/*.toml` or a user's own file has it."""
 
+from collections.abc import Sized
 from functools import cache
 from pathlib import Path
 
@@ -68,9 +69,31 @@ class Rest(Record, frozen=True):
 
     plate: Laws
     varus_deg: Laws
+    lean_per_varus: float
     wider: Numbers
     age_years: Laws
     women: Numbers
+    bmi_more: Numbers
+
+
+class Cysts(Record, frozen=True):
+    """Share of knees that have subchondral cysts, by grade; how many then, where, and bounds of their size.
+
+    tibia, narrowed  shares of cysts in the tibia, and on the side that narrows
+    """
+
+    share: Numbers
+    most: int
+    tibia: float
+    narrowed: float
+    diameter_mm: Pair
+
+
+class Subluxation(Record, frozen=True):
+    """Of the tibia to lateral where the medial side narrows, mm: mean and deviation by grade, least and most."""
+
+    lateral_mm: Laws
+    bounds_mm: Pair
 
 
 class Reader(Record, frozen=True):
@@ -112,6 +135,8 @@ class SeverityGrades(_Shared, frozen=True):
     osteophytes: Margins
     rest: Rest
     reader: Reader
+    cysts: Cysts | None = None
+    subluxation: Subluxation | None = None
 
     @property
     def grades(self) -> tuple[int, ...]:
@@ -135,7 +160,9 @@ def grade_table(name_or_path: str = "paper") -> RangeGrades | SeverityGrades:
     base = table.pop("base", None)
     if base is not None:
         shared = read_toml(_path(base))
-        table = {**{name: shared[name] for name in ("body", "pose", "form", "fabella") if name in shared}, **table}
+        # In the base's order, by which values are drawn.
+        of_base = {name: shared[name] for name in ("body", "pose", "form", "fabella") if name in shared}
+        table |= {name: {**part, **table.get(name, {})} for name, part in of_base.items()}
     kind: type[RangeGrades] | type[SeverityGrades] = RangeGrades if "grade" in table else SeverityGrades
     try:
         made = record(kind, table, f"grades {path.name}")
@@ -157,14 +184,19 @@ def _path(name_or_path: str) -> Path:
 
 def _require_every_grade(table: SeverityGrades, name: str) -> None:
     grades = [str(grade) for grade in table.grades]
-    lists = {
+    lists: dict[str, Sized] = {
         "osteophytes.level": table.osteophytes.level,
         "osteophytes.spine": table.osteophytes.spine,
         "rest.plate": table.rest.plate,
         "rest.varus_deg": table.rest.varus_deg,
         "rest.age_years": table.rest.age_years,
         "rest.women": table.rest.women,
+        "rest.bmi_more": table.rest.bmi_more,
     }
+    if table.cysts is not None:
+        lists["cysts.share"] = table.cysts.share
+    if table.subluxation is not None:
+        lists["subluxation.lateral_mm"] = table.subluxation.lateral_mm
     for entry, values in lists.items():
         if len(values) != len(grades):
             raise InputError(f"grades {name}: {entry} has {len(values)} entries; allowed: {len(grades)}, as rest.wider")

@@ -45,11 +45,32 @@ class Film(Record, frozen=True):
     shut: float
 
 
+class Law(Record, frozen=True):
+    """Mean and standard deviation of what varies, and the values that it is held between."""
+
+    mean: float
+    sd: float
+    low: float
+    high: float
+
+
+class LookSpread(Record, frozen=True):
+    """How `Processed` varies from site to site; edge_gain as its natural logarithm, edge_mm is the same for all."""
+
+    latitude_gain: Law
+    edge_gain: Law
+    edge_mm: float
+    dark: Law
+    bright: Law
+    bend: Law
+
+
 class Looks(Record, frozen=True):
-    """The looks of the package."""
+    """The looks of the package, and how the first varies."""
 
     processed: Processed
     film: Film
+    spread: LookSpread
 
 
 @cache

@@ -13,6 +13,8 @@ class OarsiCuts(Record, frozen=True):
     narrowing: Triple
     healthy_mm: dict[str, Pair]
     plate: Triple
+    attrition_mm: Triple
+    cyst_mm: Triple
 
 
 @cache

@@ -43,6 +43,7 @@ class References(Record, frozen=True):
     morphometry  size -> mean and standard deviation
     texture      quantity -> range of real films
     quality      quantity of `pssf quality` -> value or range
+    views        quantity of `pssf accuracy --tables views` -> value or range
     beam         "kV_mmAl" -> first and second HVL (mm Al), mean keV, photons/mm2/mAs, air kerma (uGy/mAs) at 1 m
     """
 
@@ -52,6 +53,7 @@ class References(Record, frozen=True):
     morphometry: dict[str, Size]
     texture: dict[str, Known]
     quality: dict[str, Known]
+    views: dict[str, Known]
     beam: dict[str, Numbers]
 
 

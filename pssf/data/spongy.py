@@ -48,6 +48,7 @@ class Sclerosis(Record, frozen=True):
     """Rise of BV/TV with the subchondral plate."""
 
     per_plate: float
+    deep_mm: float
     lateral_share: float
 
 
@@ -58,11 +59,14 @@ class Side(Record, frozen=True):
 
 
 class Scar(Record, frozen=True):
-    """Where the physeal scar may be strongest, and how it falls from there."""
+    """Where the physeal scar may be strongest, how it falls from there, and how the sheet is bent."""
 
     off_mm: float
     wide_mm: float
     least: float
+    dome_off_mm: float
+    ripple_mm: float
+    ripple_length_mm: float
 
 
 class SpongyBone(Record, frozen=True):
@@ -81,6 +85,7 @@ class SpongyBone(Record, frozen=True):
     plate_mm: float
     fan: float
     fan_mm: float
+    squat: float
     joint: Triple
     below: float
     dips: tuple[Triple, Triple, Triple]
@@ -89,6 +94,7 @@ class SpongyBone(Record, frozen=True):
     scar_mm: Pair
     scar_slope: float
     scar_bow_per_mm: float
+    scar_dome_per_mm: float
     scar_bvtv: float
     scar_half_mm: float
 

@@ -58,7 +58,9 @@ def present(
     return np.clip(np.rint(most * shown), 0, most).astype(np.uint8 if bits == 8 else np.uint16)
 
 
-def for_eyes(radiograph: Radiograph, bits: int = 8, side: str | None = None) -> NDArray[np.uint8 | np.uint16]:
+def for_eyes(
+    radiograph: Radiograph, bits: int = 8, side: str | None = None, look: str | Processed | Film = "processed"
+) -> NDArray[np.uint8 | np.uint16]:
     """(rows, cols)  a radiograph as files for eyes hold it; arguments as `present` has them"""
     protocol = radiograph.protocol
     return present(
@@ -66,7 +68,7 @@ def for_eyes(radiograph: Radiograph, bits: int = 8, side: str | None = None) -> 
         bits=bits,
         side=side,
         detector=protocol.detector,
-        look="processed",
+        look=look,
         pixel_mm=protocol.pixel_mm,
         field_mm=(protocol.field_width_mm, protocol.field_height_mm),
     )

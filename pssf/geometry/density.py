@@ -58,6 +58,26 @@ def _place(point_mm: Array) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Moved:
+    """A density that has moved with the solid that it is of.
+
+    density  as it was
+    by_mm    (x, y, z)  by which it has moved
+    """
+
+    density: Density
+    by_mm: tuple[float, float, float]
+
+    def integrate(self, starts_mm: Array, ends_mm: Array) -> Array:
+        """(n,)  integral along straight segments, mm
+
+        starts_mm, ends_mm  (n, 3)  where the density is now
+        """
+        by = np.array(self.by_mm)
+        return self.density.integrate(starts_mm - by, ends_mm - by)
+
+
+@dataclass(frozen=True, kw_only=True)
 class PlaneWaves:
     """mean + sum over k of amplitude[k] cos(wave[k] . place + phase[k]), whose integrals are closed forms.
 

@@ -1,6 +1,6 @@
 """Where source, rays and pixels are, in the knee frame (mm; +x medial of a right knee, +y to detector, +z proximal).
 
-A posture turns the knee within it: in PA its front is at +y.
+A posture turns the knee within it: in PA its front is at +y, in ML its lateral side, in axial its foot.
 """
 
 import reprlib
@@ -60,13 +60,17 @@ def view_of(protocol: Protocol | View) -> View:
     The source at (0, -SOD, 0) is turned about the x axis through the origin by beam_angle_deg (positive: it moves
     proximally, the beam points caudally). The detector stays in the plane y = SDD - SOD, centred on the central ray.
     All moves with the place where that ray passes the joint plane (centre_x_mm, centre_z_mm).
-    raises  InputError for anything else
+    raises  InputError for anything else, and for a beam that is not yet fitted to a knee
     """
     if isinstance(protocol, View):
         return protocol
     if not isinstance(protocol, Protocol):
         raise InputError(
             f"protocol = {reprlib.repr(protocol)}; allowed: a Protocol, as load_protocol gives it, or a View"
+        )
+    if protocol.beam_along != "horizontal":
+        raise InputError(
+            f"beam_along = {protocol.beam_along!r}; allowed: 'horizontal', as BuiltKnee.aimed gives it for a knee"
         )
     angle = np.deg2rad(protocol.beam_angle_deg)
     beyond_mm = protocol.sdd_mm - protocol.sod_mm

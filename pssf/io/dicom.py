@@ -44,7 +44,7 @@ def write(radiograph: Radiograph, description: str, path: Path, intent: str, sid
     item.SeriesDescription = f"{name_of(radiograph.protocol)[:40]}, for {intent}"
     text = {"ValueType": "TEXT", "ConceptNameCodeSequence": [code("parameters")], "TextValue": description}
     item.AcquisitionContextSequence = [dataset(text)]
-    item.update(_anatomy(radiograph.knee, radiograph.protocol))
+    item.update(_anatomy((radiograph.knee, *radiograph.knees), radiograph.protocol))
     item.update(_technique(radiograph.protocol))
     item.update(_geometry(radiograph.protocol))
     remark = f"linear in absorbed energy, offset {detectors()[protocol.detector].offset_dn:g}"
@@ -155,16 +155,28 @@ def code(name: str) -> Dataset:
     return dataset({"CodeValue": value, "CodingSchemeDesignator": scheme, "CodeMeaning": meaning})
 
 
-def _anatomy(knee: Knee | None, protocol: Protocol) -> Dataset:
-    """Which knee, seen from where; of a scene of one's own neither is known."""
-    if knee is None:
+def _anatomy(taken: tuple[Knee | None, ...], protocol: Protocol) -> Dataset:
+    """Which knee, or both, seen from where; of a scene of one's own neither is known."""
+    knees = [knee for knee in taken if knee is not None]
+    if not knees:
         return dataset({"ImageLaterality": "U", "AnatomicRegionSequence": []})
     item = dataset(dicom_tables().knee)
-    item.ImageLaterality = {"right": "R", "left": "L"}[knee.side]
+    item.ImageLaterality = "B" if len(knees) > 1 else {"right": "R", "left": "L"}[knees[0].side]
     item.AnatomicRegionSequence = [code("knee")]
-    item.ViewPosition = protocol.projection
+    # DICOM has no word for the others, and a code for all.
+    if protocol.projection in ("AP", "PA"):
+        item.ViewPosition = protocol.projection
+    else:
+        item.PatientOrientation = _orientation(knees[0].side, protocol.projection)
     item.ViewCodeSequence = [code(protocol.projection)]
     return item
+
+
+def _orientation(side: str, projection: str) -> list[str]:
+    """Where rows and columns go: to the back and the feet from the side, to the left and the back along the leg."""
+    if projection == "axial":
+        return ["L", "P"]
+    return ["P" if side == "right" else "A", "F"]
 
 
 def _technique(protocol: Protocol) -> Dataset:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
 from ..core.checks import Array, InputError, require, require_choice, require_whole
+from ..data.looks import Processed
 from ..detector import for_eyes
 from .images import load, load_parameters, reading
 
@@ -43,6 +44,7 @@ class Film:
     side      right | left | None where it is not known
     pixel_mm  pitch at the film, None where it is not known
     sha256    of the file
+    look      that linear pixels of this package are shown with, None for that of `for_eyes`; others are shown already
     """
 
     file: str
@@ -51,6 +53,7 @@ class Film:
     side: str | None
     pixel_mm: float | None
     sha256: str
+    look: Processed | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -157,9 +160,10 @@ def _sha256(path: Path) -> str:
         return hashlib.file_digest(handle, "sha256").hexdigest()
 
 
-def read_film(path: str | Path) -> FilmImage:
+def read_film(path: str | Path, look: Processed | None = None) -> FilmImage:
     """A film as it is displayed; linear pixels of this package are rendered for eyes first.
 
+    look    that they are rendered with; None: as `for_eyes` has it
     path    PNG, JPEG, TIFF or DICOM of 8 to 16 bit; of colour only what is grey in truth
     raises  InputError naming a file that is missing, empty, damaged, of another kind, of several frames, coloured, of
             one grey value or too small; one whose pixels are not square; a DICOM For Processing by others
@@ -173,9 +177,9 @@ def read_film(path: str | Path) -> FilmImage:
             from . import film_dicom  # pydicom is not imported before a DICOM is wanted
 
             ours = film_dicom.is_linear_by_pssf(path)
-            film = _rendered(path) if ours else FilmImage(**film_dicom.read(path, _PIXEL_MM))
+            film = _rendered(path, look) if ours else FilmImage(**film_dicom.read(path, _PIXEL_MM))
         else:
-            film = _picture(path)
+            film = _picture(path, look)
     for name, length in zip(("rows", "columns"), film.pixels.shape, strict=True):
         require_whole(f"file {path}: {name}", length, LEAST_PX, 2**16, "pixels")
     least, most = float(film.pixels.min()), float(film.pixels.max())
@@ -184,22 +188,22 @@ def read_film(path: str | Path) -> FilmImage:
     return film
 
 
-def _rendered(path: Path) -> FilmImage:
+def _rendered(path: Path, look: Processed | None) -> FilmImage:
     """Linear pixels of this package, for eyes."""
     radiograph = load(path)
-    shown = for_eyes(radiograph, 16)
+    shown = for_eyes(radiograph, 16, look=look or "processed")
     side = None if radiograph.knee is None else radiograph.knee.side
     return FilmImage(pixels=shown / 65535.0, pixel_mm=radiograph.protocol.pixel_mm, side=side)
 
 
-def _picture(path: Path) -> FilmImage:
+def _picture(path: Path, look: Processed | None) -> FilmImage:
     """A PNG, JPEG or TIFF."""
     with _opened(path) as image:
         frames = getattr(image, "n_frames", 1)
         if frames > 1:
             raise InputError(f"file {path}: frames = {frames}; allowed: 1")
         if "pssf" in str(getattr(image, "tag_v2", {}).get(305, "")):
-            return _rendered(path)
+            return _rendered(path, look)
         said: dict[str, Any] = _said_by_pssf(path) if "Description" in image.info else {}
         upright = ImageOps.exif_transpose(image)
         pixels = _grey(np.asarray(_flat(upright, path)), upright.mode, path)

@@ -120,7 +120,7 @@ def load(path: str | Path) -> Radiograph:
 
 
 def load_parameters(path: str | Path) -> dict[str, Any]:
-    """What a radiograph on disk was made from: protocol, knee, seed, truth, engine, audit, versions.
+    """What a radiograph on disk was made from: protocol, knee or knees, seed, truth or truths, engine, audit, versions.
 
     path    what `save` or `save_parameters` wrote, of any suffix and intent
     raises  InputError for a file that is missing, damaged, or not written by this package
@@ -157,6 +157,8 @@ def _parameters(text: str, path: str | Path) -> dict[str, Any]:
     return {
         "protocol": protocol_from(fields["protocol"], f"file {path}"),
         "seed": fields["seed"],
+        "knees": tuple(knee_from(table, f"file {path}") for table in fields.get("knees", ())),
+        "truths": tuple(map(_truth, fields.get("truths", ()))),
         "knee": None if fields["knee"] is None else knee_from(fields["knee"], f"file {path}"),
         "truth": None if fields["truth"] is None else _truth(fields["truth"]),
         "engine": fields["engine"],
@@ -196,24 +198,31 @@ def reading(path: str | Path, allowed: str, fault: str = "damaged or not by pssf
 
 def description(radiograph: Radiograph) -> dict[str, Any]:
     """All that a radiograph was made from and what is known about it, JSON-ready."""
-    truth = radiograph.truth
+    both = {
+        "knees": [knee_table(knee) for knee in radiograph.knees],
+        "truths": [_truth_table(truth) for truth in radiograph.truths],
+    }
     return {
         "protocol": protocol_table(radiograph.protocol),
         "knee": None if radiograph.knee is None else knee_table(radiograph.knee),
+        **(both if radiograph.knees else {}),
         "seed": radiograph.seed,
-        "truth": None
-        if truth is None
-        else {
-            "jsw_medial_mm": truth.jsw_medial_mm,
-            "jsw_lateral_mm": truth.jsw_lateral_mm,
-            "jsw_at_mm": {f"{fraction:g}": space for fraction, space in truth.jsw_at_mm.items()},
-            "grade": truth.grade,
-            "landmarks_px": {name: list(place) for name, place in truth.landmarks_px.items()},
-        },
+        "truth": None if radiograph.truth is None else _truth_table(radiograph.truth),
         "engine": radiograph.engine,
         "audit": dict(radiograph.audit),
         "versions": dict(radiograph.versions),
         "pixels": "linear in absorbed energy; row 0 proximal; columns towards +x",
+    }
+
+
+def _truth_table(truth: Truth) -> dict[str, Any]:
+    return {
+        "jsw_medial_mm": truth.jsw_medial_mm,
+        "jsw_lateral_mm": truth.jsw_lateral_mm,
+        "jsw_at_mm": {f"{fraction:g}": space for fraction, space in truth.jsw_at_mm.items()},
+        "grade": truth.grade,
+        "attrition_mm": dict(truth.attrition_mm),
+        "landmarks_px": {name: list(place) for name, place in truth.landmarks_px.items()},
     }
 
 

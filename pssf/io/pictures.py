@@ -47,8 +47,9 @@ def heat(values: ArrayLike, most: float) -> NDArray[np.uint8]:
 def panel(image: NDArray[np.uint8], rows: int, cols: int, caption: str = "") -> NDArray[np.uint8]:
     """(rows, cols, 3)  an image, grey or coloured, at another size, with a caption in its upper left corner"""
     sheet = Image.fromarray(_in_colour(image)).resize((cols, rows), Image.Resampling.LANCZOS)
-    inset = cols // 36
-    font = ImageFont.load_default(cols / 20)
+    smaller = min(rows, cols)
+    inset = smaller // 36
+    font = ImageFont.load_default(smaller / 20)
     ImageDraw.Draw(sheet).text((inset, inset), caption, fill="white", font=font, stroke_width=1, stroke_fill="black")
     return np.asarray(sheet)
 

@@ -14,7 +14,7 @@ from . import dicom
 
 Masks = Mapping[str, NDArray[np.bool_]]
 _BONES = ("femur", "tibia", "fibula", "patella")
-_OSTEOPHYTE = "_osteophyte"
+_OSTEOPHYTE, _CYST = "_osteophyte", "_cyst"
 
 
 def write(radiograph: Radiograph, description: str, masks: Masks, path: Path) -> None:
@@ -58,19 +58,21 @@ def read(path: Path) -> dict[str, NDArray[np.bool_]]:
 
 
 def _segment(number: int, name: str, side: str | None, version: str) -> Dataset:
-    """What a mask is, by its name: a bone, or an osteophyte of a bone."""
-    beak = name.endswith(_OSTEOPHYTE)
-    what = "osteophyte" if beak else name if name in _BONES else "body_structure"
+    """What a mask is, by its name: a bone, or an osteophyte or the cysts of a bone."""
+    beak, cyst = name.endswith(_OSTEOPHYTE), name.endswith(_CYST)
+    of_bone = beak or cyst
+    category = "abnormal_structure" if of_bone else "anatomical_structure"
+    what = "osteophyte" if beak else "abnormal_structure" if cyst else name if name in _BONES else "body_structure"
     item = dicom.dataset({
         "SegmentNumber": number,
         "SegmentLabel": name,
         "SegmentAlgorithmType": "AUTOMATIC",
         "SegmentAlgorithmName": version,
-        "SegmentedPropertyCategoryCodeSequence": [dicom.code("abnormal_structure" if beak else "anatomical_structure")],
+        "SegmentedPropertyCategoryCodeSequence": [dicom.code(category)],
         "SegmentedPropertyTypeCodeSequence": [dicom.code(what)],
     })  # fmt: skip
     # An osteophyte of a tibial spine is the tibia's; the other sites name their bone.
-    bone = ("femur" if name.removesuffix(_OSTEOPHYTE).endswith("femur") else "tibia") if beak else "knee"
+    bone = ("femur" if name.rsplit("_", 1)[0].endswith("femur") else "tibia") if of_bone else "knee"
     if side is None:
         return item
     item.AnatomicRegionSequence = [dicom.code(bone)]

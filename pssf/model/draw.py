@@ -48,11 +48,28 @@ def draw_knee(*, grade: int, rng: np.random.Generator, table: str = "paper", **f
     drawn |= _draw_form(rng.spawn(1)[0], law, sex)
     if isinstance(law, SeverityGrades):
         drawn |= severity_fields(law, int(grade), sex, drawn["bone_scale"], rng.spawn(1)[0])
+        # A leg in varus leans as much more, which keeps its joint line level.
+        lean_deg = drawn["lean_deg"] + law.rest.lean_per_varus * drawn["varus_deg"]
+        drawn["lean_deg"] = round(float(np.clip(lean_deg, -15.0, 15.0)), 4)
     elif ranges is not None:
         drawn["osteophytes"] = _draw_osteophytes(rng, ranges.osteophyte_count, ranges.largest_osteophyte_mm)
-    bmi = fixed.get("bmi", _normal(rng.spawn(1)[0], limbs().bmi, sex))
+    more = law.rest.bmi_more[grade] if isinstance(law, SeverityGrades) else 0.0
+    bmi = fixed.get("bmi", round(_normal(rng.spawn(1)[0], limbs().bmi, sex) + more, 4))
     drawn |= _limb(bmi, sex, drawn)
     return from_table(Knee, {**drawn, **fixed}, "draw_knee")
+
+
+def draw_knees(count: int, seed: int, table: str, **fixed: Any) -> list[Knee]:
+    """Knees by a table of grades, which take turns; knee k is the same in any number.
+
+    Arguments as in `draw_knee`.
+    """
+    grades = grade_table(table).grades
+    streams = (np.random.SeedSequence(seed, spawn_key=(index,)) for index in range(count))
+    return [
+        draw_knee(grade=grades[index % len(grades)], rng=np.random.default_rng(stream), table=table, **fixed)
+        for index, stream in enumerate(streams)
+    ]
 
 
 def _limb(bmi: float, sex: str, drawn: dict[str, Any]) -> dict[str, float]:

@@ -45,6 +45,8 @@ def draw_exposure(protocol: Protocol, *, rng: np.random.Generator, side: str | N
     within = {name: _within(name, value) for name, value in values.items()}
     letter = MARKERS[side] if marked and side is not None else "none"
     field: dict[str, Any] = {"field_width_mm": round(width, 1), "field_height_mm": round(height, 1), "marker": letter}
+    if protocol.apart_mm:  # what is drawn is the field of one knee
+        field |= {name: getattr(protocol, name) for name in ("field_width_mm", "field_height_mm")}
     return replace(protocol, **(field | within))
 
 

@@ -1,11 +1,11 @@
 """Knee: the parameters of one knee."""
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
 from itertools import pairwise
 from typing import Any, cast
 
-from ..core.checks import InputError, from_table, require
+from ..core.checks import InputError, from_table, require, require_whole
 from ..data.fields import check_fields
 from ..data.limbs import limbs
 from ..data.shapes import shape_table
@@ -14,6 +14,8 @@ from ..data.shapes import shape_table
 MOST_SD = 3.0
 # Osteophytes of one margin lie at least so far apart, in the measure of their places; nearer ones are one.
 APART = 0.5
+# No more cysts than that: people with more are rare, and an epiphysis has room for them.
+MOST_CYSTS = 6
 SITES = ("medial_femur", "lateral_femur", "medial_tibia", "lateral_tibia", "medial_spine", "lateral_spine")
 
 
@@ -43,6 +45,25 @@ class Osteophyte:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Cyst:
+    """A subchondral cyst: a ball as soft as marrow in a wall of compact bone, in spongy bone, by the plate.
+
+    diameter_mm  of what is soft, its wall aside
+    place        in its compartment: -1 in front, +1 behind, 0 in the middle
+    outward      0 towards the notch, 1 towards the margin
+    raises       InputError for an unknown site, or a value out of range (`data/cyst_fields.toml`)
+    """
+
+    site: str
+    diameter_mm: float
+    place: float = 0.0
+    outward: float = 0.5
+
+    def __post_init__(self) -> None:
+        check_fields("cyst", self)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Knee:
     """Parameters of one knee (defaults: a healthy average man, right side).
 
@@ -50,8 +71,10 @@ class Knee:
     jsw_as             "projected": its smallest vertical gap between the projected cortical contours in the protocol
                        `reference`; "read": as readers take it, from the femur's contour to the floor of the plateau,
                        the line through the tibia's contour landmarks, in `fixed_flexion`
+    cysts              at most MOST_CYSTS
     subchondral_plate  thickness of the plate relative to a healthy one
     varus_deg          angle between femoral and tibial shaft beyond the normal valgus of 5 deg; positive is varus
+    subluxation_mm     of the tibia to lateral, as the femur stands on it; joint spaces stay what they are
     flexion_deg        of the femur about the medio-lateral axis
     rotation_deg       of the leg about its long axis; positive is internal
     bone_scale         size of the bones relative to the mean of sex and stature
@@ -71,7 +94,7 @@ class Knee:
     texture_seed       of the trabeculae and of the unevenness of cortex, which a knee changed in another field keeps
     grade              KL grade that it was drawn for, or None
     grade_read         what a reader calls it, who may be off by one; None where no reader is drawn
-    raises             InputError for a value out of range, or two osteophytes at one place
+    raises             InputError for a value out of range, or two osteophytes or cysts at one place
     """
 
     side: str = "right"
@@ -103,27 +126,34 @@ class Knee:
     texture_seed: int = 0
     grade: int | None = None
     grade_read: int | None = None
+    cysts: tuple[Cyst, ...] = ()
+    subluxation_mm: float = 0.0
 
     def __post_init__(self) -> None:
         check_fields("knee", self)
         for name, law in limbs().limb.items():
             if getattr(self, name) is None:
                 object.__setattr__(self, name, law.mean(self.bmi, self.sex))
-        if not isinstance(self.osteophytes, tuple | list) or not all(
-            isinstance(item, Osteophyte) for item in self.osteophytes
-        ):
-            raise InputError(f"osteophytes = {self.osteophytes!r}; allowed: a tuple of Osteophyte")
-        object.__setattr__(self, "osteophytes", tuple(self.osteophytes))
+        for name, kind in _SEVERAL.items():
+            given = getattr(self, name)
+            if not isinstance(given, tuple | list) or not all(isinstance(item, kind) for item in given):
+                raise InputError(f"{name} = {given!r}; allowed: a tuple of {kind.__name__}")
+            object.__setattr__(self, name, tuple(given))
+            _require_apart(name, given)
+        require_whole("number of cysts", len(self.cysts), 0, MOST_CYSTS, "")
         object.__setattr__(self, "shape", require_scores(self.shape))
-        _require_apart(self.osteophytes)
 
 
-def _require_apart(osteophytes: tuple[Osteophyte, ...]) -> None:
-    ordered = sorted(osteophytes, key=lambda item: (item.site, item.place))
+# What a knee may have several of.
+_SEVERAL: dict[str, type[Osteophyte] | type[Cyst]] = {"osteophytes": Osteophyte, "cysts": Cyst}
+
+
+def _require_apart(name: str, items: Sequence[Osteophyte | Cyst]) -> None:
+    ordered = sorted(items, key=lambda item: (item.site, item.place))
     for one, other in pairwise(ordered):
         if one.site == other.site and other.place - one.place < APART:
             raise InputError(
-                f"osteophytes at {one.site}, places {one.place:g} and {other.place:g}; allowed: one a site, or several "
+                f"{name} at {one.site}, places {one.place:g} and {other.place:g}; allowed: one a site, or several "
                 f"at places {APART:g} apart"
             )
 
@@ -147,10 +177,12 @@ def require_scores(scores: Any) -> tuple[float, ...]:
 def knee_from(table: Mapping[str, Any], what: str = "knee") -> Knee:
     """A knee from a mapping of its fields, as TOML or JSON gives it; `what` names the origin in a refusal."""
     table = dict(table)
-    beaks = table.get("osteophytes", ())
-    if not isinstance(beaks, list | tuple) or not all(isinstance(item, Mapping) for item in beaks):
-        raise InputError(f"{what}: osteophytes = {beaks!r}; allowed: a list of tables with site and size_mm")
-    table["osteophytes"] = tuple(from_table(Osteophyte, item, f"{what}: osteophyte") for item in beaks)
+    for name, kind in _SEVERAL.items():
+        items, size = table.get(name, ()), fields(kind)[1].name
+        if not isinstance(items, list | tuple) or not all(isinstance(item, Mapping) for item in items):
+            raise InputError(f"{what}: {name} = {items!r}; allowed: a list of tables with site and {size}")
+        one = kind.__name__.lower()
+        table[name] = tuple(from_table(cast(Any, kind), item, f"{what}: {one}") for item in items)
     return from_table(Knee, table, what)
 
 
@@ -159,5 +191,5 @@ def knee_table(knee: Knee) -> dict[str, Any]:
     return {
         **asdict(knee),
         "shape": list(knee.shape),
-        "osteophytes": [asdict(item) for item in knee.osteophytes],
+        **{name: [asdict(item) for item in getattr(knee, name)] for name in _SEVERAL},
     }

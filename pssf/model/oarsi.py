@@ -1,5 +1,7 @@
 """oarsi: a knee -> its OARSI grades by the names of the Osteoarthritis Initiative's readings."""
 
+from collections.abc import Mapping
+
 from ..data.oarsi import oarsi_cuts
 from ..data.records import Triple
 from ..data.spongy import trabecular_bone
@@ -8,8 +10,11 @@ from .knee import Knee
 _BONES, _SIDES = {"femur": "F", "tibia": "T"}, {"medial": "M", "lateral": "L"}
 
 
-def oarsi(knee: Knee) -> dict[str, int]:
-    """Name -> grade 0 to 3: XROS.. osteophytes, XRJS. narrowing, XRSC.. sclerosis; F or T the bone, M or L the side.
+def oarsi(knee: Knee, attrition_mm: Mapping[str, float]) -> dict[str, int]:
+    """Name -> grade 0 to 3: XROS.. osteophytes, XRJS. narrowing, XRSC.. sclerosis, XRCY.. cysts, XRATT. attrition.
+
+    F or T is the bone, M or L the side.
+    attrition_mm  medial and lateral -> depth worn off the plateau, as `Truth` tells it; without, it is not graded
 
     Grades are of what the knee is built with, not of what can be seen of it under a protocol; their cuts are in
     `data/oarsi.toml` (Altman and Gold 2007; judgement). XRKL is the KL grade that it was drawn for, if any.
@@ -27,7 +32,12 @@ def oarsi(knee: Knee) -> dict[str, int]:
         for side, of_side in _SIDES.items():
             share = getattr(table, bone).sclerosis * (1.0 if side == "medial" else table.sclerosis.lateral_share)
             grades[f"XRSC{letter}{of_side}"] = _grade(1 + share * (knee.subchondral_plate - 1), cuts.plate)
-    return grades
+    for bone, letter in _BONES.items():
+        for side, of_side in _SIDES.items():
+            sizes = [one.diameter_mm for one in knee.cysts if one.site == f"{side}_{bone}"]
+            grades[f"XRCY{letter}{of_side}"] = _grade(max(sizes, default=0.0), cuts.cyst_mm)
+    worn = {f"XRATT{_SIDES[side]}": _grade(depth, cuts.attrition_mm) for side, depth in attrition_mm.items()}
+    return grades | worn
 
 
 def _grade(value: float, cuts: Triple) -> int:

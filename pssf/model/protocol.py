@@ -8,6 +8,9 @@ from ..core.checks import InputError, from_table
 from ..data.fields import check_fields, field_laws
 from ..data.tables import read_protocol
 
+# A right leg's lateral side comes to the detector (ML, LM), or its foot (axial), before it is mirrored in y.
+_TURNS = {"AP": (2, 0.0), "PA": (2, 0.0), "ML": (2, -90.0), "LM": (2, -90.0), "axial": (0, -90.0)}
+
 
 @dataclass(frozen=True, kw_only=True)
 class Posture:
@@ -21,8 +24,18 @@ class Posture:
 
     @property
     def mirror_y(self) -> float:
-        """Factor of y: -1 where the knee is mirrored, since the detector is before it."""
-        return -1.0 if self.projection == "PA" else 1.0
+        """Factor of y: -1 where the knee is mirrored, since it is shown as seen from the other side of the detector."""
+        return -1.0 if self.projection in ("PA", "LM", "axial") else 1.0
+
+    @property
+    def turn(self) -> tuple[int, float]:
+        """The last turn of a leg that stands: about x, y or z (0, 1 or 2), and by how many degrees."""
+        return _TURNS[self.projection]
+
+    @property
+    def is_frontal(self) -> bool:
+        """Whether the tibiofemoral joint space, and the contours that its landmarks lie on, are seen from the front."""
+        return self.turn == _TURNS["AP"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +68,8 @@ class Protocol:
     tibia_forward_deg: float = 0.0
     rotation_deg: float = 0.0
     tilt_deg: float = 0.0
+    apart_mm: float = 0.0
+    beam_along: str = "horizontal"
     centre_x_mm: float = 0.0
     centre_z_mm: float = 0.0
     field_width_mm: float = 0.0
@@ -75,6 +90,21 @@ class Protocol:
         check_fields("protocol", self)
         if not self.sod_mm < self.sdd_mm:
             raise InputError(f"sod_mm = {self.sod_mm!r} mm; allowed: less than sdd_mm = {self.sdd_mm!r} mm")
+        if not self.posture.is_frontal:
+            self._check_turned()
+
+    def _check_turned(self) -> None:
+        """What is told of a leg that is seen from the front has no meaning from its side or along it."""
+        if self.beam_along != "horizontal":
+            raise InputError(
+                f"beam_along = {self.beam_along!r} with projection = {self.projection!r}; allowed: AP or PA, where the "
+                "margins of the plateau are seen edge on"
+            )
+        if self.apart_mm and self.projection != "axial":
+            raise InputError(
+                f"apart_mm = {self.apart_mm:g} mm with projection = {self.projection!r}; allowed: 0, since one knee "
+                "would hide the other, or AP, PA or axial"
+            )
 
     @property
     def posture(self) -> Posture:

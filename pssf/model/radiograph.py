@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.checks import InputError
 from .knee import Knee
 from .protocol import Protocol
 
@@ -21,7 +22,11 @@ class Truth:
                        its posture is another, at fractions of the plateau's width from its medial edge (JSW(x))
     landmarks_px       name -> (row, column): joint_centre; medial_ and lateral_ joint_line; where bones are widest,
                        osteophytes aside: medial_ and lateral_ condyle_edge, epicondyle, plateau_edge; and the sixteen
-                       contour landmarks of `anatomy.landmarks`, osteophytes and all (notch is notch_top)
+                       contour landmarks of `anatomy.landmarks`, osteophytes and all (notch is notch_top). Seen from the
+                       side or along the leg none of these is told, nor jsw_at_mm, but places that have a place in every
+                       view, as `anatomy.turned_truth` lists them
+    attrition_mm       medial and lateral -> greatest depth worn off the plateau in the posture that joint spaces are
+                       defined under, whatever this radiograph's; 0 where bones do not meet
     masks              if asked for: name -> (rows, cols) bool, where a bone or an osteophyte is seen
     """
 
@@ -30,26 +35,35 @@ class Truth:
     grade: int | None
     landmarks_px: Mapping[str, tuple[float, float]]
     jsw_at_mm: Mapping[float, float] = field(default_factory=dict)
+    attrition_mm: Mapping[str, float] = field(default_factory=dict)
     masks: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def medial_joint_line_px(self) -> tuple[float, float]:
-        """Middle of the medial joint space, half way across the compartment (row, column)."""
-        return self.landmarks_px["medial_joint_line"]
+        """Middle of the medial joint space, half way across the compartment (row, column); seen from the front."""
+        return self._seen("medial_joint_line")
 
     @property
     def lateral_joint_line_px(self) -> tuple[float, float]:
-        """Middle of the lateral joint space, half way across the compartment (row, column)."""
-        return self.landmarks_px["lateral_joint_line"]
+        """Middle of the lateral joint space, half way across the compartment (row, column); seen from the front."""
+        return self._seen("lateral_joint_line")
+
+    def _seen(self, name: str) -> tuple[float, float]:
+        if name not in self.landmarks_px:
+            known = ", ".join(self.landmarks_px)
+            raise InputError(f"landmark = {name!r}, which this view does not show; allowed: {known}")
+        return self.landmarks_px[name]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Radiograph:
     """One exposure. Two are equal if their pixels are, and all that they were made from; what was kept aside.
 
-    pixels    (rows, cols) uint16, linear in the energy absorbed ("for processing"), row 0 proximal
-    knee      its parameters, or None for a scene of one's own
-    truth     labels, or None for a scene of one's own
+    pixels    (rows, cols) uint16, linear in the energy absorbed ("for processing"), row 0 proximal, or axially in front
+    knee      its parameters, or None for a scene of one's own, or for two knees
+    truth     labels, or None likewise
+    knees     right and left, where both were taken together; else none
+    truths    labels of either, likewise
     engine    that cast its rays
     audit     what it found and mended; see `raycast.Audit`
     versions  of the package and of what the pixels depend on
@@ -63,6 +77,8 @@ class Radiograph:
     seed: int
     knee: Knee | None = None
     truth: Truth | None = None
+    knees: tuple[Knee, ...] = ()
+    truths: tuple[Truth, ...] = ()
     engine: str = "embree"
     audit: Mapping[str, int] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
@@ -72,9 +88,9 @@ class Radiograph:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Radiograph):
             return NotImplemented
-        names = ("protocol", "seed", "knee", "truth", "engine", "versions")
+        names = ("protocol", "seed", "knee", "truth", "knees", "truths", "engine", "versions")
         same = all(getattr(self, name) == getattr(other, name) for name in names)
         return same and np.array_equal(self.pixels, other.pixels)
 
     def __hash__(self) -> int:
-        return hash((self.protocol, self.seed, self.knee))
+        return hash((self.protocol, self.seed, self.knee, self.knees))

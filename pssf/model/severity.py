@@ -8,6 +8,7 @@ from scipy.optimize import brentq
 
 from ..core.checks import Array
 from ..data.grades import Margins, SeverityGrades
+from .advanced import advanced_fields
 from .knee import Osteophyte
 
 # No value of a normal law is farther from its mean.
@@ -39,6 +40,7 @@ def severity_fields(
         "bone_scale": round(float(np.clip(bone_scale * rest.wider[grade], 0.85, 1.15)), 4),
         "osteophytes": _osteophytes(table, grade, narrowed, severity, rng),
         "grade_read": read_grade(grade, table.reader.kappa, len(table.grades), rng),
+        **advanced_fields(table, grade, narrowed, rng.spawn(1)[0]),
     }
 
 

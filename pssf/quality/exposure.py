@@ -32,7 +32,9 @@ def exposure_quantities(protocol: Protocol) -> tuple[dict[str, float], Array]:
     total = primary + scatter
     limb = kept["path_mm"]["muscle"] > 0
     assert radiograph.truth is not None
-    row, col = (round(place) for place in radiograph.truth.landmarks_px["medial_joint_line"])
+    known = radiograph.truth.landmarks_px
+    shown = next(name for name in ("medial_joint_line", "sulcus", "joint_centre") if name in known)
+    row, col = (round(place) for place in known[shown])
     half, below = max(1, round(_HALF_MM / protocol.pixel_mm)), round(12.0 / protocol.pixel_mm)
     joint = (slice(row - half, row + half + 1), slice(col - half, col + half + 1))
     bone = (slice(row + below - half, row + below + half + 1), joint[1])

@@ -38,7 +38,12 @@ class Quality:
 
 
 def measure_quality(protocol: Protocol, progress: Callable[[str], None] = lambda what: None) -> Quality:
-    """Measure a protocol as a physicist would: beam, detector, and a radiograph of the average knee."""
+    """Measure a protocol as a physicist would: beam, detector, and a radiograph of the average knee.
+
+    One knee stands before the middle of the detector also where the protocol takes two.
+    """
+    protocol = replace(protocol, apart_mm=0.0)
+    radiographed, protocol = protocol, replace(protocol, beam_along="horizontal")
     values = beam_quantities(protocol)
     progress("detector")
     sharp, noise = mtf(protocol), nnps(protocol)
@@ -46,7 +51,7 @@ def measure_quality(protocol: Protocol, progress: Callable[[str], None] = lambda
     efficiency = dqe(replace(protocol, tube_kv=70.0, filtration_mm_al=23.5, mas=3.0, mono_kev=None))
     transfer = photon_transfer(protocol)
     progress("radiograph")
-    exposed, spr = exposure_quantities(protocol)
+    exposed, spr = exposure_quantities(radiographed)
     values |= exposed
     values |= {f"mtf_{f:g}_per_mm": float(np.interp(f, sharp.per_mm, sharp.measured)) for f in _MTF_AT}
     values |= {f"dqe_{f:g}_per_mm": float(np.interp(f, efficiency.per_mm, efficiency.measured)) for f in _DQE_AT}

@@ -15,9 +15,8 @@ from ..anatomy.tibia import mean_tibia
 from ..core.checks import Array, InputError, require_whole
 from ..core.parallel import ordered_map
 from ..data.bones import mean_shape
-from ..data.grades import grade_table
 from ..geometry.mesh import Mesh
-from ..model.draw import draw_knee
+from ..model.draw import draw_knees
 from ..model.knee import Knee
 from . import bone_figure
 from .surfaces import MeasuredSurface, Similarity, fit_similarity, measured, surface_distance, trimmed
@@ -95,10 +94,7 @@ def drawn_bones(count: int, seed: int, table: str = "people") -> dict[str, list[
     raises  InputError for a count below 2
     """
     require_whole("knees", count, 2, 100_000, "")
-    knees, grades = [], grade_table(table).grades
-    for index in range(count):
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
-        knees.append(built_bones(draw_knee(grade=grades[index % len(grades)], rng=rng, table=table, side="right")))
+    knees = [built_bones(knee) for knee in draw_knees(count, seed, table, side="right")]
     return {name: [knee[name] for knee in knees] for name in BONES}
 
 

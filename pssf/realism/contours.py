@@ -15,11 +15,10 @@ from ..anatomy.wear import outer_bones
 from ..core.checks import Array, InputError, require_whole
 from ..core.parallel import ordered_map
 from ..data.bones import mean_shape
-from ..data.grades import grade_table
 from ..data.landmarks import GradeContours, LandmarkReference
 from ..data.records import Pair
 from ..geometry.view import view_of
-from ..model.draw import draw_knee
+from ..model.draw import draw_knees
 from ..model.knee import Knee
 from ..model.protocol import Protocol, load_protocol
 from . import contour_figure
@@ -78,11 +77,8 @@ def drawn_landmarks(
     table  of grades, which take turns
     """
     require_whole("knees", count, 1, 100_000, "")
-    knees, grades = [], grade_table(table).grades
-    for index in range(count):
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
-        # Labels of a left knee mirror those of a right one. Readers took people's joint spaces.
-        knees.append(draw_knee(grade=grades[index % len(grades)], rng=rng, table=table, side="right", jsw_as="read"))
+    # Labels of a left knee mirror those of a right one. Readers took people's joint spaces.
+    knees = draw_knees(count, seed, table, side="right", jsw_as="read")
     shared = {"protocol": protocol or load_protocol("reference")}
     places = ordered_map(_landmarks_of, knees, shared=shared, workers=workers)
     return LandmarkSample(places_mm=np.array(places), grades=np.array([knee.grade for knee in knees]))

@@ -68,13 +68,14 @@ def measure_films(
     records: list[Record | None] = []
     for film in source.films:
         record = known.get(film.sha256)
-        records.append(record if record is not None and record["key"] == key else None)
+        records.append(record if record is not None and record["key"] == _shown_key(key, film) else None)
     missing = [index for index, record in enumerate(records) if record is None]
     with execution.stage(f"films: {source.name}", "films", len(records)) as stage:
         stage.keep(len(records) - len(missing))
 
         def arrived(nth: int, record: Record) -> None:
-            records[missing[nth]] = {"key": key, **record}
+            index = missing[nth]
+            records[index] = {"key": _shown_key(key, source.films[index]), **record}
             stage.advance()
 
         ordered_map(
@@ -101,7 +102,7 @@ def measure_film(film: Film, *, folder: Path, templates: Sequence[Template], cod
     require_code(code)
     record: Record = {"sha256": film.sha256, "side": film.side or "", "reason": ""}
     try:
-        image = read_film(folder / film.file)
+        image = read_film(folder / film.file, film.look)
     except InputError as error:
         return {**record, "status": "unreadable", "reason": str(error)}
     side, pixel_mm = film.side or image.side, film.pixel_mm or image.pixel_mm
@@ -178,6 +179,11 @@ def learnable(name: str, records: Sequence[Record]) -> Films:
         grades=table["grade"].fillna(-1).astype(int).to_numpy(),
         subjects=table["subject"].astype(str).to_numpy(),
     )
+
+
+def _shown_key(key: str, film: Film) -> str:
+    """The key of a film's record, by what it was shown with."""
+    return key if film.look is None else hashlib.sha256(f"{key} {film.look!r}".encode()).hexdigest()[:16]
 
 
 def _said(film: Film, source: str) -> Record:

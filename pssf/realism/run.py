@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from ..cohort import Plan, make_cohort, plan_cohort
@@ -20,9 +21,11 @@ from ..io.bones import read_bones
 from ..io.films import Film, list_films, read_film
 from ..io.records import read_manifest
 from ..model.knee import Knee
-from ..model.protocol import Protocol, load_protocol
+from ..model.look import draw_look
+from ..model.protocol import load_protocol
 from ..study.report.page import Picture
 from . import bones, contours
+from .cohort_landmarks import cohort_landmarks
 from .films import Record, Source, measure_films
 from .films_section import SIMULATED, films_section
 from .forms import compare_forms
@@ -42,6 +45,8 @@ _CONTOURS = (
     "standard deviation of people's, a spread between 0.7 and 1.4 of theirs. The protocol of the drawn knees is given "
     "above; people's films were PA in fixed flexion."
 )
+# Of the chance that looks are drawn by, beside the cohort's own.
+_LOOKS = 301
 _BONES = (
     "Bones without osteophytes are laid onto one another by a similarity (rotation, translation, size), and distances "
     "taken from surface to surface, both ways, at people's size; the flat cut of the shafts is left out. Spread is "
@@ -71,6 +76,7 @@ def measure(
     *,
     films: Path | None = None,
     bones_folder: Path | None = None,
+    cohort: Path | None = None,
     protocol: str = "reference",
     knees: int = 200,
     grades: str = "people",
@@ -80,6 +86,7 @@ def measure(
 
     films         folder of real films, or of folders of them, one a source; see `io.films.list_films`
     bones_folder  of real bones; see `io.bones.read_bones`
+    cohort        folder of a cohort, whose radiographs under `protocol` the contours are then of
     protocol      that simulated knees are seen under, by name or path; films are takings of it (`draw_exposure`)
     knees         that are drawn, the grades alike
     grades        table that they are drawn by; see `draw_knee`
@@ -90,13 +97,19 @@ def measure(
     given = read_bones(bones_folder) if bones_folder is not None else None
     sources = sources_of(films) if films is not None else ()
     out = folder(Path(out))
-    sections = [_contours(seen_under, knees, grades, seed, execution)]
+    with execution.timer.stage("contours", "knees", knees):
+        if cohort is None:
+            sample = contours.drawn_landmarks(knees, seed, seen_under, execution.workers, grades)
+        else:
+            sample = cohort_landmarks(cohort, seen_under.name)
+    sections = [_contours(sample)]
     if given is not None:
         sections.append(_bones(given, knees, grades, seed, execution))
     if sources:
         plan = _plan(protocol, knees, grades, seed)
         sections.append(_films(out, sources, plan, execution))
     facts: dict[str, Any] = {"protocol": seen_under.name, "knees": knees, "grades": grades, "seed": seed}
+    facts |= {} if cohort is None else {"cohort of the contours": cohort.name, "its radiographs": len(sample.grades)}
     facts |= {f"films of {source.name}": len(source.films) for source in sources}
     return _write(out, sections, facts)
 
@@ -125,10 +138,8 @@ def sources_of(given: Path) -> tuple[Source, ...]:
     return tuple(found)
 
 
-def _contours(protocol: Protocol, knees: int, grades: str, seed: int, execution: Execution) -> Section:
-    with execution.timer.stage("contours", "knees", knees):
-        sample = contours.drawn_landmarks(knees, seed, protocol, execution.workers, grades)
-        found = contours.compare(sample, landmark_reference())
+def _contours(sample: contours.LandmarkSample) -> Section:
+    found = contours.compare(sample, landmark_reference())
     counts = [f"{row['outside']} of {row['of']} at grade {row['grade']}" for row in found.outside]
     cosines = ", ".join(f"{row['cosine']:.2f}" for row in found.modes[:3])
     return Section(
@@ -187,9 +198,7 @@ def _films(out: Path, sources: Sequence[Source], plan: Plan, execution: Executio
             save=partial(_save, path),
         )
     with execution.stage("models", "parts", 1):
-        return films_section(
-            records, partial(_read, {source.name: source.folder for source in (*sources, simulated)}), seed=plan.seed
-        )
+        return films_section(records, partial(_read, {one.name: one for one in (*sources, simulated)}), seed=plan.seed)
 
 
 def _plan(protocol: str, knees: int, grades: str, seed: int) -> Plan:
@@ -201,7 +210,7 @@ def _plan(protocol: str, knees: int, grades: str, seed: int) -> Plan:
 
 
 def _simulated(where: Path, plan: Plan, execution: Execution) -> Source:
-    """The cohort as films."""
+    """The cohort as films, each shown as a site of its own shows them."""
     with execution.stage("simulated films", "radiographs", sum(len(case.exposures) for case in plan.cases)) as stage:
         manifest = read_manifest(make_cohort(
             plan,
@@ -212,7 +221,10 @@ def _simulated(where: Path, plan: Plan, execution: Execution) -> Source:
             kept=stage.keep,
         ))  # fmt: skip
     columns = ["file", "grade", "subject", "side", "pixel_mm", "sha256"]
-    films = (Film(**{**row, "subject": str(row["subject"])}) for row in manifest[columns].to_dict("records"))
+    films = []
+    for number, row in enumerate(manifest[columns].to_dict("records")):
+        look = draw_look(rng=np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(_LOOKS, number))))
+        films.append(Film(**{**row, "subject": str(row["subject"]), "look": look}))
     return Source(name=SIMULATED, folder=where, films=tuple(films))
 
 
@@ -227,8 +239,10 @@ def _known(path: Path) -> dict[str, Record]:
     return {str(row["sha256"]): row for row in table.to_dict("records")}
 
 
-def _read(folders: Mapping[str, Path], source: str, file: str) -> Array:
-    return read_film(folders[source] / file).pixels
+def _read(sources: Mapping[str, Source], name: str, file: str) -> Array:
+    source = sources[name]
+    look = next(film.look for film in source.films if film.file == file)
+    return read_film(source.folder / file, look).pixels
 
 
 def _write(out: Path, sections: Sequence[Section], facts: dict[str, Any]) -> Realism:

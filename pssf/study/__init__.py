@@ -33,6 +33,7 @@ learn/         predictions from features
   scenarios    features of a cohort            -> predictions within, across and over all protocols, of one split
   training     features of a cohort            -> one outcome a split, in parallel
   refit        features of a cohort            -> models that have learnt from all of it
+  separability table of grades                 -> how well they could be told at best, from drawn parameters
   modelfile    a model, templates              -> one file that films can be read by, and back
 
 external       films, a cohort                 -> models of the cohort as displayed, tested on films

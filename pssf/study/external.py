@@ -24,7 +24,7 @@ from ..radiomics.table import NOT_FEATURES, TEXT, Job, Record, extract_all
 from .films import REGION_MM, FilmSet
 from .learn.modelfile import TrainedOn, pack
 from .learn.refit import Kept, refitted
-from .predictions import GRADES, joined
+from .predictions import class_names, joined
 from .settings import StudySettings
 from .statistics.external import counted, score_films
 
@@ -202,7 +202,7 @@ def _file(
         kept,
         templates,
         reads="display",
-        grade_names=tuple(GRADES[str(grade)] for grade in kept.grades),
+        grade_names=class_names(kept.task),
         families=how.families,
         bins=how.bins,
         pixel_mm=how.pixel_mm,

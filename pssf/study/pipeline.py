@@ -20,7 +20,7 @@ from .learn.baselines import SOURCES
 from .learn.modelfile import SUFFIX, pack
 from .learn.refit import refitted
 from .learn.training import train
-from .predictions import GRADES, Outcome, joined
+from .predictions import Outcome, class_names, joined
 from .report.checklist import checklist
 from .report.cost import cost_rows
 from .report.environment import environment
@@ -113,7 +113,7 @@ def _models(run: Run, usable: pd.DataFrame, names: list[str], manifest: pd.DataF
             kept,
             templates,
             reads="linear",
-            grade_names=tuple(GRADES[str(grade)] for grade in kept.grades),
+            grade_names=class_names(kept.task),
             families=settings.families,
             bins=settings.bins,
             pixel_mm=pixel_mm,

@@ -9,7 +9,13 @@ from numpy.typing import NDArray
 
 # Kellgren and Lawrence 1957; those of simulated knees are like them.
 GRADES = {"0": "normal", "1": "doubtful OA", "2": "mild OA", "3": "moderate OA", "4": "severe OA"}
-TASKS = {"0 vs 2": (0, 2), "0/1/2": (0, 1, 2)}
+# Task -> the grades of each of its classes.
+Classes = tuple[tuple[int, ...], ...]
+TASKS: dict[str, Classes] = {
+    "0 vs 2": ((0,), (2,)),
+    "0/1/2": ((0,), (1,), (2,)),
+    "0 vs 3+4": ((0,), (3, 4)),
+}
 ARM = ["task", "scenario", "trained_on", "tested_on", "model", "selection"]
 # What a model of the image must do better than, as further models of an arm; their selection is NONE.
 BASELINES = {"chance": "Chance", "body": "Age, sex, stature", "jsw": "JSW (true)"}
@@ -32,6 +38,31 @@ class Outcome:
     permutation: pd.DataFrame
     stable: int | None
     subjects: pd.DataFrame
+
+
+def tasks_of(grades: Iterable[int]) -> dict[str, Classes]:
+    """Those of TASKS each of whose classes has one of these grades."""
+    present = set(grades)
+    return {task: classes for task, classes in TASKS.items() if all(present & set(one) for one in classes)}
+
+
+def least_grades(task: str) -> tuple[int, ...]:
+    """The least grade of each class of a task, by which it is called."""
+    return tuple(min(one) for one in TASKS[task])
+
+
+def class_names(task: str) -> tuple[str, ...]:
+    """Each class of a task in words."""
+    return tuple(" or ".join(GRADES[str(grade)] for grade in one) for one in TASKS[task])
+
+
+def class_of(grades: NDArray[np.int64], classes: Classes) -> NDArray[np.int64]:
+    """(rows,) class index of grades that the classes have.
+
+    grades  (rows,)
+    """
+    index = {grade: place for place, one in enumerate(classes) for grade in one}
+    return np.array([index[int(grade)] for grade in grades], np.int64)
 
 
 def truth_and_probability(predictions: pd.DataFrame) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from ..predictions import TASKS
+from ..predictions import least_grades, tasks_of
 from ..settings import StudySettings
 from .models import Fitted, refit, tune
 from .scenarios import part_of
@@ -19,7 +19,7 @@ class Kept:
     """A model that is kept, and what it has learnt from.
 
     trained_on   protocols, one or all of the cohort's
-    grades       in the order of its classes
+    grades       the least of each class, in their order
     """
 
     name: str
@@ -50,14 +50,14 @@ def refitted(
     seed = int(np.random.SeedSequence(settings.seed, spawn_key=(0, 2)).generate_state(1)[0] >> 1)
     for label, protocols in trained_on.items():
         of_protocols = table[table["protocol"].isin(list(protocols))]
-        for task, grades in TASKS.items():
-            rows = of_protocols[of_protocols["grade"].isin(grades)]
+        for task, classes in tasks_of(of_protocols["grade"]).items():
+            rows = of_protocols[of_protocols["grade"].isin(sum(classes, ()))]
             first = rows[rows["subject"].isin(split.training)]
-            if set(first["grade"]) != set(grades):
+            fit_on = part_of(first, names, classes)
+            if len(set(fit_on[1])) < len(classes):
                 continue  # all regions of a grade were refused under these protocols
-            fit_on = part_of(first, names, grades)
-            check_on = part_of(rows[rows["subject"].isin(split.validation)], names, grades)
-            whole = part_of(rows, names, grades)
+            check_on = part_of(rows[rows["subject"].isin(split.validation)], names, classes)
+            whole = part_of(rows, names, classes)
             for selection in settings.selections:
                 on_first, on_whole = (
                     preparation(selection, rho=settings.rho, most=settings.most_features, seed=seed).fit(*part)
@@ -67,9 +67,9 @@ def refitted(
                     chosen = tune(on_first, model, fit_on, check_on, seed=seed).parameters
                     fitted = refit(on_whole, model, chosen, whole, seed=seed)
                     yield Kept(
-                        name=f"{model}_{selection}_{task.replace(' vs ', 'v').replace('/', '')}_{label}",
+                        name=f"{model}_{selection}_{_short(task)}_{label}",
                         task=task,
-                        grades=grades,
+                        grades=least_grades(task),
                         model=model,
                         selection=selection,
                         trained_on=tuple(protocols),
@@ -78,3 +78,8 @@ def refitted(
                         subjects=rows["subject"].nunique(),
                         radiographs=len(rows),
                     )
+
+
+def _short(task: str) -> str:
+    """A task as part of a file's name."""
+    return task.replace(" vs ", "v").replace("/", "").replace("+", "")

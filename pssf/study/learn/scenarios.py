@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from ..predictions import NONE, TASKS, Outcome, joined
+from ..predictions import NONE, Classes, Outcome, class_of, joined, tasks_of
 from ..settings import StudySettings
 from ..statistics.reliability import protocols_of
 from .baselines import baselines_of
@@ -26,7 +26,7 @@ class _Parts:
     """Radiographs of one task in the three parts of a split."""
 
     task: str
-    grades: tuple[int, ...]
+    classes: Classes
     training: pd.DataFrame
     validation: pd.DataFrame
     test: pd.DataFrame
@@ -51,7 +51,7 @@ class _Gathered:
 
 
 def one_split(repeat: int, *, table: pd.DataFrame, names: list[str], settings: StudySettings) -> Outcome:
-    """All tasks, scenarios, selections and models on one split of the subjects, and the baselines beside them.
+    """All tasks that its grades allow, scenarios, selections and models on one split of the subjects; baselines beside.
 
     table  one row a radiograph: radiograph, knee, subject, grade, protocol, the features of `names`, and what
            `baselines.measures_of` finds in it
@@ -63,12 +63,10 @@ def one_split(repeat: int, *, table: pd.DataFrame, names: list[str], settings: S
     if len(protocols) > 1:
         stable = stable_features(table[table["subject"].isin(split.training)], names, protocols)
     gathered = _Gathered()
-    for task, grades in TASKS.items():
-        rows = table[table["grade"].isin(grades)]
-        if set(rows["grade"]) != set(grades):
-            continue
+    for task, classes in tasks_of(table["grade"]).items():
+        rows = table[table["grade"].isin(sum(classes, ()))]
         held = (rows[rows["subject"].isin(subjects)] for subjects in (split.training, split.validation, split.test))
-        parts = _Parts(task, grades, *held)
+        parts = _Parts(task, classes, *held)
         for recipe in _recipes(parts, protocols, names, stable or [], settings):
             _follow(recipe, parts, settings, seed, repeat, gathered)
     return Outcome(
@@ -107,9 +105,10 @@ def _follow(
 ) -> None:
     """Fit, tune, test, and keep what came out."""
     fit_on, check_on = (
-        part_of(_of(part, recipe.trained_on), recipe.names, parts.grades) for part in (parts.training, parts.validation)
+        part_of(_of(part, recipe.trained_on), recipe.names, parts.classes)
+        for part in (parts.training, parts.validation)
     )
-    if set(fit_on[1]) != set(range(len(parts.grades))):
+    if set(fit_on[1]) != set(range(len(parts.classes))):
         return  # all regions of a grade were refused under this protocol
     prepared = preparation(recipe.selection, rho=settings.rho, most=settings.most_features, seed=seed)
     prepared.fit(*fit_on)
@@ -117,14 +116,14 @@ def _follow(
     for label, classifier in recipe.models.items():
         arm = {"task": parts.task, "trained_on": recipe.trained_on, "model": label, "selection": recipe.selection}
         fitted = tune(prepared, classifier, fit_on, check_on, seed=seed)
-        gathered.predictions.append(_predict(fitted, tested, recipe.names, parts.grades).assign(**arm, repeat=repeat))
+        gathered.predictions.append(_predict(fitted, tested, recipe.names, parts.classes).assign(**arm, repeat=repeat))
         scenario, _, rows = recipe.tests[0]
         if recipe.selection == NONE or scenario not in ("within", "multi"):
             continue
         for feature, share in fitted.importance.items():
             gathered.importances.append({**arm, "repeat": repeat, "feature": feature, "share": share})
-        if scenario == "within" and len(parts.grades) == 2:
-            drops = permuted(fitted.pipeline, *part_of(rows, recipe.names, parts.grades), seed=seed)
+        if scenario == "within" and len(parts.classes) == 2:
+            drops = permuted(fitted.pipeline, *part_of(rows, recipe.names, parts.classes), seed=seed)
             label_of = {"model": label, "selection": recipe.selection, "repeat": repeat}
             gathered.permutation += [{**label_of, "feature": name, "drop": drop} for name, drop in drops.items()]
 
@@ -140,14 +139,14 @@ def _harmonised(parts: _Parts, names: list[str], protocol: str, reference: str) 
     return test.drop(columns=names).join(harmonise(test[names], of, onto))
 
 
-def part_of(table: pd.DataFrame, names: list[str], grades: tuple[int, ...]) -> Part:
-    """Features (rows, features) of radiographs, and the place of each one's grade among `grades` (rows,)."""
-    return table[names], np.searchsorted(grades, table["grade"].to_numpy())
+def part_of(table: pd.DataFrame, names: list[str], classes: Classes) -> Part:
+    """Features (rows, features) of radiographs, and the class of each one's grade (rows,)."""
+    return table[names], class_of(table["grade"].to_numpy(), classes)
 
 
-def _predict(fitted: Fitted, tested: pd.DataFrame, names: list[str], grades: tuple[int, ...]) -> pd.DataFrame:
+def _predict(fitted: Fitted, tested: pd.DataFrame, names: list[str], classes: Classes) -> pd.DataFrame:
     """The predictions of all tests of a recipe, whose radiographs stand one test below the other."""
-    features, truth = part_of(tested, names, grades)
-    probability = fitted.pipeline.predict_proba(features) if len(tested) else np.empty((0, len(grades)))
+    features, truth = part_of(tested, names, classes)
+    probability = fitted.pipeline.predict_proba(features) if len(tested) else np.empty((0, len(classes)))
     labels = tested[["radiograph", "knee", "subject", "protocol", "scenario", "tested_on"]].assign(truth=truth)
-    return labels.assign(**{f"p{k}": probability[:, k].astype(np.float64) for k in range(len(grades))})
+    return labels.assign(**{f"p{k}": probability[:, k].astype(np.float64) for k in range(len(classes))})

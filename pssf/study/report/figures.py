@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from ..predictions import TASKS, truth_and_probability
+from ..predictions import least_grades, truth_and_probability
 from ..settings import MODELS
 from ..statistics.metrics import confusion, mean_roc
 
@@ -179,7 +179,7 @@ def _matrix(axis: Any, counts: NDArray[np.int64]) -> None:
     for (row, col), count in np.ndenumerate(counts):
         ink = "white" if share[row, col] > 0.6 else "black"
         axis.text(col, row, f"{share[row, col]:.2f}\n({count})", ha="center", va="center", color=ink, fontsize=8)
-    grades = TASKS["0/1/2"]
+    grades = least_grades("0/1/2")
     axis.set_xticks(range(len(grades)), [str(grade) for grade in grades])
     axis.set_yticks(range(len(grades)), [str(grade) for grade in grades])
 

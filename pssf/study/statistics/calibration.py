@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 
 from ...core.checks import Array
-from ..predictions import ARM, TASKS, truth_and_probability
+from ..predictions import ARM, least_grades, truth_and_probability
 from .fitting import fit_quietly
 from .metrics import confusion
 
@@ -52,11 +52,13 @@ def reliability_curve(predictions: pd.DataFrame) -> pd.DataFrame:
 
 
 def confusions(predictions: pd.DataFrame) -> pd.DataFrame:
-    """ARM, true_grade, predicted_grade, count: summed over the splits, so a knee is counted in each that tests it."""
+    """ARM, true_grade, predicted_grade, count: summed over the splits, so a knee is counted in each that tests
+    it. A class of several grades is called by the least.
+    """
     rows = []
     for arm, part in predictions.groupby(ARM, sort=False):
         truth, probability = truth_and_probability(part)
-        grades = TASKS[str(arm[0])]
+        grades = least_grades(str(arm[0]))
         for (true, called), count in np.ndenumerate(confusion(truth, probability)):
             label = {"true_grade": grades[true], "predicted_grade": grades[called], "count": int(count)}
             rows.append(dict(zip(ARM, arm, strict=True)) | label)

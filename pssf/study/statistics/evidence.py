@@ -11,7 +11,7 @@ from .calibration import calibration, confusions, reliability_curve
 from .degenerate import is_degenerate
 from .importance import by_feature
 from .intervals import differences, intervals, resample
-from .parameters import follows, morphology, parameters_of
+from .parameters import follows, morphology, parameters_of, table_of
 from .reliability import reliability, repeatability
 from .scores import score_splits, summarise
 from .subgroups import subgroups
@@ -82,10 +82,8 @@ def tables_of_truth(
 ) -> Tables:
     """morphology (what was drawn, by grade), follows (features against what the knees were built with), subgroups."""
     parameters = parameters_of(manifest)
-    # Ranges are of the table that draws no reader.
-    of_people = "grade_read" in manifest and bool(manifest["grade_read"].notna().any())
     return {
-        "morphology": morphology(parameters, "people" if of_people else "paper"),
+        "morphology": morphology(parameters, table_of(manifest)),
         "follows": follows(usable, names, parameters, settings.reference),
         "subgroups": subgroups(predictions, parameters, settings),
     }

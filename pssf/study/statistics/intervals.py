@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from ...core.checks import Array
-from ..predictions import ARM, NONE, TASKS, truth_and_probability
+from ..predictions import ARM, NONE, TASKS, least_grades, truth_and_probability
 from .metrics import METRICS, percentiles, weighted_scores
 from .subjects import draws, worst_grades
 
@@ -67,9 +67,9 @@ def subject_weights(predictions: pd.DataFrame, *, replicates: int, seed: int) ->
     Drawn within the subject's grade, the highest of its knees, so that the share of each grade stays.
     """
     grades = predictions["truth"].astype(int).copy()
-    for task, of_task in TASKS.items():
+    for task in TASKS:
         rows = predictions["task"] == task
-        grades[rows] = np.array(of_task)[grades[rows]]
+        grades[rows] = np.array(least_grades(task))[grades[rows]]
     worst = worst_grades(predictions["subject"], grades)
     return pd.DataFrame(draws(worst, replicates=replicates, seed=seed, stream=_STREAM), index=worst.index)
 

@@ -1,0 +1,35 @@
+"""One person's knee at three visits: joint space, osteophytes and plate go on, all else is the same knee."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+import pssf
+from pssf.io.pictures import panel, side_by_side
+
+YEARS = (0.0, 6.0, 12.0)
+ROWS, COLS, HALF_MM = 520, 480, (60.0, 55.0)
+
+
+def run(out: Path, pixels: int = 1024) -> list[Path]:
+    """Write the visits side by side as one PNG; `pixels` is the side of the detector."""
+    view = pssf.load_protocol("fixed_flexion")
+    protocol = dataclasses.replace(view, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
+    first = pssf.draw_knee(grade=2, rng=np.random.default_rng(8), table="people", side="right")
+    shown = []
+    for visit, years in enumerate(YEARS):
+        # One seed, one course: each time is a visit of it.
+        knee = pssf.progress(first, years, np.random.default_rng(8))
+        change = pssf.true_change(first, knee)
+        radiograph = pssf.simulate(knee, protocol, seed=visit)
+        magnified = protocol.sdd_mm / protocol.sod_mm / protocol.pixel_mm
+        (row, col), (tall, wide) = radiograph.truth.landmarks_px["joint_centre"], (mm * magnified for mm in HALF_MM)
+        part = np.s_[round(row - tall) : round(row + tall), round(col - wide) : round(col + wide)]
+        told = f"year {years:g}: KL {knee.grade}, medial {change['jsw_medial_mm']:+.1f} mm"
+        shown.append(panel(pssf.present(radiograph.pixels, look="processed")[part], ROWS, COLS, told))
+    return [side_by_side(shown, out / "visits.png")]
+
+
+if __name__ == "__main__":
+    run(Path(__file__).parent)

@@ -1,0 +1,132 @@
+"""What beams and turns do to films, measured on drawn knees as it was on people's or on a model.
+
+Knees are those of the table `people`, each taken once (`draw_exposure`). Nothing here is fitted to the references.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..anatomy.joint import KneeAssembly, assemble
+from ..anatomy.plateau import along_plateau, inter_margin_mm
+from ..anatomy.pose import moved
+from ..anatomy.turned_truth import trochlea_px
+from ..anatomy.wear import outer_bones
+from ..core.checks import Array
+from ..core.parallel import ordered_map
+from ..data.bones import mean_shape
+from ..data.references import references
+from ..geometry.mesh import Mesh
+from ..geometry.view import project, view_of
+from ..model.draw import draw_knee
+from ..model.exposure import draw_exposure
+from ..model.knee import Knee
+from ..model.protocol import load_protocol
+from .engines import Row
+
+# Margins no farther apart are taken for aligned (judgement; the source's own bound is not in its abstract).
+ALIGNED_MM = 1.5
+_FIXED_DEG = 11.0
+# A reader's tangent to the medial plateau, at 30 degrees to its horizontal, touches its front and its back edge.
+_TOUCH_DEG, _ABOVE_MM, _INNER, _OUTER = 30.0, -30.0, 0.36, 0.85
+# Turns of the leg from where a lateral is meant to be; more than any that is not taken again.
+TURNS_DEG = (-10.0, -5.0, 0.0, 5.0, 10.0)
+
+
+def view_rows(count: int, workers: int) -> list[Row]:
+    """One row a quantity over drawn knees: mean, standard deviation, reference and how far off.
+
+    off  of the mean from the reference, or from the nearer end of its range
+    """
+    knees = [draw_knee(grade=k % 3, rng=np.random.default_rng(k), table="people") for k in range(count)]
+    measured = ordered_map(on_films, list(enumerate(knees)), shared={}, workers=workers)
+    values = {name: np.array([one[name] for one in measured]) for name in measured[0]}
+    means = {name: (float(value.mean()), float(value.std(ddof=1))) for name, value in values.items()}
+    means["beam_along_plateau_sd_deg"] = (means["beam_along_plateau_deg"][1], float("nan"))
+    return [_row(name, *means[name], count) for name in references().views]
+
+
+def _row(name: str, mean: float, sd: float, count: int) -> Row:
+    known = references().views[name]
+    low, high = known.range or (known.value, known.value)
+    assert low is not None
+    assert high is not None
+    return {
+        "quantity": name,
+        "value": round(mean, 3),
+        "sd": "" if np.isnan(sd) else round(sd, 3),
+        "knees": count,
+        "reference": f"{low:g}" if low == high else f"{low:g} to {high:g}",
+        "off": round(mean - float(np.clip(mean, low, high)), 3),
+        "source": known.source,
+    }
+
+
+def on_films(job: tuple[int, Knee]) -> dict[str, float]:
+    """What is measured on films of one knee: signs of distances and of changes are left out, as readers do.
+
+    job  number of the knee, from which its takings are drawn, and the knee
+    """
+    number, knee = job
+    rng = np.random.default_rng([number, 1])
+    fixed, schuss = (
+        draw_exposure(load_protocol(name), rng=rng, side=knee.side) for name in ("fixed_flexion", "lyon_schuss")
+    )
+    assembly = assemble(knee, mean_shape(), fixed.posture)
+    found = {"inter_margin_fixed_flexion_mm": abs(inter_margin_mm(assembly, outer_bones(assembly)[1], fixed))}
+    assembly = assemble(knee, mean_shape(), schuss.posture)
+    tibia = outer_bones(assembly)[1]
+    aimed = along_plateau(assembly, tibia, schuss)
+    level = replace(schuss, beam_along="horizontal", beam_angle_deg=_FIXED_DEG)
+    aligned = abs(inter_margin_mm(assembly, tibia, level)) <= ALIGNED_MM
+    found |= {
+        "inter_margin_lyon_schuss_mm": abs(inter_margin_mm(assembly, tibia, aimed)),
+        "beam_along_plateau_deg": aimed.beam_angle_deg,
+        "aligned_at_11_deg_percent": 100.0 * aligned,
+    }
+    # A radiographer turns a lateral until the condyles meet, whatever way the foot points by itself.
+    return found | _slopes(replace(knee, rotation_deg=0.0)) | _sulcus(replace(knee, rotation_deg=0.0))
+
+
+def _slopes(knee: Knee) -> dict[str, float]:
+    protocol = load_protocol("lateral")
+    assembly = assemble(knee, mean_shape(), protocol.posture)
+    tibia, frame = outer_bones(assembly)[1], assembly.pose.tibia()
+    own = Mesh((tibia.vertices - frame[:, 3]) @ frame[:, :3], tibia.faces)
+    slopes = []
+    for turn in TURNS_DEG:
+        pose = replace(assembly.pose, rotation_deg=assembly.pose.rotation_deg + turn)
+        slopes.append(slope_deg(replace(assembly, pose=pose), own))
+    per_degree = float(np.polyfit(TURNS_DEG, slopes, 1)[0])
+    return {"slope_on_lateral_deg": slopes[TURNS_DEG.index(0.0)], "slope_per_rotation_deg": abs(per_degree)}
+
+
+def slope_deg(assembly: KneeAssembly, tibia: Mesh) -> float:
+    """Fall of the medial plateau backwards on a lateral, between the places that a reader's tangents touch.
+
+    tibia  its outer surface in its own frame
+    """
+    view, frame, half = view_of(load_protocol("lateral")), assembly.pose.tibia(), assembly.build.half_ml_mm
+    points = tibia.vertices
+    medial = points[(points[:, 2] > _ABOVE_MM) & (points[:, 0] > _INNER * half) & (points[:, 0] < _OUTER * half)]
+
+    def seen(places: Array) -> Array:
+        return project(assembly.seen(moved(places, frame)), view)
+
+    low, high = seen(np.array([[0.0, 0.0, -100.0], [0.0, 0.0, -20.0]]))
+    up = (high - low) / np.linalg.norm(high - low)
+    back = np.array([up[1], -up[0]]) * assembly.mirror[0]
+    height, across = seen(medial) @ up, seen(medial) @ back
+    turn = np.deg2rad(_TOUCH_DEG)
+    front, rear = ((height * np.cos(turn) + way * across * np.sin(turn)).argmax() for way in (-1.0, 1.0))
+    return float(np.rad2deg(np.arctan2(height[front] - height[rear], across[rear] - across[front])))
+
+
+def _sulcus(knee: Knee) -> dict[str, float]:
+    protocol = load_protocol("skyline")
+    assembly = assemble(knee, mean_shape(), protocol.posture)
+    spots = trochlea_px(assembly, outer_bones(assembly)[0], view_of(protocol))
+    middle = np.array(spots["sulcus"])
+    ways = [np.array(spots[f"trochlea_{side}"]) - middle for side in ("medial", "lateral")]
+    cosine = ways[0] @ ways[1] / np.linalg.norm(ways[0]) / np.linalg.norm(ways[1])
+    return {"sulcus_angle_deg": float(np.rad2deg(np.arccos(cosine)))}

@@ -1,0 +1,37 @@
+"""Roughness: ridges and pits of a bone where it bears no cartilage, which on films are its many faint lines."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.checks import Array
+from ..data.bones import RoughZone
+from .noise import noise
+
+# No place is moved by more standard deviations.
+_MOST_SD = 2.0
+
+
+def roughness(points: Array, zones: tuple[RoughZone, ...], seed: int, end: int) -> Array:
+    """(n, 3)  by how much places of a bone are moved, mm; nothing outside its zones, and smoothly more within
+
+    points  (n, 3)  of the mean man's bone, mm
+    seed    of the knee's texture
+    end     +1 of the femur, -1 of the tibia
+    """
+    moves = np.zeros_like(points)
+    for number, zone in enumerate(zones):
+        within = 1.0 - _from_middle(points, zone)
+        some = np.flatnonzero(within > 0)
+        waves = noise(points[some], zone.lengths_mm, seed, (102, end + 1, number)).clip(-_MOST_SD, _MOST_SD)
+        moves[some] += (zone.sd_mm * within[some] ** 2 * waves)[:, None] * np.array(zone.way)
+    return moves
+
+
+def in_zones(points: Array, zones: tuple[RoughZone, ...]) -> NDArray[np.bool_]:
+    """(n,)  whether places (n, 3) of the mean man's bone may be moved"""
+    return np.any([_from_middle(points, zone) < 1 for zone in zones] or [np.zeros(len(points), bool)], axis=0)
+
+
+def _from_middle(points: Array, zone: RoughZone) -> Array:
+    """(n,)  squared way from a zone's middle over that to its edge"""
+    return np.asarray((((points - zone.centre) / zone.half) ** 2).sum(axis=1))

@@ -1,0 +1,45 @@
+"""advanced_fields: cysts and subluxation of knees with advanced osteoarthritis, beside what narrows and grows."""
+
+from typing import Any
+
+import numpy as np
+
+from ..data.grades import Cysts, SeverityGrades
+from .knee import Cyst
+
+# Apart in the measure of their places, as `Knee` wants those of one site, with chance left for each.
+_PLACES = (-0.7, 0.0, 0.7)
+_AROUND = 0.09
+
+
+def advanced_fields(table: SeverityGrades, grade: int, narrowed: str, rng: np.random.Generator) -> dict[str, Any]:
+    """Fields of a knee of a grade beyond `severity_fields`.
+
+    narrowed  the side that narrows, medial or lateral
+    rng       of a stream of its own
+    """
+    of_cysts, of_subluxation = rng.spawn(2)
+    cysts = () if table.cysts is None else _cysts(table.cysts, grade, narrowed, of_cysts)
+    law, slipped = table.subluxation, 0.0
+    if law is not None and narrowed == "medial":
+        mean, sd = law.lateral_mm[grade]
+        slipped = float(np.clip(mean + sd * of_subluxation.standard_normal(), *law.bounds_mm))
+    return {"cysts": cysts, "subluxation_mm": round(slipped, 4)}
+
+
+def _cysts(law: Cysts, grade: int, narrowed: str, rng: np.random.Generator) -> tuple[Cyst, ...]:
+    has, count = rng.random() < law.share[grade], int(rng.integers(1, law.most + 1))
+    other = "lateral" if narrowed == "medial" else "medial"
+    places = rng.permutation(_PLACES)
+    drawn = []
+    for place in places[:count]:
+        side = narrowed if rng.random() < law.narrowed else other
+        bone = "tibia" if rng.random() < law.tibia else "femur"
+        size_mm, about, outward = rng.uniform(*law.diameter_mm), rng.uniform(-_AROUND, _AROUND), rng.random()
+        drawn.append(Cyst(
+            site=f"{side}_{bone}",
+            diameter_mm=round(float(size_mm), 4),
+            place=round(float(place + about), 4),
+            outward=round(float(outward), 4),
+        ))  # fmt: skip
+    return tuple(drawn) if has else ()

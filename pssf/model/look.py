@@ -1,0 +1,35 @@
+"""draw_look: how a site shows its films, each a little other."""
+
+import msgspec
+import numpy as np
+
+from ..core.checks import InputError
+from ..data.looks import Processed, looks
+
+_CUT_SD = 2.0
+
+
+def draw_look(*, rng: np.random.Generator) -> Processed:
+    """Parameters of `present(look=...)` as they vary from site to site: latitude, sharpness, dark and bright ends.
+
+    By how much is in `data/looks.toml`, with its source.
+    raises  InputError for what is no generator
+    """
+    if not isinstance(rng, np.random.Generator):
+        raise InputError(f"rng = {rng!r}; allowed: a numpy.random.Generator")
+    spread = looks().spread
+    scores = np.clip(rng.standard_normal(5), -_CUT_SD, _CUT_SD)
+    laws = (spread.latitude_gain, spread.edge_gain, spread.dark, spread.bright, spread.bend)
+    latitude, edge, dark, bright, bend = (
+        round(float(np.clip(law.mean + law.sd * score, law.low, law.high)), 4)
+        for law, score in zip(laws, scores, strict=True)
+    )
+    return msgspec.structs.replace(
+        looks().processed,
+        latitude_gain=latitude,
+        edge_gain=round(float(np.exp(edge)), 4),
+        edge_mm=spread.edge_mm,
+        dark=dark,
+        bright=bright,
+        bend=bend,
+    )

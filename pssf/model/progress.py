@@ -1,0 +1,151 @@
+"""progress: a knee, years and chance -> the same knee later; true_change: what is other in it."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ..core.checks import Array, InputError, require
+from ..data.fields import field_laws
+from ..data.oarsi import oarsi_cuts
+from ..data.progress import Progress, progress_law
+from ..data.records import Pair
+from .knee import Knee, Osteophyte
+
+_SIDES = ("medial", "lateral")
+_MARGINS = ("medial_tibia", "medial_femur", "lateral_tibia", "lateral_femur")
+_MOST_GRADE, _MOST_YEARS = 4, 40
+# Fields whose change is a number.
+_CHANGED = ("jsw_medial_mm", "jsw_lateral_mm", "subchondral_plate", "varus_deg", "age_years")
+
+
+def progress(knee: Knee, years: float, rng: np.random.Generator) -> Knee:
+    """The same person's knee after some years: older, its spaces no wider, osteophytes and plate no smaller.
+
+    Shape, size, posture, limb, cysts and the seed of its texture are kept. Its rates are drawn before the years are
+    looked at: with generators of one seed a knee has one course, of which each time is a visit.
+
+    years   0 to 40
+    rng     the only source of chance
+    raises  InputError for years out of range or beyond the oldest age, what is no knee, or a rng that is none
+    """
+    if not isinstance(knee, Knee):
+        raise InputError(f"knee = {knee!r}; allowed: a Knee")
+    if not isinstance(rng, np.random.Generator):
+        raise InputError(f"rng = {rng!r}; allowed: a numpy Generator, such as np.random.default_rng(7)")
+    require("years", years, 0, _MOST_YEARS, "years")
+    law = progress_law()
+    course = _draw_course(law, knee, _stage(knee) if knee.grade is None else knee.grade, rng)
+    other = "lateral" if course.narrows == "medial" else "medial"
+    lost = {course.narrows: years * course.loss_mm, other: years * course.loss_mm * law.other}
+    spaces: dict[str, Any] = {
+        f"jsw_{side}_mm": round(max(0.0, _space_mm(knee, side) - mm), 4) for side, mm in lost.items()
+    }
+    fell = {side: _space_mm(knee, side) - spaces[f"jsw_{side}_mm"] for side in _SIDES}
+    varus_deg = knee.varus_deg + law.varus_deg_per_mm * (fell["medial"] - fell["lateral"])
+    later = replace(
+        knee,
+        **spaces,
+        osteophytes=_grown(knee, years, course, law),
+        subchondral_plate=round(max(knee.subchondral_plate, min(law.most_plate, _plate(knee, years, course))), 4),
+        varus_deg=_held("varus_deg", varus_deg),
+        age_years=round(knee.age_years + years, 4),
+    )
+    if knee.grade is None:
+        return later
+    steps = _stage(later) - _stage(knee)
+    read = None if knee.grade_read is None else min(_MOST_GRADE, knee.grade_read + steps)
+    return replace(later, grade=min(_MOST_GRADE, knee.grade + steps), grade_read=read)
+
+
+def true_change(before: Knee, after: Knee) -> dict[str, float]:
+    """Field -> by how much it has grown (less than 0: shrunk), of spaces, plate, varus and age; the largest osteophyte
+    and how many there are; and the KL grade, where both have one.
+    """
+    change = {name: round(getattr(after, name) - getattr(before, name), 4) for name in _CHANGED}
+    sizes = [[one.size_mm for one in knee.osteophytes] for knee in (before, after)]
+    change["largest_osteophyte_mm"] = round(max(sizes[1], default=0.0) - max(sizes[0], default=0.0), 4)
+    change["osteophyte_count"] = len(sizes[1]) - len(sizes[0])
+    if before.grade is not None and after.grade is not None:
+        change["grade"] = after.grade - before.grade
+    return change
+
+
+@dataclass(frozen=True)
+class _Course:
+    """Of a year: loss of the side that narrows, growth and thickening; of each osteophyte a factor of the growth.
+
+    arises_years  (4,)  when an osteophyte comes up at each margin that has none
+    factors       (osteophytes + 4,)  those that there are, then the margins'
+    """
+
+    narrows: str
+    loss_mm: float
+    growth_mm: float
+    plate: float
+    arises_years: Array
+    factors: Array
+
+
+def _draw_course(law: Progress, knee: Knee, grade: int, rng: np.random.Generator) -> _Course:
+    drawn = "medial" if rng.random() < law.medial else "lateral"
+    told = max(_SIDES, key=lambda side: _lost(knee, side))
+    loss, growth, plate = (_gamma(of[grade], rng) for of in (law.loss_mm, law.osteophyte_mm, law.plate))
+    return _Course(
+        narrows=told if grade >= law.side_is_told else drawn,
+        loss_mm=loss,
+        growth_mm=growth,
+        plate=plate,
+        arises_years=rng.exponential(1 / law.new_a_year[grade], len(_MARGINS)),
+        factors=rng.uniform(*law.of_each, len(knee.osteophytes) + len(_MARGINS)),
+    )
+
+
+def _gamma(law: Pair, rng: np.random.Generator) -> float:
+    mean, sd = law
+    return float(rng.gamma((mean / sd) ** 2, sd**2 / mean))
+
+
+def _grown(knee: Knee, years: float, course: _Course, law: Progress) -> tuple[Osteophyte, ...]:
+    """Osteophytes that there were, larger, and those that have come up meanwhile."""
+    grown = []
+    for one, factor in zip(knee.osteophytes, course.factors, strict=False):
+        size_mm = min(law.most_mm, one.size_mm + years * course.growth_mm * factor)
+        grown.append(replace(one, size_mm=round(max(one.size_mm, float(size_mm)), 4)))
+    bare = course.factors[len(knee.osteophytes) :]
+    for site, arises, factor in zip(_MARGINS, course.arises_years, bare, strict=True):
+        size_mm = min(law.most_mm, (years - arises) * course.growth_mm * factor)
+        if size_mm >= law.least_mm and all(one.site != site for one in knee.osteophytes):
+            grown.append(Osteophyte(site=site, size_mm=round(float(size_mm), 4)))
+    return tuple(grown)
+
+
+def _plate(knee: Knee, years: float, course: _Course) -> float:
+    return knee.subchondral_plate + years * course.plate
+
+
+def _stage(knee: Knee) -> int:
+    """The KL grade of what a knee is built with."""
+    step = progress_law().step
+    largest = max((one.size_mm for one in knee.osteophytes if one.site in _MARGINS), default=0.0)
+    if largest < step.definite_mm:
+        return int(largest >= step.doubtful_mm)
+    lost = max(_lost(knee, side) for side in _SIDES)
+    return 2 + sum(lost >= cut for cut in step.lost)
+
+
+def _lost(knee: Knee, side: str) -> float:
+    """Share of a healthy space that a compartment has lost."""
+    healthy = oarsi_cuts().healthy_mm[knee.jsw_as][_SIDES.index(side)]
+    return 1 - _space_mm(knee, side) / healthy
+
+
+def _space_mm(knee: Knee, side: str) -> float:
+    return float(getattr(knee, f"jsw_{side}_mm"))
+
+
+def _held(name: str, value: float) -> float:
+    """A value, or the end of its field's range that it is beyond."""
+    bounds = field_laws("knee")[name].range
+    assert bounds is not None
+    return round(min(max(value, bounds[0]), bounds[1]), 4)

@@ -1,0 +1,114 @@
+"""How well grades could be told at best: from what knees are built with, without an image.
+
+No model of an image can know a knee better than its parameters say. What they leave is the overlap that a table of
+grades draws, so that an AUC of a study has a ceiling beside it.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from sklearn.ensemble import HistGradientBoostingClassifier
+from sklearn.linear_model import LogisticRegression
+from sklearn.model_selection import StratifiedKFold, cross_val_predict
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+from threadpoolctl import threadpool_limits
+
+from ...core.checks import Array, require_seed, require_whole
+from ...data.grades import grade_table
+from ...data.landmarks import landmark_reference
+from ...data.shapes import shape_table
+from ...model.draw import draw_knees
+from ...model.knee import SITES, Knee
+from ..statistics.metrics import auc
+
+_FOLDS = 5
+_SPACES = ("jsw_medial_mm", "jsw_lateral_mm", "jsw_least_mm")
+_PLAIN = (
+    "jsw_medial_mm", "jsw_lateral_mm", "subchondral_plate", "varus_deg", "flexion_deg", "rotation_deg", "bone_scale",
+    "cortex_scale", "tibial_slope_deg", "lean_deg", "fibular_tip_mm", "insall_salvati", "patellar_shift_mm",
+    "patellar_tilt_deg", "fabella_mm", "bmi", "limb_ap_mm", "fat_mm", "stature_mm", "age_years", "subluxation_mm",
+)  # fmt: skip
+
+
+def separability(table: str, *, knees: int = 2000, seed: int = 0) -> pd.DataFrame:
+    """AUCs of grade 0 against each other grade of a table, of drawn knees, by what is known of them.
+
+    table    of grades, as `draw_knee` takes it
+    knees    that are drawn, the grades alike; knee k is as in any count
+    returns  grades, known (smaller space | spaces | all parameters), how (by rank | logistic | boosted trees), knees,
+             auc, low, high (Hanley and McNeil 1982, 95 %), people, people_low, people_high: of the smaller gap on
+             people's films (NaN elsewhere). Fitted ones are of held-out fifths; a fit of few knees is below the best
+    raises   InputError for fewer than ten knees a grade, or an unknown table
+    """
+    grades = grade_table(table).grades
+    require_whole("knees", knees, 2 * _FOLDS * len(grades), 1_000_000, "")
+    require_seed(seed)
+    drawn = draw_knees(knees, seed, table)
+    parameters = parameter_table(drawn)
+    of = np.array([knee.grade for knee in drawn])
+    first, *others = grades
+    rows = []
+    for grade in others:
+        chosen = (of == first) | (of == grade)
+        rows += _rows(parameters[chosen].reset_index(drop=True), of[chosen] == grade, (first, grade), seed)
+    return pd.DataFrame(rows)
+
+
+def parameter_table(knees: Sequence[Knee]) -> pd.DataFrame:
+    """A row a knee: all that it is built with as numbers, but for its side, its texture and its grades."""
+    rows = []
+    for knee in knees:
+        row: dict[str, float] = {name: float(getattr(knee, name)) for name in _PLAIN}
+        row["jsw_least_mm"] = min(knee.jsw_medial_mm, knee.jsw_lateral_mm)
+        row["female"] = float(knee.sex == "female")
+        row |= {f"osteophyte_{site}_mm": 0.0 for site in SITES}
+        for one in knee.osteophytes:
+            row[f"osteophyte_{one.site}_mm"] = max(row[f"osteophyte_{one.site}_mm"], one.size_mm)
+        row["osteophytes"] = float(len(knee.osteophytes))
+        row["cysts"] = float(len(knee.cysts))
+        row["largest_cyst_mm"] = max((one.diameter_mm for one in knee.cysts), default=0.0)
+        scores = (*knee.shape, *(0.0 for _ in range(len(shape_table().modes) - len(knee.shape))))
+        row |= {f"shape_{mode + 1}": score for mode, score in enumerate(scores)}
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def _rows(parameters: pd.DataFrame, worse: NDArray[np.bool_], pair: tuple[int, int], seed: int) -> list[dict[str, Any]]:
+    label: dict[str, Any] = {"grades": f"{pair[0]} vs {pair[1]}"}
+    least = -parameters["jsw_least_mm"].to_numpy()
+    people = landmark_reference().gap_alone_auc.get(f"kl{pair[1]}") if pair[0] == 0 else None
+    beside = dict(zip(("people", "people_low", "people_high"), people or (np.nan,) * 3, strict=True))
+    nothing = dict.fromkeys(beside, float("nan"))
+    rows = [label | {"known": "smaller space", "how": "by rank"} | _estimate(least, worse) | beside]
+    for known, names in (("spaces", list(_SPACES)), ("all parameters", list(parameters))):
+        for how in ("logistic", "boosted trees"):
+            probability = _held_out(parameters[names].to_numpy(), worse, how, seed)
+            rows.append(label | {"known": known, "how": how} | _estimate(probability, worse) | nothing)
+    return rows
+
+
+def _held_out(values: Array, worse: NDArray[np.bool_], how: str, seed: int) -> Array:
+    """(rows,) probability of the worse grade, of models that have not seen the row"""
+    folds = StratifiedKFold(_FOLDS, shuffle=True, random_state=seed % 2**32)
+    model = {
+        "logistic": make_pipeline(StandardScaler(), LogisticRegression(max_iter=1000)),
+        "boosted trees": HistGradientBoostingClassifier(
+            max_iter=150, learning_rate=0.06, max_leaf_nodes=8, random_state=seed % 2**32
+        ),
+    }[how]
+    # Fits of so few rows gain nothing from threads, which wait for one another.
+    with threadpool_limits(limits=1):
+        return np.asarray(cross_val_predict(model, values, worse, cv=folds, method="predict_proba")[:, 1], np.float64)
+
+
+def _estimate(value: Array, worse: NDArray[np.bool_]) -> dict[str, float]:
+    """Number of knees, AUC and its 95 per cent interval (Hanley and McNeil 1982)."""
+    area, ones, zeros = auc(worse, value), int(worse.sum()), int((~worse).sum())
+    both, two = area / (2 - area), 2 * area**2 / (1 + area)
+    variance = area * (1 - area) + (ones - 1) * (both - area**2) + (zeros - 1) * (two - area**2)
+    half = 1.96 * float(np.sqrt(max(variance, 0.0) / (ones * zeros)))
+    return {"knees": len(value), "auc": area, "low": max(0.0, area - half), "high": min(1.0, area + half)}

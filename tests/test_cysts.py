@@ -1,0 +1,118 @@
+"""Subchondral cysts: balls of their size in spongy bone, wherever they are asked for, and nothing else changes."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import pssf
+from pssf import Cyst, InputError, Knee
+from pssf.anatomy import built as anatomy
+from pssf.anatomy.cysts import WALL_MM, cysts_of
+from pssf.anatomy.joint import assemble
+from pssf.data.bones import mean_shape
+from pssf.data.fields import field_laws
+from pssf.model.knee import knee_from, knee_table
+from pssf.model.protocol import Posture
+
+SITES = field_laws("cyst")["site"].choices
+WORN = Knee(
+    jsw_as="read", jsw_medial_mm=0.1, jsw_lateral_mm=4.0, varus_deg=5.0, side="left",
+    cysts=(
+        Cyst(site="medial_tibia", diameter_mm=6.0, place=-0.5),
+        Cyst(site="medial_tibia", diameter_mm=3.0, place=0.5, outward=1.0),
+        Cyst(site="lateral_femur", diameter_mm=4.0, outward=0.0),
+    ),
+)  # fmt: skip
+
+
+def solids(knee, posture):
+    """Bones and cysts of a knee without its soft tissue, and how it stands."""
+    assembly = assemble(knee, mean_shape(), posture)
+    placed = {name: part.solids for name, part in anatomy._bones(knee, assembly).items()}
+    return placed, cysts_of(knee, assembly, placed), assembly
+
+
+def middle(solid):
+    return np.array(solid.bounding_box()).reshape(2, 3).mean(axis=0)
+
+
+@pytest.mark.parametrize("site", SITES)
+def test_a_cyst_has_its_size_and_lies_in_spongy_bone_from_end_to_end_of_a_compartment(site):
+    sides, bone = site.split("_"), site.split("_")[1]
+    everywhere = [(15.0, 0.0, 0.5), (1.5, 1.0, 1.0), (8.0, -1.0, 0.0), (8.0, 1.0, 1.0)]
+    placed, _, assembly = solids(Knee(), Posture())
+    for diameter_mm, place, outward in everywhere:
+        knee = Knee(cysts=(Cyst(site=site, diameter_mm=diameter_mm, place=place, outward=outward),))
+        ((one,),) = cysts_of(knee, assembly, placed).values()
+        for solid, radius in ((one.soft, diameter_mm / 2), (one.wall, diameter_mm / 2 + WALL_MM)):
+            assert_allclose(solid.volume(), 4 / 3 * np.pi * radius**3, rtol=0.01)
+        assert (one.wall - placed[bone].inner).volume() == 0
+        assert (one.soft - one.wall).volume() == 0
+        assert (middle(one.wall)[0] > 0) == (sides[0] == "medial")
+
+
+def test_cysts_of_a_worn_joint_keep_apart_and_stay_where_they_are_in_every_posture():
+    bent, straight = (solids(WORN, posture) for posture in (pssf.load_protocol("fixed_flexion").posture, Posture()))
+    places = [
+        [f[:, :3].T @ (middle(one.wall) - f[:, 3]) for bone in cysts for f in [frames[bone]] for one in cysts[bone]]
+        for _, cysts, at in (bent, straight)
+        for frames in [{"tibia": at.pose.tibia(), "femur": at.pose.femur()}]
+    ]
+    assert len(places[0]) == len(WORN.cysts)
+    assert_allclose(*places, atol=0.02)
+    walls = [one.wall for of_bone in bent[1].values() for one in of_bone]
+    assert all((a ^ b).volume() == 0 for a, b in itertools.combinations(walls, 2))
+
+
+def test_a_built_knee_with_cysts_has_no_faults_and_shows_them():
+    protocol = pssf.load_protocol("fixed_flexion")
+    small = dataclasses.replace(protocol, rows=360, cols=360, pixel_mm=protocol.pixel_mm * protocol.rows / 360)
+    built = pssf.build(WORN, protocol)
+    assert str(pssf.check(built.scene)) == "no faults"
+    radiograph = pssf.simulate(built, small, keep=("masks",))
+    for site in ("medial_tibia", "lateral_femur"):
+        mask = radiograph.truth.masks[f"{site}_cyst"]
+        bone = radiograph.truth.masks[site.split("_")[1]]
+        assert mask.sum() > 0
+        assert not (mask & ~bone).any()
+    names = [surface.name for surface in built.scene.surfaces if "cyst" in surface.name]
+    assert names == ["femur_cyst_1_wall", "femur_cyst_1", "tibia_cyst_1_wall", "tibia_cyst_1", "tibia_cyst_2_wall",
+                     "tibia_cyst_2"]  # fmt: skip
+
+
+def test_cysts_are_refused_where_they_cannot_be():
+    with pytest.raises(InputError, match="diameter_mm = 20"):
+        Cyst(site="medial_tibia", diameter_mm=20.0)
+    with pytest.raises(InputError, match="cysts at medial_tibia, places 0 and 0"):
+        Knee(cysts=(Cyst(site="medial_tibia", diameter_mm=2.0), Cyst(site="medial_tibia", diameter_mm=3.0)))
+    places = list(itertools.product(SITES, (-0.6, 0.0)))
+    many = tuple(Cyst(site=site, diameter_mm=2.0, place=at) for site, at in places[:7])
+    with pytest.raises(InputError, match="number of cysts = 7"):
+        Knee(cysts=many)
+
+
+def test_a_knee_with_cysts_is_read_back_from_its_table():
+    assert knee_from(knee_table(WORN)) == WORN
+
+
+def test_drawn_cysts_are_of_advanced_grades_and_on_the_side_that_narrows():
+    drawn = {
+        grade: [
+            pssf.draw_knee(grade=grade, rng=np.random.default_rng((9, grade, k)), table="people") for k in range(300)
+        ]
+        for grade in (0, 2, 3, 4)
+    }
+    share = {grade: np.mean([bool(knee.cysts) for knee in knees]) for grade, knees in drawn.items()}
+    assert share[0] == share[2] == 0
+    # Four standard errors of a share of 300.
+    assert abs(share[3] - 0.15) < 0.085
+    assert abs(share[4] - 0.35) < 0.11
+    cysts = [(knee, one) for knees in drawn.values() for knee in knees for one in knee.cysts]
+    narrowed = [
+        one.site.startswith("medial" if knee.jsw_medial_mm < knee.jsw_lateral_mm else "lateral") for knee, one in cysts
+    ]
+    assert abs(np.mean(narrowed) - 0.85) < 0.11
+    assert all(2.0 <= one.diameter_mm <= 8.0 for _, one in cysts)

@@ -1,0 +1,89 @@
+"""Both knees on one detector: each is where it would be alone, and neither is the other's."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import pssf
+from pssf import InputError
+from pssf.anatomy import build_pair
+
+BILATERAL = pssf.load_protocol("bilateral")
+SMALL = dataclasses.replace(BILATERAL, rows=BILATERAL.rows // 16, cols=BILATERAL.cols // 16, pixel_mm=0.15 * 16)
+RIGHT = pssf.Knee(jsw_medial_mm=4.2, jsw_lateral_mm=5.1, jsw_as="read", texture_seed=1)
+LEFT = dataclasses.replace(RIGHT, side="left")
+
+
+@pytest.fixture(scope="module")
+def pair():
+    return build_pair(RIGHT, LEFT, BILATERAL)
+
+
+def test_the_detector_is_43_by_35_centimetres():
+    assert (BILATERAL.cols * BILATERAL.pixel_mm, BILATERAL.rows * BILATERAL.pixel_mm) == pytest.approx(
+        (430, 350), abs=0.1
+    )
+
+
+def test_paths_through_both_are_those_through_either(pair):
+    def paths(surfaces):
+        return pssf.trace(pssf.Scene(surfaces), SMALL, engine="scanline").path_mm
+
+    both = paths(pair.scene.surfaces)
+    parts = [paths([s for s in pair.scene.surfaces if s.name.startswith(side)]) for side in ("right", "left")]
+    assert both["cortical_bone"].max() > 5
+    for material, path_mm in both.items():
+        assert_allclose(path_mm, parts[0][material] + parts[1][material], atol=1e-3)
+
+
+def test_a_persons_like_knees_are_each_others_mirror_image_and_the_right_one_is_on_the_left(pair):
+    radiograph = pssf.simulate(pair, dataclasses.replace(SMALL, noise="none"), engine="scanline", keep=("masks",))
+    pixels = radiograph.pixels.astype(float)
+    assert_allclose(pixels, pixels[:, ::-1], rtol=0.02)
+    right, left = radiograph.truths
+    assert np.flatnonzero(right.masks["femur"].any(axis=0)).max() < SMALL.cols / 2
+    assert np.flatnonzero(left.masks["femur"].any(axis=0)).min() > SMALL.cols / 2
+    for name, (row, col) in right.landmarks_px.items():
+        assert_allclose(left.landmarks_px[name], (row, SMALL.cols - 1 - col), atol=1e-6)
+
+
+def test_labels_of_both_lie_where_their_masks_end(pair):
+    protocol = dataclasses.replace(BILATERAL, rows=583, cols=716, pixel_mm=0.6)
+    for truth in pssf.simulate(pair, protocol, engine="scanline", keep=("masks",)).truths:
+        row, col = truth.landmarks_px["medial_spine"]
+        assert np.flatnonzero(truth.masks["tibia"][:, round(col)])[0] == pytest.approx(row, abs=1.5)
+        assert truth.jsw_medial_mm == 4.2
+
+
+def test_a_radiograph_of_both_comes_back_from_a_file(pair, tmp_path):
+    one = pssf.simulate(pair, SMALL, engine="scanline", seed=4)
+    assert one.knee is None
+    assert one.truth is None
+    assert [knee.side for knee in one.knees] == ["right", "left"]
+    for suffix in ("tif", "dcm"):
+        assert pssf.load(pssf.save(one, tmp_path / f"both.{suffix}")) == one
+
+
+@pytest.mark.parametrize(
+    ("knees", "more", "why"),
+    [
+        ((LEFT, RIGHT), {}, r"right one = left; allowed: a right and a left Knee, in this order"),
+        ((RIGHT, "left"), {}, r"knee = 'left'; allowed: a Knee, a BuiltKnee, a right and a left one, or a Scene"),
+        ((RIGHT, LEFT, LEFT), {}, r"allowed: a Knee, a BuiltKnee, a right and a left one, or a Scene"),
+        ((RIGHT, LEFT), dict(apart_mm=0.0), r"apart_mm = 0 mm with two knees"),
+        ((RIGHT, LEFT), dict(beam_along="medial_plateau"), r"with two knees; allowed: 'horizontal'"),
+        (RIGHT, {}, r"apart_mm = 210 mm with one knee; allowed: 0"),
+    ],
+)
+def test_what_is_no_pair_is_refused_with_the_reason(knees, more, why):
+    with pytest.raises(InputError, match=why):
+        pssf.simulate(knees, dataclasses.replace(SMALL, **more))
+
+
+def test_legs_that_overlap_are_refused_with_the_room_they_need(pair):
+    with pytest.raises(InputError, match=r"apart_mm = 80 mm: the legs overlap; allowed: more than 1\d\d mm"):
+        build_pair(*pair.knees, dataclasses.replace(BILATERAL, apart_mm=80.0))
+    with pytest.raises(InputError, match=r"apart_mm = 200 mm; allowed: 210 mm, as the knees were built"):
+        pssf.simulate(pair, dataclasses.replace(SMALL, apart_mm=200.0))

@@ -1,0 +1,84 @@
+"""The same knee some years later: nothing heals, what a person keeps is kept, and the change is told."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import pssf
+from pssf import InputError, Knee
+from pssf.data.progress import progress_law
+from pssf.model.knee import knee_table
+
+GROWS = {"jsw_medial_mm": -1, "jsw_lateral_mm": -1, "subchondral_plate": 1, "age_years": 1, "osteophyte_count": 1,
+         "largest_osteophyte_mm": 1, "grade": 1}  # fmt: skip
+CHANGED = {"jsw_medial_mm", "jsw_lateral_mm", "subchondral_plate", "age_years", "varus_deg", "osteophytes", "grade",
+           "grade_read"}  # fmt: skip
+
+
+def drawn(grade, seed, table="people"):
+    return pssf.draw_knee(grade=grade, rng=np.random.default_rng((grade, seed)), table=table)
+
+
+@given(grade=st.integers(0, 4), seed=st.integers(0, 2**20), years=st.floats(0, 30))
+@settings(max_examples=150, deadline=None)
+def test_nothing_heals_and_a_person_stays_who_they_are(grade, seed, years):
+    knee = dataclasses.replace(drawn(grade, seed), age_years=60.0)
+    visits = [pssf.progress(knee, at, np.random.default_rng(seed)) for at in (years / 2, years)]
+    for before, after in zip((knee, *visits), (*visits, visits[-1]), strict=True):
+        change = pssf.true_change(before, after)
+        assert all(sign * change[name] >= 0 for name, sign in GROWS.items())
+    first, last = (knee_table(one) for one in (knee, visits[-1]))
+    assert {name for name in first if first[name] != last[name]} <= CHANGED
+    assert last["age_years"] == pytest.approx(60.0 + years, abs=1e-4)
+
+
+def test_a_knee_of_no_years_is_the_knee_and_a_course_is_one_course():
+    for grade in range(5):
+        knee = drawn(grade, 3)
+        assert pssf.progress(knee, 0.0, np.random.default_rng(5)) == knee
+        spaces = [pssf.progress(knee, at, np.random.default_rng(5)).jsw_medial_mm for at in (1.0, 2.0, 3.0)]
+        # Straight, until nothing is left.
+        assert spaces[2] == 0.0 or spaces[0] - spaces[1] == pytest.approx(spaces[1] - spaces[2], abs=2e-4)
+
+
+@pytest.mark.parametrize("grade", range(5))
+def test_the_loss_of_a_year_is_that_of_its_grade_and_grades_rise_with_it(grade):
+    law, count = progress_law(), 400
+    knee = dataclasses.replace(Knee(jsw_as="read", jsw_medial_mm=4.0, jsw_lateral_mm=4.5), grade=grade)
+    later = [pssf.progress(knee, 1.0, np.random.default_rng(seed)) for seed in range(count)]
+    lost = [max(4.0 - one.jsw_medial_mm, 4.5 - one.jsw_lateral_mm) for one in later]
+    mean, sd = law.loss_mm[grade]
+    assert abs(np.mean(lost) - mean) < 4 * sd / np.sqrt(count)
+    assert 0.06 <= mean <= 0.19
+
+
+def test_the_grade_steps_up_where_the_change_crosses_what_makes_one():
+    narrow = Knee(jsw_as="read", jsw_medial_mm=3.1, jsw_lateral_mm=4.2, grade=2, grade_read=1,
+                  osteophytes=(pssf.Osteophyte(site="medial_tibia", size_mm=2.0),))  # fmt: skip
+    visits = [pssf.progress(narrow, 12.0, np.random.default_rng(seed)) for seed in range(60)]
+    for later in visits:
+        lost = max(1 - later.jsw_medial_mm / 3.97, 1 - later.jsw_lateral_mm / 4.25)
+        assert later.grade == 2 + (lost >= 0.23) + (lost >= 0.6)
+        assert later.grade_read == later.grade - 1
+    assert len({later.grade for later in visits}) > 1
+
+
+def test_a_side_that_falls_in_leans_the_leg_to_it():
+    knee = dataclasses.replace(drawn(3, 1), jsw_medial_mm=2.0, jsw_lateral_mm=4.5, varus_deg=1.0)
+    change = pssf.true_change(knee, pssf.progress(knee, 10.0, np.random.default_rng(0)))
+    assert change["jsw_medial_mm"] < change["jsw_lateral_mm"] <= 0
+    assert change["varus_deg"] == pytest.approx(1.27 * (change["jsw_lateral_mm"] - change["jsw_medial_mm"]), abs=1e-3)
+
+
+def test_what_is_no_course_is_refused():
+    for arguments, match in (
+        ((Knee(), -1.0, np.random.default_rng(0)), "years = -1"),
+        ((Knee(), 1.0, 7), "rng = 7"),
+        (("knee", 1.0, np.random.default_rng(0)), "knee = 'knee'"),
+        ((Knee(age_years=95.0), 10.0, np.random.default_rng(0)), "age_years = 105"),
+    ):
+        with pytest.raises(InputError, match=match):
+            pssf.progress(*arguments)

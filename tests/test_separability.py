@@ -1,0 +1,61 @@
+"""What the parameters alone tell of the grades, which is as much as an image could."""
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from pssf import InputError, Knee, Osteophyte
+from pssf.cli import app
+from pssf.study.learn.separability import parameter_table, separability
+
+
+@pytest.fixture(scope="module")
+def people():
+    return separability("people", knees=600, seed=3).set_index(["grades", "known", "how"])
+
+
+def test_spaces_of_the_papers_table_tell_its_grades_and_those_of_people_do_not(people):
+    paper = separability("paper", knees=300, seed=3).set_index(["grades", "known", "how"])
+    assert paper.loc[("0 vs 2", "smaller space", "by rank"), "auc"] > 0.99
+    early = people.loc[("0 vs 2", "smaller space", "by rank")]
+    assert early["auc"] < 0.72
+    assert people.loc[("0 vs 4", "smaller space", "by rank"), "auc"] > 0.95
+    assert np.isfinite(early["people"])
+
+
+def test_all_parameters_tell_more_than_spaces_alone_and_later_grades_more_than_early_ones(people):
+    best = people.groupby(level=["grades", "known"])["auc"].max()
+    assert best[("0 vs 2", "all parameters")] > best[("0 vs 2", "spaces")] + 0.1
+    later = [best[(f"0 vs {grade}", "all parameters")] for grade in (1, 2, 3)]
+    assert later == sorted(later)
+    assert people["auc"].between(people["low"], people["high"]).all()
+
+
+def test_a_draw_is_repeated_by_its_seed_alone():
+    one, two = (separability("paper", knees=60, seed=1) for _ in range(2))
+    assert one.equals(two)
+    assert not one.equals(separability("paper", knees=60, seed=2))
+
+
+def test_no_grade_nor_texture_is_among_what_is_known():
+    one, other = (
+        parameter_table([Knee(grade=grade, grade_read=grade, texture_seed=grade, side=side)])
+        for grade, side in ((0, "left"), (4, "right"))
+    )
+    assert one.equals(other)
+    beak = parameter_table([Knee(osteophytes=(Osteophyte(site="lateral_tibia", size_mm=3.0),))])
+    assert beak["osteophyte_lateral_tibia_mm"].item() == 3.0
+
+
+def test_too_few_knees_are_refused():
+    with pytest.raises(InputError, match="knees = 20"):
+        separability("people", knees=20)
+
+
+def test_the_command_prints_a_table_and_writes_it(tmp_path):
+    asked = ["grades", "--table", "paper", "--knees", "60", "--out", str(tmp_path)]
+    result = CliRunner().invoke(app, asked)
+    assert result.exit_code == 0, result.output
+    assert "all parameters" in result.output
+    lines = (tmp_path / "separability.csv").read_text().splitlines()
+    assert len(lines) == 1 + 2 * 5

@@ -1,0 +1,300 @@
+"""Knees in all views: what a turn keeps, what a beam along the plateau does, and which labels each view has."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import pssf
+from pssf import InputError
+from pssf.accuracy import view_scatter, views
+from pssf.anatomy import small_bones
+from pssf.anatomy.bend import bend_of, sheared_deg
+from pssf.anatomy.landmarks import CONTOUR_LANDMARKS
+from pssf.anatomy.plateau import plateau_margins
+from pssf.anatomy.solids import mesh_of
+from pssf.data.references import references
+from pssf.geometry.mesh import Mesh
+from pssf.geometry.view import project, view_of
+from pssf.io import dicom
+
+LATERAL, SKYLINE = (pssf.load_protocol(name) for name in ("lateral", "skyline"))
+LYON = pssf.load_protocol("lyon_schuss")
+KNEE = pssf.Knee(jsw_medial_mm=4.2, jsw_lateral_mm=5.1, texture_seed=3)
+
+
+def smaller(protocol, factor=16):
+    rows, cols = protocol.rows // factor, protocol.cols // factor
+    return dataclasses.replace(protocol, rows=rows, cols=cols, pixel_mm=protocol.pixel_mm * factor, scatter="none")
+
+
+@pytest.fixture(scope="module")
+def side():
+    return pssf.build(KNEE, LATERAL)
+
+
+@pytest.fixture(scope="module")
+def along():
+    return pssf.build(KNEE, SKYLINE)
+
+
+@pytest.fixture(scope="module")
+def schuss():
+    return pssf.build(KNEE, LYON)
+
+
+def same_posture(protocol):
+    """The posture of a view, seen from the front."""
+    return dataclasses.replace(protocol, projection="AP", beam_along="horizontal")
+
+
+@pytest.fixture(scope="module")
+def upright():
+    """View -> the same leg in the same posture, seen from the front."""
+    return {protocol.name: pssf.build(KNEE, same_posture(protocol)) for protocol in (LATERAL, SKYLINE)}
+
+
+def volume(surface):
+    return surface.arrays.as_trimesh().volume
+
+
+def test_a_turned_leg_keeps_the_volume_of_every_surface(side, along, upright):
+    for built, protocol in ((side, LATERAL), (along, SKYLINE)):
+        for one, other in zip(upright[protocol.name].scene.surfaces, built.scene.surfaces, strict=True):
+            assert one.name == other.name
+            assert volume(other) == pytest.approx(volume(one), rel=1e-9)
+            assert volume(other) > 0
+
+
+def test_a_lateral_has_the_lateral_side_at_the_detector_and_the_patella_on_the_left(side):
+    bones = {s.name: s.arrays.vertices for s in side.scene.surfaces}
+    assert bones["fibula"][:, 1].mean() > bones["tibia"][:, 1].mean() + 15
+    assert bones["patella"][:, 0].mean() < bones["femur"][:, 0].mean() - 30
+    assert bones["fibula"][:, 0].mean() > bones["tibia"][:, 0].mean() + 10
+
+
+def test_a_skyline_has_the_patella_on_top_and_the_foot_at_the_detector(along):
+    bones = {s.name: s.arrays.vertices for s in along.scene.surfaces}
+    assert bones["patella"][:, 2].min() > bones["femur"][:, 2].max() - 5
+    assert bones["patella"][:, 2].mean() > bones["femur"][:, 2].max() + 5
+    assert bones["tibia"][:, 1].mean() > 30 > -30 > bones["femur"][:, 1].mean()
+    assert bones["fibula"][:, 0].mean() < bones["tibia"][:, 0].mean() - 15
+
+
+def test_the_beam_of_a_skyline_passes_between_patella_and_femur(along):
+    protocol = smaller(SKYLINE, 4)
+    masks = pssf.simulate(along, protocol, keep=("masks",), engine="scanline").truth.masks
+    patella, femur = masks["patella"], masks["femur"]
+    assert patella.sum() > 500
+    assert (patella & femur).sum() < 0.1 * patella.sum()
+    cols = np.flatnonzero(patella.any(axis=0))
+    below = [np.flatnonzero(femur[:, col])[0] - np.flatnonzero(patella[:, col])[-1] for col in cols[5:-5]]
+    assert 0 <= np.median(below) * protocol.pixel_mm / 1.2 < 12
+
+
+@pytest.mark.parametrize("name", ["lateral", "skyline"])
+def test_trabeculae_turn_with_their_bones(name, side, along, upright):
+    built, front = {"lateral": side, "skyline": along}[name], upright[name]
+    here, there = (
+        next(s for s in one.scene.surfaces if s.name == "femur_trabecular").inside_density for one in (front, built)
+    )
+    starts, ends = np.random.default_rng(4).uniform([-25, -15, 10], [25, 15, 40], (2, 50, 3))
+    turned = [built.assembly.seen(points) for points in (starts, ends)]
+    assert not np.allclose(turned[0], starts)
+    assert_allclose(there.integrate(*turned), here.integrate(starts, ends), rtol=1e-7)
+
+
+def test_labels_from_the_side_are_places_of_the_bones_and_no_joint_space_or_contour(side, along):
+    for built, protocol in ((side, LATERAL), (along, SKYLINE)):
+        truth = built.truth(protocol)
+        assert not truth.jsw_at_mm
+        assert not set(truth.landmarks_px) & {*CONTOUR_LANDMARKS, "medial_joint_line", "lateral_joint_line"}
+        assert (truth.jsw_medial_mm, truth.jsw_lateral_mm) == (4.2, 5.1)
+        with pytest.raises(InputError, match=r"projection = .*allowed: AP or PA"):
+            built.measured_jsw_mm(protocol)
+        with pytest.raises(InputError, match=r"projection = .*allowed: AP or PA"):
+            built.inter_margin_mm(protocol)
+
+
+@pytest.mark.parametrize("name", ["fibula_tip", "patella_apex", "patella_base", "lateral_plateau_posterior"])
+def test_labels_of_a_lateral_lie_on_the_bones_that_they_name(name, side):
+    protocol = smaller(LATERAL, 4)
+    truth = pssf.simulate(side, protocol, keep=("masks",), engine="scanline").truth
+    mask = truth.masks[{"fibula": "fibula", "patella": "patella", "lateral": "tibia"}[name.split("_")[0]]]
+    row, col = (round(place) for place in truth.landmarks_px[name])
+    assert mask[row - 2 : row + 3, col - 2 : col + 3].any()
+    assert not mask[row - 2 : row + 3, col - 2 : col + 3].all()
+
+
+def test_labels_of_a_left_lateral_mirror_those_of_a_right_one(side):
+    left = pssf.build(dataclasses.replace(KNEE, side="left"), LATERAL).truth(LATERAL).landmarks_px
+    for name, (row, col) in side.truth(LATERAL).landmarks_px.items():
+        assert_allclose(left[name], (row, LATERAL.cols - 1 - col), atol=1e-6)
+
+
+def test_the_detector_on_the_other_side_shows_the_same_side_of_the_knee():
+    other = pssf.build(KNEE, dataclasses.replace(LATERAL, projection="LM"))
+    bones = {s.name: s.arrays.vertices for s in other.scene.surfaces}
+    assert bones["fibula"][:, 1].mean() < bones["tibia"][:, 1].mean() - 15
+    assert bones["patella"][:, 0].mean() < bones["femur"][:, 0].mean() - 30
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 1.5])
+def test_a_beam_along_the_plateau_brings_its_margins_together_and_a_degree_apart_by_its_depth(schuss, turn_deg):
+    protocol = dataclasses.replace(LYON, beam_angle_deg=turn_deg)
+    front, back = plateau_margins(schuss.assembly, mesh_of(schuss.bones["tibia"].outer), "medial")
+    depth = float(np.linalg.norm(front - back))
+    # The nearer margin is larger on the film than it is in the joint plane.
+    assert schuss.inter_margin_mm(protocol) == pytest.approx(depth * np.sin(np.deg2rad(turn_deg)), rel=0.06, abs=1e-3)
+
+
+def test_a_radiograph_keeps_the_beam_that_was_fitted_and_is_made_again_by_it(schuss):
+    protocol = smaller(LYON)
+    one = pssf.simulate(schuss, protocol, engine="scanline", seed=2)
+    assert one.protocol.beam_along == "horizontal"
+    assert one.protocol == schuss.aimed(protocol)
+    again = pssf.simulate(schuss, one.protocol, engine="scanline", seed=2)
+    assert np.array_equal(one.pixels, again.pixels)
+    assert one.truth == schuss.truth(protocol)
+
+
+def test_a_steeper_plateau_is_met_by_a_flatter_beam(schuss):
+    steep = pssf.build(dataclasses.replace(KNEE, tibial_slope_deg=KNEE.tibial_slope_deg + 3), LYON)
+    less = schuss.aimed(LYON).beam_angle_deg - steep.aimed(LYON).beam_angle_deg
+    assert less == pytest.approx(3.0, abs=0.2)
+
+
+def test_a_beam_that_is_not_yet_fitted_is_no_view(schuss):
+    for see in (view_of, lambda protocol: pssf.trace(schuss.scene, protocol)):
+        with pytest.raises(
+            InputError, match=r"beam_along = 'medial_plateau'; allowed: 'horizontal', as BuiltKnee\.aimed"
+        ):
+            see(LYON)
+    with pytest.raises(InputError, match="beam_along = 'medial_plateau'"):
+        pssf.simulate(schuss.scene, smaller(LYON))
+
+
+def test_a_plateau_that_no_beam_meets_is_refused_with_how_far_it_is():
+    leaning = dataclasses.replace(LYON, tibia_forward_deg=45.0)
+    with pytest.raises(InputError, match=r"at -30 and 30 deg of beam the plateau's margins are .* mm apart"):
+        pssf.build(KNEE, leaning).aimed(leaning)
+
+
+@pytest.mark.parametrize("flexion_deg", [42.0, 60.0, 75.0])
+def test_a_bent_limb_keeps_its_thickness_and_comes_back_when_it_is_straightened(flexion_deg):
+    bend = bend_of(flexion_deg, 1.0)
+    straight = np.random.default_rng(1).uniform([-60, -70, -200], [60, 70, 340], (500, 3))
+    bent = bend.bent(straight)
+    assert_allclose(bend.straight(bent), straight, atol=1e-9)
+    # Front and back of a section stay as far apart.
+    across = np.array([[0.0, -60.0, 0.0], [0.0, 60.0, 0.0]])
+    for height in (-150.0, 0.0, 60.0, 300.0):
+        front, back = bend.bent(across + np.array([0.0, 0.0, height]))
+        assert np.linalg.norm(front - back) == pytest.approx(120.0)
+    low, high = bend.bent(np.array([[0.0, 0.0, 250.0], [0.0, 0.0, 300.0]]))
+    assert np.rad2deg(np.arctan2(high[1] - low[1], high[2] - low[2])) == pytest.approx(bend.angle_deg)
+
+
+def test_up_to_40_degrees_a_limb_is_sheared_as_ever_and_no_flexion_is_lost_beyond():
+    assert bend_of(40.0, 1.0).angle_deg == 0
+    for flexion_deg in (0.0, 22.0, 40.0, 41.0, 45.0, 60.0):
+        assert sheared_deg(flexion_deg) + bend_of(flexion_deg, 1.0).angle_deg == pytest.approx(flexion_deg)
+    assert bend_of(40.01, 1.0).angle_deg == pytest.approx(0.0, abs=0.1)
+
+
+def test_a_limb_that_would_fold_behind_the_knee_is_refused_with_the_reason():
+    thick = dataclasses.replace(KNEE, limb_ap_mm=180.0, flexion_deg=15.0)
+    deep = dataclasses.replace(pssf.load_protocol("rosenberg"), flexion_deg=60.0)
+    with pytest.raises(InputError, match=r"would fold behind the knee.*smaller limb_ap_mm"):
+        pssf.build(thick, deep)
+
+
+@pytest.mark.parametrize("seed", [1])
+def test_a_drawn_knee_bends_to_60_degrees_with_its_patella_on_the_femur_and_its_tendon_as_long(seed):
+    knee = pssf.draw_knee(grade=1, rng=np.random.default_rng(seed), table="people")
+    lengths = []
+    for flexion_deg in (0.0, 60.0):
+        protocol = dataclasses.replace(pssf.load_protocol("rosenberg"), flexion_deg=flexion_deg)
+        built = pssf.build(knee, protocol)
+        patella, femur = (built.bones[name].outer for name in ("patella", "femur"))
+        assert 0.5 < patella.min_gap(femur, 20.0) < 5.0
+        build, frame = built.assembly.build, built.assembly.pose.tibia()
+        apex = mesh_of(patella).vertices[mesh_of(small_bones.patella(build).outer).vertices[:, 2].argmin()]
+        end = np.array(build.shape.patellar_tendon.tuberosity) * build.scale
+        lengths.append(np.linalg.norm(apex - frame[:, :3] @ end - frame[:, 3]))
+    assert lengths[1] == pytest.approx(lengths[0], rel=0.01)
+
+
+def test_a_fitted_beam_sees_the_origin_where_its_view_says(schuss):
+    view = view_of(schuss.aimed(LYON))
+    row, col = project(np.zeros((1, 3)), view)[0]
+    assert_allclose((row, col), ((LYON.rows - 1) / 2, (LYON.cols - 1) / 2), atol=1e-6)
+
+
+def test_the_sulcus_and_both_sides_of_the_trochlea_lie_on_the_upper_edge_of_the_femur(along):
+    protocol = smaller(SKYLINE, 2)
+    truth = pssf.simulate(along, protocol, keep=("masks",), engine="scanline").truth
+    spots = {name: truth.landmarks_px[name] for name in ("trochlea_lateral", "sulcus", "trochlea_medial")}
+    for row, col in spots.values():
+        assert np.flatnonzero(truth.masks["femur"][:, round(col)])[0] == pytest.approx(row, abs=1.5)
+    rows, cols = zip(*spots.values(), strict=True)
+    assert cols == tuple(sorted(cols))
+    assert rows[1] > max(rows[0], rows[2])
+
+
+def test_a_slope_read_off_a_lateral_follows_the_plateaus_own(side):
+    steeper = pssf.build(dataclasses.replace(KNEE, tibial_slope_deg=KNEE.tibial_slope_deg + 4), LATERAL)
+    read = []
+    for built in (side, steeper):
+        frame, tibia = built.assembly.pose.tibia(), mesh_of(built.bones["tibia"].outer)
+        read.append(views.slope_deg(built.assembly, Mesh((tibia.vertices - frame[:, 3]) @ frame[:, :3], tibia.faces)))
+    assert read[0] == pytest.approx(KNEE.tibial_slope_deg, abs=3.0)
+    # Not degree for degree: other places of the rims come to be those that tangents touch.
+    assert 2.5 < read[1] - read[0] < 5.0
+
+
+def test_how_far_off_is_told_from_the_nearer_end_of_a_range():
+    known = references().views["inter_margin_fixed_flexion_mm"].range
+    offs = [views._row("inter_margin_fixed_flexion_mm", value, 0.5, 3)["off"] for value in (1.0, 2.0, 3.0)]
+    assert offs == pytest.approx([1.0 - known[0], 0.0, 3.0 - known[1]])
+
+
+def test_all_that_is_known_of_films_of_people_is_measured_on_knees():
+    found = views.on_films((1, KNEE))
+    assert set(found) | {"beam_along_plateau_sd_deg"} == set(references().views)
+    assert found["inter_margin_lyon_schuss_mm"] < found["inter_margin_fixed_flexion_mm"]
+    assert 90 < found["sulcus_angle_deg"] < 180
+
+
+def test_the_kernel_is_held_against_the_monte_carlo_in_a_view():
+    (row,) = view_scatter.view_scatter_rows(1, ("lateral",), 200_000)
+    assert (row["view"], row["photons"]) == ("lateral", 200_000)
+    assert 40 < row["exit_gap_mm"] < 80
+    assert abs(row["off_percent"]) < 30
+    assert abs(row["off_signal_percent"]) < abs(row["off_percent"])
+
+
+@pytest.mark.parametrize(
+    ("name", "side_of", "way"),
+    [("lateral", "right", ["P", "F"]), ("lateral", "left", ["A", "F"]), ("skyline", "left", ["L", "P"])],
+)
+def test_a_dicom_says_where_rows_and_columns_of_a_turned_leg_go(name, side_of, way):
+    protocol = pssf.load_protocol(name)
+    item = dicom._anatomy((dataclasses.replace(KNEE, side=side_of),), protocol)
+    assert item.PatientOrientation == way
+    assert "ViewPosition" not in item
+    assert item.ViewCodeSequence[0].CodeValue == {"ML": "399260004", "axial": "399110001"}[protocol.projection]
+
+
+def test_a_joint_line_that_a_view_does_not_show_is_refused_by_name(side):
+    with pytest.raises(
+        InputError, match="landmark = 'medial_joint_line', which this view does not show; allowed: joint"
+    ):
+        _ = side.truth(LATERAL).medial_joint_line_px
+
+
+def test_a_taking_of_both_knees_keeps_the_field_of_both():
+    drawn = pssf.draw_exposure(pssf.load_protocol("bilateral"), rng=np.random.default_rng(1))
+    assert (drawn.field_width_mm, drawn.field_height_mm) == (0, 0)
+    assert drawn.apart_mm == 210
