@@ -91,7 +91,8 @@ class Knee:
     limb_ap_mm         antero-posterior thickness of the limb at the joint; None: as people of that BMI and sex have it
     fat_mm             subcutaneous fat, medial and lateral; None: likewise
     age_years          thins the trabeculae
-    texture_seed       of the trabeculae and of the unevenness of cortex, which a knee changed in another field keeps
+    texture_seed       of the trabeculae, of how uneven the cortex is and of how rough the bone, which a knee changed in
+                       another field keeps
     grade              KL grade that it was drawn for, or None
     grade_read         what a reader calls it, who may be off by one; None where no reader is drawn
     raises             InputError for a value out of range, or two osteophytes or cysts at one place
