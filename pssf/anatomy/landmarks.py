@@ -8,13 +8,16 @@ the side of the knee, change nothing.
 edges           where a line at 30 degrees to the horizontal touches the tibia from above, or the femur from below
 spines          the contour's highest places on either side of the plateau's middle
 between_spines  the lowest place between them
-1, 2            on the plateau's floor, at the shares of the way from edge to spine at which annotators put them
+1, 2            at the shares of the way from edge to spine at which annotators put them: on the contour of the lateral
+                plateau, whose middle is its crown; on the floor of the medial one
 notch_top       the highest place of the femur's lower contour within the middle quarter of its width
 notch           (femur_*_notch) where the contour has risen three eighths of the way from condyle to notch top
 condyle         on the contour, half way across from edge to notch
 
 The floor is the lowest place of the middle half of the plateau's depth, front to back. Along the outline stand the rims
 of the dished medial plateau, some 4 mm higher on people's bones (Clouthier et al. 2019) than annotators put the points.
+Laterally the outline of drawn knees is within 0.2 mm of where they put both, and varies as theirs do; the floor of
+point 2 would be 2 mm lower.
 """
 
 from dataclasses import dataclass
@@ -148,15 +151,17 @@ def _on_tibia(seen: Array, tibia: Mesh) -> list[tuple[float, float]]:
     contour = _contour(seen, _sides(tibia), (lateral[0], medial[0]), -1.0)
     middle, width = (lateral[0] + medial[0]) / 2, medial[0] - lateral[0]
     spines = [contour.between(middle, middle + out * _SPINES * width).highest() for out in (-1.0, 1.0)]
+    ways = {
+        side: [edge[0] + share * (spine[0] - edge[0]) for share in _WAY_TO_SPINE[side]]
+        for side, edge, spine in (("lateral", lateral, spines[0]), ("medial", medial, spines[1]))
+    }
     floors = []
-    for side, edge, spine in (("lateral", lateral, spines[0]), ("medial", medial, spines[1])):
-        for share in _WAY_TO_SPINE[side]:
-            x = edge[0] + share * (spine[0] - edge[0])
-            line = lateral[1] + (x - lateral[0]) / width * (medial[1] - lateral[1])
-            section = _section(seen, tibia, x)
-            floors.append((x, _floor(section, line - _PLATEAU_UNDER * width)))
+    for x in ways["medial"]:
+        line = lateral[1] + (x - lateral[0]) / width * (medial[1] - lateral[1])
+        floors.append((x, _floor(_section(seen, tibia, x), line - _PLATEAU_UNDER * width)))
+    tops = [contour.at(x) for x in ways["lateral"]]
     valley = contour.between(spines[0][0], spines[1][0]).lowest()
-    return [lateral, *floors[:2], spines[0], valley, spines[1], floors[3], floors[2], medial]
+    return [lateral, *tops, spines[0], valley, spines[1], *floors[::-1], medial]
 
 
 def _section(seen: Array, tibia: Mesh, x_mm: float) -> _Contour:

@@ -16,7 +16,7 @@ from .mean_bone import MeanBone
 from .remesh import laplacian_smooth
 from .solids import checked, mesh_of
 
-_CORTEX_MM = 0.5
+_CORTEX_MM = 0.3
 # Large beaks have more of it, by this part of their size.
 _THICKENING = 0.06
 # Bone of each kind of site.

@@ -62,6 +62,7 @@ class Margins(Record, frozen=True):
     doubtful_mm: float
     spine: Numbers
     spine_mm: Pair
+    curve_deg: dict[str, float]
 
 
 class Rest(Record, frozen=True):

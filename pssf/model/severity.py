@@ -77,7 +77,11 @@ def _osteophytes(
     if spiked:
         sizes[f"{narrowed}_spine"] = size_mm
     # Below this a beak cannot be told from the margin's own rounding, nor seen in a 0.15 mm pixel.
-    return tuple(Osteophyte(site=site, size_mm=round(mm, 4)) for site, mm in sizes.items() if mm >= _LEAST_MM)
+    return tuple(
+        Osteophyte(site=site, size_mm=round(mm, 4), curve_deg=law.curve_deg.get(site, 0.0))
+        for site, mm in sizes.items()
+        if mm >= _LEAST_MM
+    )
 
 
 def _oarsi(law: Margins, grade: int, narrowed: str, severity: float, rng: np.random.Generator) -> dict[str, int]:
