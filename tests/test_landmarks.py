@@ -13,7 +13,7 @@ from pssf.geometry.mesh import Mesh
 from pssf.geometry.view import View, magnification, project, view_of
 
 REFERENCE = pssf.load_protocol("reference")
-ON_FLOOR = tuple(f"tibia_{side}_{number}" for side in ("lateral", "medial") for number in (1, 2))
+ON_FLOOR = ("tibia_medial_1", "tibia_medial_2")
 # So far away that nothing is magnified.
 FAR = View(source_mm=(0.0, -1e7, 0.0), centre_mm=(0.0, 200.0, 0.0), rows=401, cols=401, pixel_mm=0.5)
 
@@ -92,11 +92,14 @@ def dished(rim_mm, tilt=0.0):
     return Mesh(slab.vertices * [1, 1, -1] + [0, 0, 5], slab.faces[:, ::-1]), tibia
 
 
-def test_points_beside_the_spines_lie_on_the_floor_of_a_dish_and_not_on_its_rims():
+def test_points_beside_the_spines_lie_on_the_floor_of_the_medial_dish_and_on_the_lateral_contour():
     for rim in (0.0, 2.0, 5.0):
         spots = contour_landmarks(*dished(rim), FAR, 1)
         for name in ON_FLOOR:
             assert_allclose((200 - spots[name][0]) * 0.5, 0.0, atol=0.15)
+        # Laterally they lie on the contour.
+        for name in ("tibia_lateral_1", "tibia_lateral_2"):
+            assert_allclose((200 - spots[name][0]) * 0.5, rim, atol=0.15)
         assert_allclose((200 - spots["tibia_medial_edge"][0]) * 0.5, rim, atol=1e-3)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.ndimage import binary_dilation
 
 import pssf
 from pssf.anatomy.trabeculae import Trabeculae
@@ -173,19 +174,15 @@ def test_another_texture_seed_changes_what_is_within_bones_alone(knee, small):
     bone = np.any([image.kept["path_mm"]["cortical_bone"] > 0 for image in images], axis=0) | spongy
     assert (images[0].pixels[spongy] != images[1].pixels[spongy]).mean() > 0.5
     one, two = (image.kept["path_mm"] for image in images)
-    # The cortex is uneven by the same seed.
+    near = binary_dilation(bone, iterations=2)
+    # The cortex is uneven and the bone rough by the same seed; flesh makes room for it, by as little.
     for material in set(one) - {"trabecular_bone", "cortical_bone"}:
-        assert_array_equal(one[material], two[material])
-    # One energy is not folded: there the rest of the image stays to the last bit.
-    one_energy = dataclasses.replace(still, mono_kev=60.0)
-    pixels = [
-        pssf.simulate(dataclasses.replace(knee, texture_seed=seed), one_energy, engine="scanline").pixels
-        for seed in (1, 2)
-    ]
-    assert_array_equal(pixels[0][~bone], pixels[1][~bone])
-    # The few energies that a spectrum is folded to follow the longest path in spongy bone, within the fold's tolerance.
-    outside = [image.pixels[~bone].astype(np.float64) for image in images]
-    assert_allclose(*outside, rtol=TOLERANCE, atol=1.0)
+        away = np.abs(one[material] - two[material])[~near]
+        assert np.quantile(away, 0.99) < 2.0
+        assert away.mean() < 0.1
+    # Flesh that has made room changes the signal beside bones by less than noise would.
+    outside = np.array([image.pixels[~near].astype(np.float64) for image in images])
+    assert np.median(np.abs(outside[0] / outside[1] - 1)) < TOLERANCE
 
 
 def test_a_sampled_focal_spot_blurs_by_depth(small):

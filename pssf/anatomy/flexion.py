@@ -15,6 +15,8 @@ _BACK_MM_PER_DEG = 0.07
 # What of the femur can come to lie on the tibia, and what of the tibia can bear it.
 _FEMUR_BELOW_MM, _TIBIA_ABOVE_MM = 50.0, -14.0
 _TOLERANCE_MM, _TURNS, _FULL_STEPS = 1e-3, 60, 10
+# Where a place of the condyle slips over the plateau's rim no pose has both spaces; so near to them it is enough.
+_ENOUGH_MM = 0.05
 # The tibia's surface is taken as flat between its highest places in cells of this size.
 _CELL_MM = 0.7
 
@@ -48,13 +50,19 @@ def flexed(pose: Pose, femur: Array, tibia: Array, half_ml_mm: float, degrees: f
 
     wanted, _ = spaces(pose)
     bent = replace(pose, flexion_deg=pose.flexion_deg + degrees, back_mm=pose.back_mm + _BACK_MM_PER_DEG * degrees)
+    nearest, least_mm = bent, np.inf
     for turn_number in range(_TURNS):
         heights, x = spaces(bent)
         error = wanted - heights
-        if np.abs(error).max() < _TOLERANCE_MM:
+        off_mm = float(np.abs(error).max())
+        if off_mm < _TOLERANCE_MM:
             return bent
+        if off_mm < least_mm:
+            nearest, least_mm = bent, off_mm
         # Where two places of a condyle take turns at being the lowest, half a step finds the pose between them.
         bent = turned_by(bent, x, error if turn_number < _FULL_STEPS else error / 2)
+    if least_mm < _ENOUGH_MM:
+        return nearest
     raise InputError(
         f"flexion_deg = {bent.flexion_deg:g} deg: the femur does not come to lie on the tibia (left over: "
         f"{np.abs(error).max():.3g} mm); allowed: less flexion"

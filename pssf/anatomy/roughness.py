@@ -28,7 +28,10 @@ def roughness(points: Array, zones: tuple[RoughZone, ...], seed: int, end: int) 
 
 
 def in_zones(points: Array, zones: tuple[RoughZone, ...]) -> NDArray[np.bool_]:
-    """(n,)  whether places (n, 3) of the mean man's bone may be moved"""
+    """(n,)  whether places of the mean man's bone may be moved
+
+    points  (n, 3)  mm
+    """
     return np.any([_from_middle(points, zone) < 1 for zone in zones] or [np.zeros(len(points), bool)], axis=0)
 
 
