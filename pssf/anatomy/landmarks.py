@@ -103,7 +103,7 @@ def contour_landmarks(
 
 
 def plateau_floor(tibia: Mesh, view: View, medial: int, lean_deg: float = 0.0) -> Array:
-    """(9, 2)  row and column of the tibia's landmarks, which go along the floor of the plateau, in order of columns
+    """(9, 2)  row and column of the tibia's landmarks, medially along the plateau's floor, in order of columns
 
     Arguments as in `contour_landmarks`.
     """

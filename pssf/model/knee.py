@@ -69,8 +69,8 @@ class Knee:
 
     jsw_*_mm           joint space of a compartment, scaled to the joint plane
     jsw_as             "projected": its smallest vertical gap between the projected cortical contours in the protocol
-                       `reference`; "read": as readers take it, from the femur's contour to the floor of the plateau,
-                       the line through the tibia's contour landmarks, in `fixed_flexion`
+                       `reference`; "read": as readers take it, from the femur's contour to the line through the
+                       tibia's contour landmarks, in `fixed_flexion`
     cysts              at most MOST_CYSTS
     subchondral_plate  thickness of the plate relative to a healthy one
     varus_deg          angle between femoral and tibial shaft beyond the normal valgus of 5 deg; positive is varus
