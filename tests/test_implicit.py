@@ -76,14 +76,12 @@ def test_no_triangle_of_an_osteophyte_faces_inwards(number, monkeypatch):
     left, lay_flat = [], remesh._fix_inverted_faces
 
     def counted(places, faces, free, field):
+        def inwards(places, faces):
+            moved = faces[free[faces].any(axis=1) & (np.abs(places[faces, 2]) < 200).all(axis=1)]
+            return int(remesh._face_inwards(places[moved], field).sum())
+
         flat = lay_flat(places, faces, free, field)
-        moved = faces[free[faces].any(axis=1) & (np.abs(flat[faces, 2]) < 200).all(axis=1)]
-        left.append(
-            (
-                int(remesh._face_inwards(places[moved], field).sum()),
-                int(remesh._face_inwards(flat[moved], field).sum()),
-            )
-        )
+        left.append((inwards(places, faces), inwards(*flat)))
         return flat
 
     monkeypatch.setattr(remesh, "_fix_inverted_faces", counted)

@@ -18,9 +18,9 @@ Choice = Callable[[Array], NDArray[np.bool_]]
 # Of a whole bone: rounds of smoothing its mesh, rounds of splitting edges where it bends, and where its shaft begins.
 _ROUNDS, _SPLITS, _SHAFT_FROM_MM = 6, 4, 70.0
 # Rings of triangles about what may move that a fold may take room from.
-_BORDER = 2
-# Shafts are cut off before this height. Rounds of turning inverted faces, and of smoothing in each.
-_USED_MM, _TURNS, _FLATTENINGS = 200.0, 16, 10
+_BORDER = 8
+# Shafts are cut off before this height. Of laying folds flat: starts, turns of each, and smoothings in a turn.
+_USED_MM, _STARTS, _TURNS, _FLATTENINGS = 200.0, 5, 5, 10
 # Of a tip: what is about it, how far middles of edges may be off there, splits, and what may be cut off it.
 _TIP_MM, _TIP_TOLERANCE_MM, _TIP_SPLITS, _CUT_MM = 4.0, 0.02, 3, 1e-4
 
@@ -80,7 +80,7 @@ def laplacian_smooth(
     places[free] = project_to_surface(places[free], field, None, 5)
     for _ in range(rounds):
         places[free] = project_to_surface((places[free] + amid @ places) / 2, field, None, 2)
-    places = _fix_inverted_faces(places, faces, with_border[used], field)
+    places, faces = _fix_inverted_faces(places, faces, with_border[used], field)
     for tip in tips:
         places, faces = _add_tip(places, faces, field, tip)
     all_places[used] = places[: len(used)]
@@ -131,28 +131,59 @@ def _within(tip: Array, points: Array) -> NDArray[np.bool_]:
     return np.asarray(squares(points - tip) < _TIP_MM**2)
 
 
-def _fix_inverted_faces(places: Array, faces: Indices, free: NDArray[np.bool_], field: Field) -> Array:
-    """The places with triangles that face inwards laid flat: what is around them is spread evenly once more.
+def _fix_inverted_faces(places: Array, faces: Indices, free: NDArray[np.bool_], field: Field) -> tuple[Array, Indices]:
+    """Places and faces with triangles that face inwards laid flat: what is around them is spread evenly once more.
 
-    A patch that stays folded is widened, since a narrow one about a tip has no room to turn.
+    A patch that stays folded is widened turn by turn, since a narrow one about a tip has no room to turn; where that
+    only drives the folds outwards, the places with fewest of them are taken up again with a wider patch. Slivers that
+    are left get another edge.
     """
-    places = places.copy()
-    amid = neighbour_means(faces, len(places))
+    best, amid = places.copy(), neighbour_means(faces, len(places))
     used = faces[free[faces].any(axis=1) & (np.abs(places[faces, 2]) < _USED_MM).all(axis=1)]
-    suspect = used
-    for turn in range(_TURNS):
-        inside_out = suspect[_face_inwards(places[suspect], field)]
-        if not len(inside_out):
-            break
-        around = np.zeros(len(places), np.bool_)
-        around[inside_out] = True
-        around = free & dilate_rings(around, faces, 2 + turn)
-        suspect = used[around[used].any(axis=1)]  # the others have been found to face outwards, and stay
-        middles = amid[around]
-        for _ in range(_FLATTENINGS):
-            places[around] = project_to_surface(middles @ places, field, None, 1)
-        places[around] = project_to_surface(places[around], field, None, 5)
-    return places
+    fewest = used[_face_inwards(best[used], field)]
+    for rings in range(1, 1 + _STARTS):
+        laid, folded = best.copy(), fewest
+        for turn in range(_TURNS):
+            if not len(folded):
+                return best, faces
+            around = np.zeros(len(places), np.bool_)
+            around[folded] = True
+            around = free & dilate_rings(around, faces, rings + turn)
+            laid[around] = _spread(laid, around, amid[around], field)
+            suspect = used[around[used].any(axis=1)]  # the others have been found to face outwards, and stay
+            folded = suspect[_face_inwards(laid[suspect], field)]
+            if len(folded) < len(fewest):
+                best, fewest = laid.copy(), folded
+    return best, _flipped(best, faces, fewest, field)
+
+
+def _flipped(places: Array, faces: Indices, folded: Indices, field: Field) -> Indices:
+    """The faces with folded ones (k, 3) and their neighbours across an edge joined the other way, where that helps."""
+    faces = faces.copy()
+    for corners in folded:
+        still = np.flatnonzero((faces == corners).all(axis=1))
+        if not len(still):
+            continue  # joined another way as a neighbour
+        mine = int(still[0])
+        for turn in range(3):
+            one, two, mine_far = np.roll(corners, -turn)
+            other = np.flatnonzero((faces == one).any(axis=1) & (faces == two).any(axis=1))
+            across = int(other[other != mine][0])
+            its_far = next(corner for corner in faces[across] if corner not in (one, two))
+            pair = np.array([[one, its_far, mine_far], [its_far, two, mine_far]])
+            joined = ((faces == its_far).any(axis=1) & (faces == mine_far).any(axis=1)).any()
+            if not joined and not _face_inwards(places[pair], field).any():
+                faces[[mine, across]] = pair
+                break
+    return faces
+
+
+def _spread(places: Array, around: NDArray[np.bool_], amid: csr_array, field: Field) -> Array:
+    """Those of the places that are around a fold, evenly spread over the field's surface"""
+    laid = places.copy()
+    for _ in range(_FLATTENINGS):
+        laid[around] = project_to_surface(amid @ laid, field, None, 1)
+    return project_to_surface(laid[around], field, None, 5)
 
 
 def _face_inwards(triangles: Array, field: Field) -> NDArray[np.bool_]:
@@ -168,7 +199,7 @@ def refine_to_tolerance(solid: Manifold, field: Field, tolerance_mm: float, roun
     mesh = mesh_of(solid)
     places, faces = np.array(mesh.vertices), np.asarray(mesh.faces)
     places, faces = _split_where_off(places, faces, field, tolerance_mm, rounds)
-    places = _fix_inverted_faces(places, faces, np.ones(len(places), np.bool_), field)
+    places, faces = _fix_inverted_faces(places, faces, np.ones(len(places), np.bool_), field)
     return solid_of(places, faces, "resolved")
 
 
