@@ -3,6 +3,11 @@
 import dataclasses
 import json
 import os
+
+# There is a worker for every core: threads of BLAS would wait for each other, and take half of the suite's time.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 import shutil
 import sys
 from collections.abc import Iterator
