@@ -53,6 +53,15 @@ def require_seed(seed: int) -> None:
     require_whole("seed", seed, 0, 2**63 - 1, "")
 
 
+def require_generator(rng: np.random.Generator) -> None:
+    """Refuse anything but a numpy Generator.
+
+    raises  InputError
+    """
+    if not isinstance(rng, np.random.Generator):
+        raise InputError(f"rng = {rng!r}; allowed: a numpy Generator, such as np.random.default_rng(7)")
+
+
 def require_choice(name: str, value: Any, allowed: Collection[Any]) -> None:
     """Refuse a value that is not among those listed, naming the nearest.
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.checks import InputError, from_table, require_choice, require_whole
+from ..core.checks import from_table, require_choice, require_generator, require_whole
 from ..data.fields import field_laws
 from ..data.grades import RangeGrades, SeverityGrades, grade_table
 from ..data.limbs import limbs
@@ -29,8 +29,7 @@ def draw_knee(*, grade: int, rng: np.random.Generator, table: str = "paper", **f
     """
     law = grade_table(table)
     require_whole("grade", grade, min(law.grades), max(law.grades), "")
-    if not isinstance(rng, np.random.Generator):
-        raise InputError(f"rng = {rng!r}; allowed: a numpy Generator, such as np.random.default_rng(7)")
+    require_generator(rng)
     men = 0.5 if isinstance(law, RangeGrades) else 1 - law.rest.women[grade]
     sex = fixed.get("sex", "male" if rng.random() < men else "female")
     require_choice("sex", sex, ("male", "female"))

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.checks import InputError, require_choice
+from ..core.checks import InputError, require_choice, require_generator
 from ..data.exposures import exposures
 from ..data.fields import field_laws
 from .protocol import Protocol
@@ -29,8 +29,7 @@ def draw_exposure(protocol: Protocol, *, rng: np.random.Generator, side: str | N
     """
     if not isinstance(protocol, Protocol):
         raise InputError(f"protocol = {protocol!r}; allowed: a Protocol, as load_protocol gives it")
-    if not isinstance(rng, np.random.Generator):
-        raise InputError(f"rng = {rng!r}; allowed: a numpy.random.Generator")
+    require_generator(rng)
     require_choice("side", side, (*MARKERS, None))
     table = exposures()
     # All are drawn, so that one more field of use leaves the others as they were.

@@ -3,7 +3,7 @@
 import msgspec
 import numpy as np
 
-from ..core.checks import InputError
+from ..core.checks import require_generator
 from ..data.looks import Processed, looks
 
 _CUT_SD = 2.0
@@ -15,8 +15,7 @@ def draw_look(*, rng: np.random.Generator) -> Processed:
     By how much is in `data/looks.toml`, with its source.
     raises  InputError for what is no generator
     """
-    if not isinstance(rng, np.random.Generator):
-        raise InputError(f"rng = {rng!r}; allowed: a numpy.random.Generator")
+    require_generator(rng)
     spread = looks().spread
     scores = np.clip(rng.standard_normal(5), -_CUT_SD, _CUT_SD)
     laws = (spread.latitude_gain, spread.edge_gain, spread.dark, spread.bright, spread.bend)

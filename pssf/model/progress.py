@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.checks import Array, InputError, require
+from ..core.checks import Array, InputError, require, require_generator
 from ..data.fields import field_laws
 from ..data.oarsi import oarsi_cuts
 from ..data.progress import Progress, progress_law
@@ -31,8 +31,7 @@ def progress(knee: Knee, years: float, rng: np.random.Generator) -> Knee:
     """
     if not isinstance(knee, Knee):
         raise InputError(f"knee = {knee!r}; allowed: a Knee")
-    if not isinstance(rng, np.random.Generator):
-        raise InputError(f"rng = {rng!r}; allowed: a numpy Generator, such as np.random.default_rng(7)")
+    require_generator(rng)
     require("years", years, 0, _MOST_YEARS, "years")
     law = progress_law()
     course = _draw_course(law, knee, _stage(knee) if knee.grade is None else knee.grade, rng)
