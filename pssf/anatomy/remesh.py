@@ -167,8 +167,10 @@ def _flipped(places: Array, faces: Indices, folded: Indices, field: Field) -> In
         mine = int(still[0])
         for turn in range(3):
             one, two, mine_far = np.roll(corners, -turn)
-            other = np.flatnonzero((faces == one).any(axis=1) & (faces == two).any(axis=1))
-            across = int(other[other != mine][0])
+            both = np.flatnonzero((faces == one).any(axis=1) & (faces == two).any(axis=1))
+            if len(both) < 2:
+                continue  # an edge of the touched part, whose other side is not here
+            across = int(both[both != mine][0])
             its_far = next(corner for corner in faces[across] if corner not in (one, two))
             pair = np.array([[one, its_far, mine_far], [its_far, two, mine_far]])
             joined = ((faces == its_far).any(axis=1) & (faces == mine_far).any(axis=1)).any()
