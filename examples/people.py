@@ -11,13 +11,13 @@ from pssf.io.pictures import panel, side_by_side
 ROWS, COLS, HALF_MM = 360, 330, (60.0, 55.0)
 
 
-def run(out: Path, pixels: int = 1024) -> list[Path]:
-    """Write the picture; `pixels` is the side of the detector."""
+def run(out: Path, pixels: int = 1024, each: int = 3) -> list[Path]:
+    """Write the picture; `pixels` is the side of the detector, `each` how many knees of a grade."""
     view = pssf.load_protocol("fixed_flexion")
     protocol = dataclasses.replace(view, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
     columns = []
     for grade in range(5):
-        chance = [np.random.default_rng(10 * number + grade) for number in range(3)]
+        chance = [np.random.default_rng(10 * number + grade) for number in range(each)]
         knees = [pssf.draw_knee(grade=grade, rng=rng, table="people") for rng in chance]
         columns.append(np.vstack([shown(knee, protocol) for knee in knees]))
     return [side_by_side(columns, out / "people.png")]

@@ -5,6 +5,7 @@ import hashlib
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -26,6 +27,12 @@ from pssf.io import atomic, records
 @pytest.fixture
 def protocols(small_protocols):
     return small_protocols
+
+
+@pytest.fixture
+def made(whole_cohort, tmp_path):
+    """A folder with the cohort of `tiny`."""
+    return shutil.copytree(whole_cohort, tmp_path / "c")
 
 
 def tiny(protocols, knees=(1, 1, 1), **more):
@@ -88,12 +95,11 @@ def test_a_plan_of_many_knees_is_made_and_claimed(tmp_path):
     assert json.loads((tmp_path / "cohort.json").read_text()) == json.loads(json.dumps(plan.table()))
 
 
-def test_a_manifest_has_a_row_a_radiograph_with_parameters_seed_and_hash(protocols, tmp_path):
-    plan = tiny(protocols)
-    rows = rows_of(cohort.make_cohort(plan, tmp_path / "c", workers=1))
+def test_a_manifest_has_a_row_a_radiograph_with_parameters_seed_and_hash(protocols, made):
+    rows = rows_of(cohort.make_cohort(tiny(protocols), made, workers=1))
     assert len(rows) == 6
     for row in rows:
-        file = tmp_path / "c" / row["file"]
+        file = made / row["file"]
         assert hashlib.sha256(file.read_bytes()).hexdigest() == row["sha256"]
         radiograph = pssf.load(file)
         assert float(row["jsw_medial_mm"]) == radiograph.knee.jsw_medial_mm
@@ -114,9 +120,8 @@ def test_a_radiograph_can_be_made_again_from_its_row_alone(protocols, tmp_path):
     assert (again.pixels == kept.pixels).all()
 
 
-def test_a_finished_cohort_is_kept_and_a_lost_image_made_again(protocols, tmp_path):
-    plan, folder = tiny(protocols), tmp_path / "c"
-    cohort.make_cohort(plan, folder, workers=1)
+def test_a_finished_cohort_is_kept_and_a_lost_image_made_again(protocols, made):
+    plan, folder = tiny(protocols), made
     before = digests(folder)
     lost = next((folder / "images").iterdir())
     kept = max((folder / "images").iterdir())
@@ -127,9 +132,8 @@ def test_a_finished_cohort_is_kept_and_a_lost_image_made_again(protocols, tmp_pa
     assert kept.stat().st_mtime_ns == stamp
 
 
-def test_a_damaged_image_is_refused_by_name(protocols, tmp_path):
-    plan, folder = tiny(protocols), tmp_path / "c"
-    cohort.make_cohort(plan, folder, workers=1)
+def test_a_damaged_image_is_refused_by_name(protocols, made):
+    plan, folder = tiny(protocols), made
     image = min((folder / "images").iterdir())
     image.write_bytes(image.read_bytes()[:-1] + b"x")
     with pytest.raises(pssf.InputError, match=rf"{image.name}: damaged"):
@@ -137,18 +141,16 @@ def test_a_damaged_image_is_refused_by_name(protocols, tmp_path):
 
 
 @pytest.mark.parametrize("content", ["", "{", "[1, 2]", "[]", "{}", "null"])
-def test_a_damaged_record_is_refused_by_name(protocols, tmp_path, content):
-    plan, folder = tiny(protocols), tmp_path / "c"
-    cohort.make_cohort(plan, folder, workers=1)
+def test_a_damaged_record_is_refused_by_name(protocols, made, content):
+    plan, folder = tiny(protocols), made
     record = min((folder / "records").iterdir())
     record.write_text(content)
     with pytest.raises(pssf.InputError, match=rf"{record.name}: damaged"):
         cohort.make_cohort(plan, folder, workers=1)
 
 
-def test_a_record_that_was_changed_or_belongs_to_another_knee_is_refused(protocols, tmp_path):
-    plan, folder = tiny(protocols), tmp_path / "c"
-    cohort.make_cohort(plan, folder, workers=1)
+def test_a_record_that_was_changed_or_belongs_to_another_knee_is_refused(protocols, made):
+    plan, folder = tiny(protocols), made
     one, two, _ = sorted((folder / "records").iterdir())
     whole = one.read_text()
     for content in (whole.replace('"jsw_medial_mm": ', '"jsw_medial_mm": 1'), two.read_text()):
@@ -157,11 +159,10 @@ def test_a_record_that_was_changed_or_belongs_to_another_knee_is_refused(protoco
             cohort.make_cohort(plan, folder, workers=1)
 
 
-def test_a_folder_of_another_seed_is_refused(protocols, tmp_path):
-    cohort.make_cohort(tiny(protocols), tmp_path / "c", workers=1)
+def test_a_folder_of_another_seed_is_refused(protocols, made):
     other = cohort.plan_cohort("quick", seed=6, overrides={"knees": [1, 1, 1], "protocols": protocols})
     with pytest.raises(pssf.InputError, match="holds another cohort: seed = 5, asked for 6"):
-        cohort.make_cohort(other, tmp_path / "c", workers=1)
+        cohort.make_cohort(other, made, workers=1)
 
 
 @pytest.mark.parametrize("name", ["data/detector.toml", "raycast/scanline.py"])
@@ -240,21 +241,19 @@ RUN = """
 import sys
 from pssf import cohort
 if __name__ == "__main__":
-    plan = cohort.plan_cohort("quick", seed=5, overrides={"knees": [2, 2, 2], "protocols": sys.argv[3:]})
+    knees = [int(number) for number in sys.argv[3].split(",")]
+    plan = cohort.plan_cohort("quick", seed=5, overrides={"knees": knees, "protocols": sys.argv[4:]})
     print("start", flush=True)
     cohort.make_cohort(plan, sys.argv[1], workers=int(sys.argv[2]), progress=lambda made: print("made", flush=True))
 """
 
 
-def test_a_run_that_is_killed_goes_on_where_it_stopped_and_ends_with_the_same_bytes(protocols, tmp_path):
-    whole, cut = tmp_path / "whole", tmp_path / "cut"
-    script = tmp_path / "run.py"
+def test_a_run_that_is_killed_goes_on_where_it_stopped_and_ends_with_the_same_bytes(protocols, whole_cohort, tmp_path):
+    cut, script = tmp_path / "cut", tmp_path / "run.py"
     script.write_text(RUN)
-    cohort.make_cohort(tiny(protocols, knees=(2, 2, 2)), whole, workers=1)
+    command = [sys.executable, str(script), str(cut), "1", "1,1,1", *protocols]
     for delay in (0.0, 0.4):
-        process = subprocess.Popen(
-            [sys.executable, str(script), str(cut), "1", *protocols], stdout=subprocess.PIPE, text=True
-        )
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         while "made" not in (process.stdout.readline() or "made"):
             pass
         time.sleep(delay)
@@ -263,13 +262,13 @@ def test_a_run_that_is_killed_goes_on_where_it_stopped_and_ends_with_the_same_by
         process.stdout.close()
         for path in (p for p in cut.rglob("*.tif") if not p.name.startswith(".")):
             pssf.load(path)
-    subprocess.run([sys.executable, str(script), str(cut), "1", *protocols], check=True, capture_output=True)
-    assert digests(cut) == digests(whole)
+    subprocess.run(command, check=True, capture_output=True)
+    assert digests(cut) == digests(whole_cohort)
 
 
 def start(script, folder, workers, protocols):
     """A run in a process group of its own, from the moment on that it has a plan."""
-    command = [sys.executable, str(script), str(folder), str(workers), *protocols]
+    command = [sys.executable, str(script), str(folder), str(workers), "2,2,2", *protocols]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
     assert process.stdout.readline() == "start\n"
     return process
