@@ -6,7 +6,6 @@ import zipfile
 from typing import Any
 
 import pandas as pd
-import skops.io
 from sklearn.impute import SimpleImputer
 from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import StandardScaler
@@ -35,11 +34,15 @@ def portable(fitted: Pipeline) -> Pipeline:
 
 def dumps(fitted: Pipeline) -> bytes:
     """The `portable` form as a skops file."""
+    import skops.io  # it lists all that it trusts, which takes a second or two, and most commands save nothing
+
     return _same_bytes(skops.io.dumps(portable(fitted)))
 
 
 def loads(content: bytes) -> Any:
     """The pipeline of `dumps`; types that such a pipeline does not hold are refused by skops."""
+    import skops.io
+
     return skops.io.loads(content, trusted=_TRUSTED)
 
 
