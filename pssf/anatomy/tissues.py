@@ -152,18 +152,27 @@ def _without(solids: list[Manifold], bones: list[Manifold]) -> list[Manifold]:
         whose = {solid.original_id(): i for i, solid in own.items()}
         pieces: dict[int, list[Manifold]] = {i: [] for i in group}
         for piece in whole.decompose():
-            pieces[_source(piece, whose)].append(piece)
+            source = _source(piece, whose)
+            # Bones alone may bound a splinter.
+            pieces[_around(piece, solids, group) if source is None else source].append(piece)
         for i in group:
             carved[i] = Manifold.compose(pieces[i])
     return carved
 
 
-def _source(piece: Manifold, whose: dict[int, int]) -> int:
-    """Of which solid a piece is, by the numbers of the originals that its faces come from."""
+def _source(piece: Manifold, whose: dict[int, int]) -> int | None:
+    """Of which solid a piece is, by the numbers of the originals that its faces come from; None if of none."""
     mesh = piece.to_mesh64()
     faces = zip(mesh.run_original_id, np.diff(mesh.run_index), strict=True)
-    (found,) = {whose[source] for source, count in faces if count and source in whose}
-    return found
+    found = {whose[source] for source, count in faces if count and source in whose}
+    assert len(found) <= 1, "solids that touch each other were carved together"
+    return found.pop() if found else None
+
+
+def _around(piece: Manifold, solids: list[Manifold], group: list[int]) -> int:
+    """Which of a group of solids a piece lies within, which may be a cavity."""
+    filled = piece.hull()
+    return int(max(group, key=lambda i: (filled ^ solids[i]).volume()))
 
 
 def _poles(patella: Manifold) -> tuple[Array, Array]:
