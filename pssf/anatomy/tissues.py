@@ -150,13 +150,14 @@ def _without(solids: list[Manifold], bones: list[Manifold]) -> list[Manifold]:
         for bone in _touching(whole, bones):
             whole = whole - bone
         whose = {solid.original_id(): i for i, solid in own.items()}
-        pieces: dict[int, list[Manifold]] = {i: [] for i in group}
+        pieces: dict[int | None, list[Manifold]] = {i: [] for i in (None, *group)}
         for piece in whole.decompose():
-            source = _source(piece, whose)
-            # Bones alone may bound a splinter.
-            pieces[_around(piece, solids, group) if source is None else source].append(piece)
+            pieces[_source(piece, whose)].append(piece)
         for i in group:
-            carved[i] = Manifold.compose(pieces[i])
+            if pieces[None]:  # bones alone bound a splinter or a cavity
+                carved[i] = Manifold.batch_boolean([solids[i], *_touching(solids[i], bones)], OpType.Subtract)
+            else:
+                carved[i] = Manifold.compose(pieces[i])
     return carved
 
 
@@ -167,12 +168,6 @@ def _source(piece: Manifold, whose: dict[int, int]) -> int | None:
     found = {whose[source] for source, count in faces if count and source in whose}
     assert len(found) <= 1, "solids that touch each other were carved together"
     return found.pop() if found else None
-
-
-def _around(piece: Manifold, solids: list[Manifold], group: list[int]) -> int:
-    """Which of a group of solids a piece lies within, which may be a cavity."""
-    filled = piece.hull()
-    return int(max(group, key=lambda i: (filled ^ solids[i]).volume()))
 
 
 def _poles(patella: Manifold) -> tuple[Array, Array]:
