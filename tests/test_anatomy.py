@@ -40,7 +40,7 @@ def test_an_empty_solid_is_refused_with_its_status_and_volume():
 
 
 @given(seed=st.integers(0, 2**32), grade=st.sampled_from([0, 1, 2]))
-@settings(max_examples=8)
+@settings(max_examples=12)
 def test_every_drawn_knee_builds_nested_and_shows_its_joint_spaces(seed, grade):
     knee = pssf.draw_knee(grade=grade, rng=np.random.default_rng(seed))
     built = pssf.build(knee)
@@ -127,10 +127,11 @@ def test_a_thicker_subchondral_plate_takes_its_volume_from_trabecular_bone():
     assert_allclose(sclerotic.outer.volume(), normal.outer.volume(), rtol=1e-12)
 
 
-@pytest.mark.parametrize(("varus", "medial"), [(-5.0, 2.5), (0.0, 5.0), (5.0, 2.5), (5.0, 5.0)])
-def test_varus_is_the_angle_of_the_shafts_whatever_the_joint_spaces(varus, medial):
-    sizes = morphometry.measured(pssf.Knee(varus_deg=varus, jsw_medial_mm=medial))
-    assert abs(sizes["error of varus_deg"]) < 0.1
+@pytest.mark.parametrize("varus", [-5.0, 0.0, 5.0])
+def test_varus_is_the_angle_of_the_shafts_whatever_the_joint_spaces(varus):
+    for medial in (2.5, 5.0):
+        sizes = morphometry.measured(pssf.Knee(varus_deg=varus, jsw_medial_mm=medial))
+        assert abs(sizes["error of varus_deg"]) < 0.1
 
 
 @given(data=st.data())
