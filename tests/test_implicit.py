@@ -37,7 +37,7 @@ def outwardness(solid, field) -> np.ndarray:
     """(triangles,) cosine between a triangle's normal and the field's gradient, where shafts are not cut off"""
     mesh = mesh_of(solid).as_trimesh()
     middle = np.asarray(mesh.triangles_center)
-    slope = implicit.gradient(field, middle, field(middle))
+    _, slope = implicit.with_gradient(field, middle)
     cosine = (np.asarray(mesh.face_normals) * slope).sum(axis=1) / np.maximum(np.linalg.norm(slope, axis=1), 1e-9)
     return cosine[(np.abs(middle[:, 2]) < 190.0) & (np.asarray(mesh.area_faces) > 1e-9)]
 

@@ -12,7 +12,7 @@ from ..data.records import Pair
 from ..data.soft import Menisci, Meniscus
 from ..geometry.mesh import Indices
 from .femur import mean_femur
-from .implicit import Field, gradient, lengths
+from .implicit import Field, lengths, with_gradient
 from .solids import dilate_rings, edges_of, loft, mesh_of, ring, solid_of
 from .tibia import above, mean_tibia
 
@@ -117,7 +117,7 @@ def _layer(outer: Manifold, field: Field, zone: Field, full_mm: Field) -> Layer:
     while len(pinched := _pinched(faces, thickness > 0)):
         thickness[pinched] = _THINNEST_MM
     bearing = np.flatnonzero(thickness)
-    way = gradient(field, points[bearing], field(points[bearing]))
+    way = with_gradient(field, points[bearing])[1]
     way /= lengths(way)[:, None]
     thickness[bearing] = np.minimum(thickness[bearing], _room(points, bearing, way, faces))
     normals = np.zeros_like(points)

@@ -10,7 +10,7 @@ from scipy.sparse import coo_array, csr_array, diags_array
 
 from ..core.checks import Array
 from ..geometry.mesh import Indices
-from .implicit import Field, gradient, lengths, project_to_surface, squares
+from .implicit import Field, lengths, project_to_surface, squares, with_gradient
 from .solids import dilate_rings, mesh_of, solid_of, split_where
 
 Choice = Callable[[Array], NDArray[np.bool_]]
@@ -134,13 +134,12 @@ def _within(tip: Array, points: Array) -> NDArray[np.bool_]:
 def _fix_inverted_faces(places: Array, faces: Indices, free: NDArray[np.bool_], field: Field) -> tuple[Array, Indices]:
     """Places and faces with triangles that face inwards laid flat: what is around them is spread evenly once more.
 
-    A patch that stays folded is widened turn by turn, since a narrow one about a tip has no room to turn; where that
-    only drives the folds outwards, the places with fewest of them are taken up again with a wider patch. Slivers that
-    are left get another edge.
+    First slivers get another edge, where that is enough. A patch that stays folded is widened turn by turn, since a
+    narrow one about a tip has no room to turn; where that only drives the folds outwards, the places with fewest of
+    them are taken up again with a wider patch. Slivers that are left get another edge.
     """
-    best, amid = places.copy(), neighbour_means(faces, len(places))
-    used = faces[free[faces].any(axis=1) & (np.abs(places[faces, 2]) < _USED_MM).all(axis=1)]
-    fewest = used[_face_inwards(best[used], field)]
+    best, faces, fewest, used = _without_slivers(places, faces, free, field)
+    amid = neighbour_means(faces, len(places))
     for rings in range(1, 1 + _STARTS):
         laid, folded = best.copy(), fewest
         for turn in range(_TURNS):
@@ -154,7 +153,30 @@ def _fix_inverted_faces(places: Array, faces: Indices, free: NDArray[np.bool_], 
             folded = suspect[_face_inwards(laid[suspect], field)]
             if len(folded) < len(fewest):
                 best, fewest = laid.copy(), folded
-    return best, _flipped(best, faces, fewest, field)
+    return _without_slivers(best, faces, free, field)[:2]
+
+
+def _without_slivers(
+    places: Array, faces: Indices, free: NDArray[np.bool_], field: Field
+) -> tuple[Array, Indices, Indices, Indices]:
+    """Places and faces with folded slivers joined to their neighbours by other edges, where that helps.
+
+    And of those faces of which a corner may move: the ones that are still folded, and all.
+    """
+
+    def movable(faces: Indices) -> tuple[Indices, Indices]:
+        used = faces[free[faces].any(axis=1) & (np.abs(places[faces, 2]) < _USED_MM).all(axis=1)]
+        return used[_face_inwards(places[used], field)], used
+
+    folded, _ = movable(faces)
+    places, faces = places.copy(), _flipped(places, faces, folded, field)
+    folded, used = movable(faces)
+    # A corner of three triangles is amid their other corners, where none of the three can be folded.
+    lonely = [corner for corner in np.unique(folded) if free[corner] and (faces == corner).sum() == 3]
+    for corner in lonely:
+        others = np.setdiff1d(faces[(faces == corner).any(axis=1)], corner)
+        places[corner] = project_to_surface(places[others].mean(axis=0, keepdims=True), field, None, 2)[0]
+    return places, faces, folded[_face_inwards(places[folded], field)] if lonely else folded, used
 
 
 def _flipped(places: Array, faces: Indices, folded: Indices, field: Field) -> Indices:
@@ -191,8 +213,7 @@ def _spread(places: Array, around: NDArray[np.bool_], amid: csr_array, field: Fi
 def _face_inwards(triangles: Array, field: Field) -> NDArray[np.bool_]:
     """(n,)  which of (n, 3, 3) corners are in the order of a triangle that faces inwards"""
     one, two, three = (triangles[:, k] for k in range(3))
-    middle = (one + two + three) / 3
-    outward = gradient(field, middle, field(middle))
+    _, outward = with_gradient(field, (one + two + three) / 3)
     return np.asarray((np.cross(two - one, three - one) * outward).sum(axis=1) <= 0)
 
 
