@@ -164,28 +164,32 @@ def _without_slivers(
     And of those faces of which a corner may move: the ones that are still folded, and all.
     """
 
-    def movable(faces: Indices) -> tuple[Indices, Indices]:
-        used = faces[free[faces].any(axis=1) & (np.abs(places[faces, 2]) < _USED_MM).all(axis=1)]
-        return used[_face_inwards(places[used], field)], used
-
-    folded, _ = movable(faces)
-    places, faces = places.copy(), _flipped(places, faces, folded, field)
-    folded, used = movable(faces)
+    used = faces[free[faces].any(axis=1) & (np.abs(places[faces, 2]) < _USED_MM).all(axis=1)]
+    folded = used[_face_inwards(places[used], field)]
+    if not len(folded):
+        return places, faces, folded, used
+    faces, folded = _flipped(places, faces, folded, field)
     # A corner of three triangles is amid their other corners, where none of the three can be folded.
     lonely = [corner for corner in np.unique(folded) if free[corner] and (faces == corner).sum() == 3]
+    places = places.copy()
     for corner in lonely:
         others = np.setdiff1d(faces[(faces == corner).any(axis=1)], corner)
         places[corner] = project_to_surface(places[others].mean(axis=0, keepdims=True), field, None, 2)[0]
-    return places, faces, folded[_face_inwards(places[folded], field)] if lonely else folded, used
+    used = faces[free[faces].any(axis=1) & (np.abs(places[faces, 2]) < _USED_MM).all(axis=1)]
+    return places, faces, folded[_face_inwards(places[folded], field)], used
 
 
-def _flipped(places: Array, faces: Indices, folded: Indices, field: Field) -> Indices:
-    """The faces with folded ones (k, 3) and their neighbours across an edge joined the other way, where that helps."""
-    faces = faces.copy()
-    for corners in folded:
+def _flipped(places: Array, faces: Indices, folded: Indices, field: Field) -> tuple[Indices, Indices]:
+    """The faces with folded ones (k, 3) and their neighbours across an edge joined the other way, where that helps.
+
+    And those that stay folded.
+    """
+    faces, mended = faces.copy(), np.zeros(len(folded), np.bool_)
+    for number, corners in enumerate(folded):
         still = np.flatnonzero((faces == corners).all(axis=1))
-        if not len(still):
-            continue  # joined another way as a neighbour
+        mended[number] = not len(still)  # joined another way as a neighbour
+        if mended[number]:
+            continue
         mine = int(still[0])
         for turn in range(3):
             one, two, mine_far = np.roll(corners, -turn)
@@ -197,9 +201,9 @@ def _flipped(places: Array, faces: Indices, folded: Indices, field: Field) -> In
             pair = np.array([[one, its_far, mine_far], [its_far, two, mine_far]])
             joined = ((faces == its_far).any(axis=1) & (faces == mine_far).any(axis=1)).any()
             if not joined and not _face_inwards(places[pair], field).any():
-                faces[[mine, across]] = pair
+                faces[[mine, across]], mended[number] = pair, True
                 break
-    return faces
+    return faces, folded[~mended]
 
 
 def _spread(places: Array, around: NDArray[np.bool_], amid: csr_array, field: Field) -> Array:
