@@ -10,6 +10,7 @@ import pssf
 from pssf import anatomy, raycast
 from pssf.anatomy import femur, implicit, remesh
 from pssf.anatomy.femur import mean_femur
+from pssf.anatomy.mean_bone import Plates
 from pssf.anatomy.solids import mesh_of
 from pssf.anatomy.tibia import mean_tibia
 from pssf.data.bones import mean_shape
@@ -50,7 +51,7 @@ def test_no_triangle_of_a_bone_faces_inwards(bone):
 @pytest.mark.parametrize("bone", [mean_femur(SHAPE.femur), mean_tibia(SHAPE.tibia)], ids=["femur", "tibia"])
 @pytest.mark.parametrize(("cortex", "plate"), [(1.0, 1.0), (0.6, 0.4), (1.5, 2.5)])
 def test_marrow_lies_as_deep_as_cortex_and_plate_say(bone, cortex, plate):
-    points = mesh_of(bone.inner(cortex, plate)).vertices
+    points = mesh_of(bone.inner(cortex, Plates(plate, plate, 10.0))).vertices
     points = points[np.abs(points[:, 2]) < 190.0]
     off = np.abs(bone.field(points) + bone.shell(points, cortex, plate))
     assert np.quantile(off, 0.999) < 0.1

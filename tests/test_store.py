@@ -5,6 +5,7 @@ import pytest
 
 import pssf
 from pssf.anatomy.femur import mean_femur
+from pssf.anatomy.mean_bone import Plates
 from pssf.data import code, store
 from pssf.data.bones import mean_shape
 from pssf.xray.spectrum import tube_spectrum
@@ -94,6 +95,6 @@ def test_a_spectrum_from_the_folder_is_the_one_that_is_computed(folder):
 def test_the_solids_of_the_mean_femur_are_kept(folder):
     mean_femur.cache_clear()
     mean = mean_femur(mean_shape().femur)
-    assert mean.outer.num_tri() > mean.inner(1.0, 1.0).num_tri() > 1000
+    assert mean.outer.num_tri() > mean.inner(1.0, Plates(1.0, 1.0, 10.0)).num_tri() > 1000
     assert [path.name.split("-")[0] for path in folder.iterdir()] == ["femur"]
     mean_femur.cache_clear()

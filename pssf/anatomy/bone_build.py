@@ -15,8 +15,10 @@ from ..core.checks import Array
 from ..data.bones import BoneShape, FemurShape, RoughZone, TibiaShape
 from ..data.records import Rows
 from ..data.shapes import shape_table
+from ..data.spongy import trabecular_bone
 from ..geometry.freeform import Lattice, displaced
 from ..model.knee import Knee
+from .mean_bone import Plates
 from .roughness import roughness
 from .shape import knee_form, lattices_of
 from .solids import SHAFT_POWER, ring
@@ -70,7 +72,7 @@ class Form:
 
 @dataclass(frozen=True)
 class Build:
-    """What shapes the bones of one knee: size over the mean man's, relative cortex and plate, angles in degrees.
+    """What shapes the bones of one knee: size over the mean man's, relative cortex and plates, angles in degrees.
 
     shape             of the mean man's bones
     femur, tibia      this person's form of them
@@ -88,7 +90,7 @@ class Build:
     patella: Lattice
     scale: float
     cortex: float
-    plate: float
+    plates: Plates
     slope_deg: float
     fall: float
     femur_valgus_deg: float
@@ -119,13 +121,20 @@ def build_of(knee: Knee, shape: BoneShape) -> Build:
         patella=lattices["patella"],
         scale=scale,
         cortex=knee.cortex_scale,
-        plate=knee.subchondral_plate,
+        plates=_plates(knee, scale),
         slope_deg=knee.tibial_slope_deg,
         fall=plateau_fall(tibia, shape.tibia),
         femur_valgus_deg=shape.femur.valgus_deg + varus - knee.varus_deg / 2,
         tibia_varus_deg=varus + knee.varus_deg / 2,
         seed=knee.texture_seed,
     )
+
+
+def _plates(knee: Knee, scale: float) -> Plates:
+    """Sclerosis is of the side that bears the load; the other has the share of it that its spongy bone has."""
+    spongy, healthy = trabecular_bone(), knee.cortex_scale / scale
+    lateral = 1 + spongy.sclerosis.lateral_share * (knee.subchondral_plate - 1)
+    return Plates(healthy * knee.subchondral_plate, healthy * lateral, spongy.side.middle_mm)
 
 
 def _form(lattice: Lattice, end: int, shape: FemurShape | TibiaShape, scale: float, seed: int) -> Form:

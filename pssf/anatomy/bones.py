@@ -61,7 +61,7 @@ def grown_tibia(build: Build, osteophytes: tuple[Osteophyte, ...]) -> BoneWithOs
 def femur(build: Build, grown: BoneWithOsteophytes) -> Bone:
     """Distal femur; z = 0 near the condyles' distal end, shaft leaning laterally by `femur_valgus_deg`."""
     table, s, mean = build.shape.femur, build.scale, mean_femur(build.shape.femur)
-    marrow = mean.inner(build.cortex, build.cortex * build.plate / s, _unevenness(build, "femur"))
+    marrow = mean.inner(build.cortex, build.plates, _unevenness(build, "femur"))
     heights = levels(table.canal_from_z_mm, (SHAFT_END_MM + _SPARE_MM) / s, 2.5)
     canal = _canal(build, table, heights)
     return _standing(build, "femur", Bone(grown.outer, grown.filled(marrow, s), canal))
@@ -70,7 +70,7 @@ def femur(build: Build, grown: BoneWithOsteophytes) -> Bone:
 def tibia(build: Build, grown: BoneWithOsteophytes) -> Bone:
     """Proximal tibia; z = 0 near the middle of the plateau, shaft leaning medially by `tibia_varus_deg`."""
     table, s, mean = build.shape.tibia, build.scale, mean_tibia(build.shape.tibia)
-    marrow = mean.inner(build.cortex, build.cortex * build.plate / s, _unevenness(build, "tibia"))
+    marrow = mean.inner(build.cortex, build.plates, _unevenness(build, "tibia"))
     heights = levels(-(SHAFT_END_MM + _SPARE_MM) / s, table.canal_from_z_mm, 2.5)
     canal = _canal(build, table, heights)
     return _standing(build, "tibia", Bone(grown.outer, grown.filled(marrow, s), canal))

@@ -183,7 +183,7 @@ def _bones(knee: Knee, assembly: KneeAssembly) -> dict[str, _Placed]:
         fabella, in_femur = small_bones.fabella(knee, build, femur.outer)
         parts["fabella"] = (fabella, _after(in_femur, pose.femur()), still)
     placed = {name: _Placed(_placed(part, at), _after(inner, at)) for name, (part, at, inner) in parts.items()}
-    plate_mm = build.shape.tibia.plate_mm * build.cortex * build.plate
+    plate_mm = build.shape.tibia.plate_mm * build.plates.medial * build.scale
     tibia = worn(placed["tibia"].solids, placed["femur"].solids.outer, plate_mm)
     placed |= {"tibia": replace(placed["tibia"], solids=tibia)}
     return {name: replace(part, solids=_nested(name, part.solids)) for name, part in placed.items()}

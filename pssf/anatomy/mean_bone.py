@@ -34,8 +34,22 @@ _ROUGH_MM = 2.0
 
 
 OfBone = TypeVar("OfBone", FemurShape, TibiaShape)
-Shell = Callable[[Array, float, float], Array]
+Shell = Callable[[Array, float, float | Array], Array]
 Uneven = Callable[[Array, Array], Array]
+
+
+@dataclass(frozen=True)
+class Plates:
+    """Subchondral plates of a bone, over the mean man's; they pass into each other over middle_mm."""
+
+    medial: float
+    lateral: float
+    middle_mm: float
+
+    def at(self, points: Array) -> Array:
+        """(n,)  at points (n, 3) in the bone's frame, mm"""
+        x = points[:, 0]
+        return self.lateral + (self.medial - self.lateral) * (1 + x / np.hypot(x, self.middle_mm)) / 2
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -43,7 +57,8 @@ class MeanBone:
     """A bone with a straight shaft, at the mean man's size, in its own frame.
 
     field         approximate distance from its outer surface, mm, negative inside; points (n, 3) -> (n,)
-    shell         how thick its cortex or plate is at places: points (n, 3), relative cortex, relative plate -> (n,) mm
+    shell         how thick its cortex or plate is at places: points (n, 3), relative cortex, relative plate, of all or
+                  (n,) -> (n,) mm
     rough         gives the same shape by CSG, with hard creases
     edge_mm       longest edge of its triangles, away from the shaft
     tolerance_mm  how far middles of edges may be off the field
@@ -65,13 +80,15 @@ class MeanBone:
         """Its outer solid."""
         return self._parts[0]
 
-    def inner(self, cortex: float, plate: float, uneven: Uneven | None = None) -> Manifold:
+    def inner(self, cortex: float, plates: Plates, uneven: Uneven | None = None) -> Manifold:
         """What its cortex and plate leave of it: vertices of a coarser outer solid on their ways inwards.
 
-        cortex, plate  thickness over the mean man's
-        uneven         from places (n, 3) of the outer surface and thickness there (n,): what that is multiplied by (n,)
+        cortex  thickness over the mean man's
+        plates  likewise
+        uneven  from places (n, 3) of the outer surface and thickness there (n,): what that is multiplied by (n,)
         """
         _, ways, faces = self._parts
+        plate = plates.at(ways[0])
         depth = self.shell(ways[0], cortex, plate)
         share = np.ones(len(depth)) if uneven is None else uneven(ways[0], depth)
         depth *= share
@@ -79,7 +96,7 @@ class MeanBone:
         # plates with steep ends settle too.
         unsettled = np.arange(len(depth))
         for _ in range(_TURNS):
-            there = self.shell(_along(ways[:, unsettled], depth[unsettled]), cortex, plate)
+            there = self.shell(_along(ways[:, unsettled], depth[unsettled]), cortex, plate[unsettled])
             step = (share[unsettled] * there - depth[unsettled]) / 2
             depth[unsettled] += step
             unsettled = unsettled[np.abs(step) > _SETTLED_MM]
@@ -112,7 +129,7 @@ def mean_bone(
     name: str,
     shape: OfBone,
     field: Field,
-    shell: Callable[[OfBone, Array, float, float], Array],
+    shell: Callable[[OfBone, Array, float, float | Array], Array],
     rough: Callable[[OfBone], Manifold],
 ) -> MeanBone:
     """The mean man's bone of a shape; shell and rough as in MeanBone, of that shape."""

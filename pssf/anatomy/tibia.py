@@ -72,8 +72,8 @@ def _relief(x: Array, y: Array, relief: tuple[Bell, ...]) -> tuple[Array, Array,
     return height, slope_x, slope_y
 
 
-def _shell(shape: TibiaShape, points: Array, cortex: float, plate: float) -> Array:
-    """(n,)  thickness of cortex or plate at points (n, 3), mm; cortex and plate over the mean man's"""
+def _shell(shape: TibiaShape, points: Array, cortex: float, plate: float | Array) -> Array:
+    """(n,)  thickness of cortex or plate at points (n, 3), mm; cortex and plate, of all or (n,), over the mean man's"""
     # The plate under the cartilage passes into the cortex of the sides over its own first millimetres.
     share = np.clip(1 + above(points, shape.relief) / 3.0, 0.0, 1.0)
     plates = shape.plate_mm + plateau_height(points[:, 0], points[:, 1], shape.plates)
