@@ -9,6 +9,7 @@ from typing import Any
 from .anatomy import BuiltKnee, BuiltPair, build, build_pair
 from .core.checks import InputError, require_choice, require_seed, require_workers
 from .core.timer import Timer
+from .core.workers import one_blas_thread
 from .geometry.mesh import Mesh
 from .geometry.scene import Scene
 from .geometry.view import view_of
@@ -24,6 +25,7 @@ KEEP = ("path_mm", "primary", "scatter", "noise_free", "masks")
 Subject = Knee | BuiltKnee | BuiltPair | Scene | tuple[Knee | BuiltKnee, Knee | BuiltKnee]
 
 
+@one_blas_thread()
 def simulate(
     knee: Subject,
     protocol: Protocol,

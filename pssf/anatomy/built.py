@@ -7,6 +7,7 @@ import numpy as np
 from manifold3d import Manifold, OpType
 
 from ..core.checks import Array, InputError
+from ..core.workers import one_blas_thread
 from ..data.bones import mean_shape
 from ..data.spongy import TrabecularBone, trabecular_bone
 from ..geometry.density import Density
@@ -106,6 +107,7 @@ class BuiltKnee:
         return f"BuiltKnee({self.knee!r}, {len(self.scene.surfaces)} surfaces)"
 
 
+@one_blas_thread()
 def build(knee: Knee, protocol: Protocol | None = None) -> BuiltKnee:
     """The knee as closed surfaces: skin, fat, muscle, what lies between, and cortex, trabeculae and marrow of bones.
 

@@ -29,6 +29,13 @@ def keep_memory() -> None:
 
 
 @contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """One thread for BLAS: the last bit of a product hangs on how many share it, and its threads are in others' way."""
+    with threadpool_limits(1, user_api="blas"):
+        yield
+
+
+@contextmanager
 def one_thread() -> Iterator[None]:
     """One thread for BLAS, OpenMP and SimpleITK, since there is a process for every core."""
     if find_spec("SimpleITK"):
