@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from .io.images import load, load_parameters, save
     from .io.masks import load_masks, save_masks
     from .io.meshes import export_meshes
-    from .model.draw import draw_knee
+    from .model.draw import draw_knee, draw_pair
     from .model.exposure import draw_exposure
     from .model.knee import Cyst, Knee, Osteophyte
     from .model.look import draw_look
@@ -57,7 +57,7 @@ _WHERE = {
     "io.meshes": ("export_meshes",),
     "model.exposure": ("draw_exposure",),
     "model.look": ("draw_look",),
-    "model.draw": ("draw_knee",),
+    "model.draw": ("draw_knee", "draw_pair"),
     "model.knee": ("Cyst", "Knee", "Osteophyte"),
     "model.progress": ("progress", "true_change"),
     "model.protocol": ("Protocol", "load_protocol"),
@@ -87,6 +87,7 @@ __all__ = [
     "draw_exposure",
     "draw_knee",
     "draw_look",
+    "draw_pair",
     "export_meshes",
     "load",
     "load_masks",

@@ -63,6 +63,10 @@ def test_meshes_writes_what_is_asked_for(tmp_path):
         (("simulate", "--workers", "0"), "pssf: workers = 0 threads; allowed: whole numbers from 1 to 256 threads"),
         (("simulate", "--seed", "-1"), "pssf: seed = -1; allowed: whole numbers from 0"),
         (("simulate", "--knee", "nowhere.toml"), "pssf: file nowhere.toml: No such file or directory"),
+        (
+            ("simulate", "--protocol", "bilateral", "--knee", "my.toml"),
+            "pssf: knee = my.toml, protocol = bilateral, which takes both knees; allowed: a protocol of one",
+        ),
         (("meshes", "--formats", "obj3"), "pssf: format = 'obj3'; allowed: stl, ply, glb"),
         (
             ("cohort", "--preset", "quik"),

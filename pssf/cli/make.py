@@ -19,6 +19,7 @@ from .options import (
     Seed,
     Workers,
     knee_of,
+    subject_of,
     waiting,
 )
 
@@ -40,12 +41,15 @@ def simulate(
         str, typer.Option(help="none, or marked: collimator's edge and side marker in what is for eyes.")
     ] = "none",
 ) -> None:
-    """One radiograph: 16-bit TIFF, PNG for eyes, the parameters as JSON; DICOM if asked for."""
+    """One radiograph: 16-bit TIFF, PNG for eyes, the parameters as JSON; DICOM if asked for.
+
+    Of both knees of a person under a protocol that takes both.
+    """
     from ..core.checks import require_choice, require_workers
     from ..model.protocol import load_protocol
 
     technique, wanted = load_protocol(protocol), kinds.split(",")
-    subject, name = knee_of(knee, grade, seed, grades)
+    subject, name = subject_of(knee, grade, seed, grades, technique)
     require_workers(workers)
     with waiting("simulating; the first run after an installation compiles for some seconds more"):
         from ..io.atomic import folder

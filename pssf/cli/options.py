@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from rich.status import Status
 
     from ..model.knee import Knee
+    from ..model.protocol import Protocol
 
 
 def _cores() -> int:
@@ -19,7 +20,7 @@ def _cores() -> int:
 
 Out = Annotated[Path, typer.Option("--out", help="Folder for what is made; made if need be.")]
 Seed = Annotated[int, typer.Option(help="Seed of all chance; the same seed gives the same bytes.")]
-Grade = Annotated[int, typer.Option(help="KL-like grade of the drawn knee: 0, 1 or 2.")]
+Grade = Annotated[int, typer.Option(help="KL grade of the drawn knee: 0 to 2 by the table paper, 0 to 4 by people.")]
 KneeFile = Annotated[
     Path | None, typer.Option("--knee", help="TOML file with the parameters of a knee, instead of a draw.")
 ]
@@ -72,6 +73,25 @@ def knee_of(path: Path | None, grade: int, seed: int, table: str = "paper") -> "
     if path is not None:
         return knee_from(read_toml(path), f"knee {path.name}"), path.stem
     return draw_knee(grade=grade, rng=np.random.default_rng(seed), table=table), f"knee_grade{grade}"
+
+
+def subject_of(
+    path: Path | None, grade: int, seed: int, table: str, protocol: "Protocol"
+) -> "tuple[Knee | tuple[Knee, Knee], str]":
+    """What a protocol takes: a knee, or both of a person, drawn by grade and seed; and a name for its files."""
+    import numpy as np
+
+    from ..core.checks import InputError, require_seed
+    from ..model.draw import draw_pair
+
+    require_seed(seed)
+    if not protocol.apart_mm:
+        return knee_of(path, grade, seed, table)
+    if path is not None:
+        raise InputError(
+            f"knee = {path}, protocol = {protocol.name}, which takes both knees; allowed: a protocol of one"
+        )
+    return draw_pair(grade=grade, rng=np.random.default_rng(seed), table=table), f"knees_grade{grade}"
 
 
 def waiting(why: str) -> "Status":

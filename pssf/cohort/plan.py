@@ -11,7 +11,7 @@ from msgspec import structs
 from ..core.checks import InputError, require_choice, require_seed, require_whole
 from ..data.grades import grade_table
 from ..data.presets import Preset, presets
-from ..model.draw import draw_knee
+from ..model.draw import draw_body, draw_knee
 from ..model.exposure import draw_exposure
 from ..model.knee import Knee, knee_table
 from ..model.protocol import Protocol, load_protocol, protocol_table
@@ -20,11 +20,6 @@ from ..model.protocol import Protocol, load_protocol, protocol_table
 _SHAPE, _NOISE, _RETEST, _TAKING, _BODY = 0, 3, 4, 5, 2**31
 # Off by which a knee is placed anew: what a careful radiographer is said to keep to (judgement).
 _ROTATION_DEG, _FLEXION_DEG, _BEAM_DEG = 2.0, 2.0, 1.0
-# What the two knees of a subject share.
-_BODY_FIELDS = (
-    "sex", "stature_mm", "bone_scale", "cortex_scale", "bmi", "limb_ap_mm", "fat_mm", "age_years",
-    "shape", "fibular_tip_mm", "insall_salvati", "fabella_mm",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -234,5 +229,4 @@ def _case(place: _Place, protocols: list[Protocol], preset: Preset) -> Case:
 def _body(seed: int, subject: int, grade: int, table: str) -> Mapping[str, Any]:
     """The fields that the knees of a subject share, drawn from a stream of the subject's own."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_BODY, subject)))
-    body = draw_knee(grade=grade, rng=rng, table=table)
-    return {name: getattr(body, name) for name in _BODY_FIELDS}
+    return draw_body(grade=grade, rng=rng, table=table)

@@ -1,4 +1,4 @@
-"""draw_knee: a grade and chance -> a knee, by a table of grades."""
+"""draw_knee, draw_pair: a grade and chance -> a knee, or both of a person, by a table of grades."""
 
 from typing import Any
 
@@ -15,6 +15,11 @@ from .severity import severity_fields
 
 # No value of a normal law is farther from its mean.
 _FARTHEST_SD = 2.0
+# What the two knees of a person share.
+_BODY_FIELDS = (
+    "sex", "stature_mm", "bone_scale", "cortex_scale", "bmi", "limb_ap_mm", "fat_mm", "age_years",
+    "shape", "fibular_tip_mm", "insall_salvati", "fabella_mm",
+)  # fmt: skip
 
 
 def draw_knee(*, grade: int, rng: np.random.Generator, table: str = "paper", **fixed: Any) -> Knee:
@@ -69,6 +74,27 @@ def draw_knees(count: int, seed: int, table: str, **fixed: Any) -> list[Knee]:
         draw_knee(grade=grades[index % len(grades)], rng=np.random.default_rng(stream), table=table, **fixed)
         for index, stream in enumerate(streams)
     ]
+
+
+def draw_pair(*, grade: int, rng: np.random.Generator, table: str = "paper", **fixed: Any) -> tuple[Knee, Knee]:
+    """Right and left knee of a person, both of a KL grade: of one body, each with a joint of its own.
+
+    Arguments as in `draw_knee`, but for the side.
+    """
+    require_generator(rng)
+    of_body, *of_knees = rng.spawn(3)
+    shared = fixed | draw_body(grade=grade, rng=of_body, table=table, **fixed)
+    right, left = (
+        draw_knee(grade=grade, rng=of_knee, table=table, **shared, side=side)
+        for of_knee, side in zip(of_knees, ("right", "left"), strict=True)
+    )
+    return right, left
+
+
+def draw_body(*, grade: int, rng: np.random.Generator, table: str, **fixed: Any) -> dict[str, Any]:
+    """The fields that the two knees of a person share, by name; arguments as in `draw_knee`."""
+    body = draw_knee(grade=grade, rng=rng, table=table, **fixed)
+    return {name: getattr(body, name) for name in _BODY_FIELDS}
 
 
 def _limb(bmi: float, sex: str, drawn: dict[str, Any]) -> dict[str, float]:
