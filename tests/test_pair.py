@@ -91,11 +91,13 @@ def test_legs_that_overlap_are_refused_with_the_room_they_need(pair):
 
 def test_a_drawn_pair_is_of_one_body_and_each_knee_has_a_joint_of_its_own():
     right, left = pssf.draw_pair(grade=3, rng=np.random.default_rng(5), table="people")
-    assert (right.side, left.side) == ("right", "left") and right.grade == left.grade == 3
+    assert (right.side, left.side) == ("right", "left")
+    assert right.grade == left.grade == 3
     for name in ("sex", "stature_mm", "bmi", "limb_ap_mm", "fat_mm", "age_years", "shape", "bone_scale"):
         assert getattr(right, name) == getattr(left, name), name
     for name in ("jsw_medial_mm", "texture_seed", "flexion_deg", "osteophytes"):
         assert getattr(right, name) != getattr(left, name), name
     assert pssf.draw_pair(grade=3, rng=np.random.default_rng(5), table="people") == (right, left)
     held = pssf.draw_pair(grade=3, rng=np.random.default_rng(5), table="people", bmi=31.0)
-    assert held[0].bmi == held[1].bmi == 31.0 and held[0].limb_ap_mm == held[1].limb_ap_mm != right.limb_ap_mm
+    assert held[0].bmi == held[1].bmi == 31.0
+    assert held[0].limb_ap_mm == held[1].limb_ap_mm != right.limb_ap_mm

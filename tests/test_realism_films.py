@@ -5,11 +5,13 @@ import dataclasses
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter
 
 import pssf
 from pssf.realism import domains, films_section
 from pssf.realism.blind import blind_test
+from pssf.realism.effects import effects
 from pssf.realism.films import centred, measured
 from pssf.realism.form import PITCH_MM, PLATEAU_MM, Place, field_of, joint_pixel, stretched
 from pssf.realism.outline import cheapest_path, trace_outline
@@ -136,8 +138,20 @@ def test_what_is_learnt_carries_over_where_the_effect_is_the_same_and_not_where_
         )
         assert (row["auc"] > 0.8) == same
         assert row["real_auc"] > 0.8
-        _, groups = domains.effects(real, simulated, low=0, high=(2,))
-        assert next(one for one in groups if one["group"] == "shape")["features"] == 2
+
+
+def test_effects_are_alike_where_grades_act_alike_and_their_intervals_hold_them():
+    real = films_of("real", 160, effect=2.0)
+    for effect, sign in ((2.0, 1.0), (-2.0, -1.0)):
+        rows, groups = effects(real, films_of("simulated", 160, effect=effect, seed=2), low=0, high=(2,), **CHANCE)
+        row = next(one for one in groups if one["group"] == "all")
+        assert row["features"] == len(rows) == len(real.features.columns)
+        assert row["r_low"] <= row["r"] <= row["r_high"]
+        assert row["r"] * sign > 0.8
+        assert row["same_sign_low"] <= row["same_sign"] <= row["same_sign_high"]
+        by_hand = real.features[real.grades == 2].mean() - real.features[real.grades == 0].mean()
+        by_hand /= np.sqrt((real.features[real.grades == 2].var() + real.features[real.grades == 0].var()) / 2)
+        assert_allclose([one["real"] for one in rows], by_hand, atol=1e-4)
 
 
 def test_grades_that_are_not_drawn_are_stood_for_by_the_highest_that_is():

@@ -1,4 +1,4 @@
-"""Real against simulated: are they told apart, does what is learnt carry over, do grades act alike."""
+"""Real against simulated: are they told apart, and does what is learnt carry over."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -98,31 +98,6 @@ def transferred(
     return rows
 
 
-def effects(real: Films, simulated: Films, *, low: int, high: Sequence[int]) -> tuple[list[Row], list[Row]]:
-    """Standardised difference of each feature between grades, real and simulated; and a row a group to sum them up."""
-    highest = [grade for grade in high if grade in simulated.grades] or [int(simulated.grades.max())]
-    table = pd.DataFrame({
-        "real": _standardised(real, low, high), "simulated": _standardised(simulated, low, highest),
-    })  # fmt: skip
-    task = f"{low} v {'+'.join(map(str, high))}"
-    rows = [
-        {"source": real.name, "task": task, "group": group, "feature": name, **values}
-        for (group, name), values in table.round(4).to_dict("index").items()
-    ]
-    summary = []
-    for group, columns in groups_of(real.features).items():
-        of_group = table.loc[columns].dropna()
-        both = of_group.to_numpy().T
-        alike = np.sign(both[0]) == np.sign(both[1])
-        spread = len(of_group) > 2 and both.std(axis=1).min() > 0
-        summary.append({
-            "source": real.name, "task": task, "group": group, "features": len(of_group),
-            "r": round(float(np.corrcoef(both)[0, 1]), 3) if spread else float("nan"),
-            "same_sign": round(float(alike.mean()), 3) if len(of_group) else float("nan"),
-        })  # fmt: skip
-    return rows, summary
-
-
 def groups_of(features: pd.DataFrame) -> dict[str, list[Any]]:
     """Group -> its columns; last, all of them."""
     names = dict.fromkeys(group for group, _ in features.columns)
@@ -178,20 +153,17 @@ def resampled_auc(
 
     truth, value, subjects  (films,)
     """
-    rng = np.random.default_rng(seed)
-    _, of_film = np.unique(subjects, return_inverse=True)
-    people = of_film.max() + 1
-    found = []
+    rng, found = np.random.default_rng(seed), []
     for _ in range(replicates):
-        times = np.bincount(rng.integers(0, people, people), minlength=people)[of_film]
-        drawn = np.repeat(np.arange(len(truth)), times)
+        drawn = drawn_again(subjects, rng)
         if 0 < truth[drawn].sum() < len(drawn):
             found.append(auc(truth[drawn], value[drawn]))
     return np.array(found)
 
 
-def _standardised(films: Films, low: int, high: Sequence[int]) -> pd.Series:
-    """Difference of the means of grades over the standard deviation within them."""
-    one, other = (films.of_grades(grades).features for grades in ([low], high))
-    spread = np.sqrt((one.var() + other.var()) / 2)
-    return (other.mean() - one.mean()) / spread.where(spread > 0)
+def drawn_again(subjects: NDArray[Any], rng: np.random.Generator) -> NDArray[np.int64]:
+    """(drawn,) numbers of the films (films,) of subjects drawn with replacement, each with all its films."""
+    _, of_film = np.unique(subjects, return_inverse=True)
+    people = of_film.max() + 1
+    times = np.bincount(rng.integers(0, people, people), minlength=people)[of_film]
+    return np.repeat(np.arange(len(subjects)), times)

@@ -5,6 +5,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,8 @@ _TO_MIDDLE = 0.25  # of the plateau's width, from the medial joint line
 # How much wider a field the joint is centred in, turn by turn; and by how much a turn, or all, may change its size.
 _ZOOMS = (0.8, 0.9, 1.0)
 _RESIZED = 1.25
+# What is measured is saved so often while the rest is.
+_SAVE_SECONDS = 10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +64,7 @@ def measure_films(
     """One record a film, in their order; those of an earlier run are kept where neither code nor templates changed.
 
     known  sha256 -> record
-    save   is given all records so far when they are there
+    save   is given all records so far now and then, so that a run that breaks off can go on from there, and at the end
     """
     code = code_digest(CODE)
     key = _key(templates, code)
@@ -73,10 +76,16 @@ def measure_films(
     with execution.stage(f"films: {source.name}", "films", len(records)) as stage:
         stage.keep(len(records) - len(missing))
 
+        saved_at = perf_counter()
+
         def arrived(nth: int, record: Record) -> None:
+            nonlocal saved_at
             index = missing[nth]
             records[index] = {"key": _shown_key(key, source.films[index]), **record}
             stage.advance()
+            if perf_counter() - saved_at > _SAVE_SECONDS:
+                save(_with_source(records, source))
+                saved_at = perf_counter()
 
         ordered_map(
             measure_film,
@@ -86,11 +95,15 @@ def measure_films(
             scheduler=execution.scheduler,
             arrived=arrived,
         )
-    done = [
-        {**record, **_said(film, source.name)} for film, record in zip(source.films, records, strict=True) if record
-    ]
+    done = _with_source(records, source)
     save(done)
     return done
+
+
+def _with_source(records: Sequence[Record | None], source: Source) -> list[Record]:
+    return [
+        {**record, **_said(film, source.name)} for film, record in zip(source.films, records, strict=True) if record
+    ]
 
 
 def measure_film(film: Film, *, folder: Path, templates: Sequence[Template], code: Mapping[str, str]) -> Record:

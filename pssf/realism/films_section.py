@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from ..core.checks import Array
 from ..study.report.page import Picture
 from .blind import blind_test
-from .domains import ALL, effects, told_apart, transferred
+from .domains import ALL, told_apart, transferred
+from .effects import effects
 from .films import FINE, TONE, Record, learnable
 from .form import Place, field_of, stretched
 from .page import Section, Table
@@ -103,7 +104,7 @@ def compare(records: Mapping[str, Sequence[Record]], *, replicates: int, seed: i
         for high in TASKS:
             if np.isin(films.grades, [0]).any() and np.isin(films.grades, high).any():
                 made.transfer.extend(transferred(films, simulated, low=0, high=high, **chance))
-                of_features, of_groups = effects(films, simulated, low=0, high=high)
+                of_features, of_groups = effects(films, simulated, low=0, high=high, **chance)
                 made.features.extend(of_features)
                 made.groups.extend(of_groups)
     for index, films in enumerate(real):
