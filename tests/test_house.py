@@ -12,7 +12,11 @@ PACKAGE = Path(pssf.__file__).parent
 SOURCES = {path.relative_to(PACKAGE).as_posix(): path.read_text() for path in sorted(PACKAGE.rglob("*.py"))}
 # The only packages that open files: the package's own tables and the user's cache, and everything else.
 DISK = ("data", "io")
-OPENS = ("open", "write_text", "read_text", "write_bytes_to", "mkdir", "unlink", "rename", "replace_file", "touch")
+OPENS = (
+    *("open", "read_text", "write_text", "read_bytes", "write_bytes", "mkdir", "unlink", "rename", "touch", "rmtree"),
+    *("to_csv", "to_json", "savez", "savez_compressed", "savetxt", "tofile", "fromfile", "copyfile"),
+)
+ERRORS = ("InputError", "ValueError", "TypeError")
 ARRAYS = ("Array", "NDArray", "Map", "Block", "Faces", "Floats", "Ints", "Signs", "Frequencies")
 
 
@@ -128,24 +132,45 @@ def open_the_disk(sources: dict[str, str]) -> Iterator[str]:
             continue
         for node in ast.walk(ast.parse(text)):
             if isinstance(node, ast.Call):
-                name = node.func.id if isinstance(node.func, ast.Name) else getattr(node.func, "attr", "")
-                if name in OPENS:
+                # `open` by itself; a method of a path, of numpy or of a table, which without a path gives text.
+                name = getattr(node.func, "attr", "") or {"open": "open"}.get(getattr(node.func, "id", ""), "")
+                if name in OPENS and (node.args or not name.startswith("to_")):
                     yield f"{path}: {name}"
+
+
+def absolute_imports(sources: dict[str, str]) -> Iterator[str]:
+    """Imports of the package by its name, which `one_way` would not see."""
+    for path, text in sources.items():
+        for node in ast.walk(ast.parse(text)):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) and not node.level else []
+            if path != "__main__.py" and any(name.split(".")[0] == "pssf" for name in names):
+                yield f"{path}:{node.lineno}"
 
 
 def read_tables(sources: dict[str, str]) -> Iterator[str]:
     """Formulas get records; a table is read where it becomes one."""
     for path, text in sources.items():
-        if path.split("/")[0] != "data" and "tables.data(" in text:
-            yield f"{path}: tables.data"
+        if path.split("/")[0] == "data":
+            continue
+        for node in ast.walk(ast.parse(text)):
+            taken = isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[-1] == "tables"
+            if (taken and any(alias.name == "data" for alias in node.names)) or "tables.data(" in text:
+                yield f"{path}: tables.data"
+                break
 
 
 def refuse_without_value(sources: dict[str, str]) -> Iterator[str]:
     for path, text in sources.items():
         for node in ast.walk(ast.parse(text)):
-            refuses = isinstance(node, ast.Call) and getattr(node.func, "id", "") == "InputError" and node.args
-            if refuses and isinstance(node.args[0], ast.Constant) and " = " not in node.args[0].value:
-                yield f"{path}:{node.lineno}: {node.args[0].value!r}"
+            if not (isinstance(node, ast.Call) and getattr(node.func, "id", "") in ERRORS and node.args):
+                continue
+            message = node.args[0]
+            parts = message.values if isinstance(message, ast.JoinedStr) else [message]
+            text_of = "".join(str(part.value) for part in parts if isinstance(part, ast.Constant))
+            said = isinstance(message, ast.Constant | ast.JoinedStr)
+            if said and len(parts) == 1 and isinstance(message, ast.Constant) and " = " not in text_of:
+                yield f"{path}:{node.lineno}: {text_of!r}"
 
 
 def arrays_without_shape(sources: dict[str, str]) -> Iterator[str]:
@@ -177,9 +202,10 @@ RULES = {
     long_functions: {"core/a.py": "def f():\n" + "    x = 1\n" * 41},
     many_arguments: {"core/a.py": "def f(a, b, c, d, e, f, g, h):\n    pass\n"},
     without_docstring: {"core/a.py": '"""A."""\ndef f():\n    pass\n'},
-    open_the_disk: {"core/a.py": "open('x')\n"},
-    read_tables: {"xray/a.py": "tables.data('x')\n"},
-    refuse_without_value: {"core/a.py": "raise InputError('no')\n"},
+    open_the_disk: {"core/a.py": "table.to_csv('x')\n"},
+    absolute_imports: {"core/a.py": "from pssf.model import knee\n"},
+    read_tables: {"xray/a.py": "from ..data.tables import data\ndata('x')\n"},
+    refuse_without_value: {"core/a.py": "raise ValueError('no')\n"},
     arrays_without_shape: {"core/a.py": 'def f(a: Array):\n    """Nothing of a."""\n'},
 }
 

@@ -22,7 +22,7 @@ from .spaces import solve_pose
 from .tibia import mean_tibia
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class KneeAssembly:
     """A knee's build, its outer femur and tibia at the mean man's size, and where they go.
 
@@ -115,4 +115,14 @@ def assemble(knee: Knee, shape: BoneShape, posture: Posture) -> KneeAssembly:
     )
     mirror = (1.0 if knee.side == "right" else -1.0, posture.mirror_y, 1.0)
     turn = None if posture.is_frontal else rotation(*posture.turn)
-    return KneeAssembly(protocol, defined, posture, build, femur, tibia, pose, mirror, turn)
+    return KneeAssembly(
+        defined_under=protocol,
+        defined=defined,
+        posture=posture,
+        build=build,
+        femur=femur,
+        tibia=tibia,
+        pose=pose,
+        mirror=mirror,
+        turn=turn,
+    )

@@ -20,7 +20,7 @@ TELLING = frozenset({"data/readme.toml", "data/readmes.py", "io/readme.py"})
 def code_digest(parts: tuple[str, ...] = (".",)) -> dict[str, str]:
     """part -> hash of the code and tables in it, but for those of `TELLING`
 
-    parts   modules or folders as they are called below pssf/, such as "simulate.py" or "data"; ".": all of them
+    parts   modules or folders as they are called below pssf/, such as "simulation.py" or "data"; ".": all of them
     raises  InputError for a part that the package does not have
     """
     return {part: _hash(ROOT / part) for part in parts}

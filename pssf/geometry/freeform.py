@@ -42,8 +42,10 @@ class Lattice:
             raise InputError(f"displacements_mm: shape = {shape}; allowed: (nx, ny, nz, 3)")
         if origin != (3,):
             raise InputError(f"origin_mm: shape = {origin}; allowed: (3,)")
-        if not (np.isfinite(self.displacements_mm).all() and np.isfinite(self.origin_mm).all()):
-            raise InputError("displacements_mm = not finite; allowed: finite, mm")
+        for name in ("displacements_mm", "origin_mm"):
+            wrong = np.asarray(getattr(self, name))[~np.isfinite(getattr(self, name))]
+            if len(wrong):
+                raise InputError(f"{name} holds {wrong[0]:g} mm; allowed: finite, mm")
 
     @property
     def counts(self) -> tuple[int, int, int]:
