@@ -97,6 +97,8 @@ def measure(
     given = read_bones(bones_folder) if bones_folder is not None else None
     sources = sources_of(films) if films is not None else ()
     out = folder(Path(out))
+    # First, since a folder that holds another cohort is refused then, and not after minutes.
+    of_films = [_films(out, sources, _plan(protocol, knees, grades, seed), execution)] if sources else []
     with execution.timer.stage("contours", "knees", knees):
         if cohort is None:
             sample = contours.drawn_landmarks(knees, seed, seen_under, execution.workers, grades)
@@ -105,9 +107,7 @@ def measure(
     sections = [_contours(sample)]
     if given is not None:
         sections.append(_bones(given, knees, grades, seed, execution))
-    if sources:
-        plan = _plan(protocol, knees, grades, seed)
-        sections.append(_films(out, sources, plan, execution))
+    sections += of_films
     facts: dict[str, Any] = {"protocol": seen_under.name, "knees": knees, "grades": grades, "seed": seed}
     facts |= {} if cohort is None else {"cohort of the contours": cohort.name, "its radiographs": len(sample.grades)}
     facts |= {f"films of {source.name}": len(source.films) for source in sources}
