@@ -225,7 +225,7 @@ def test_a_compact_template_finds_the_same_joint():
 
 def predictions(rows) -> pd.DataFrame:
     table = pd.DataFrame(rows, columns=["subject", "grade", "p"])
-    return table.assign(model="lr", selection="l1")
+    return table.assign(task="0 vs 2", model="lr", selection="l1")
 
 
 def test_scores_of_films_are_of_their_subjects_and_unknown_where_there_are_too_few():
@@ -250,3 +250,15 @@ def test_a_film_counts_in_a_bootstrap_with_all_films_of_its_subject():
     many = [row for row in few for _ in range(40)]
     one, other = (score_films(predictions(rows), replicates=500, seed=1).iloc[0] for rows in (few, many))
     assert_allclose([one["auc_low"], one["auc_high"]], [other["auc_low"], other["auc_high"]])
+
+
+def test_models_of_every_task_are_scored_on_every_contrast():
+    rows = predictions([("a", 0, 0.1), ("b", 0, 0.4), ("c", 2, 0.3), ("d", 3, 0.8), ("e", 4, 0.9), ("f", 2, 0.6)])
+    both = pd.concat([rows, rows.assign(task="0 vs 3+4", p=1 - rows["p"])], ignore_index=True)
+    scores = score_films(both, replicates=100, seed=0).set_index(["films_of", "learnt"])["auc"]
+    assert scores.to_dict() == {
+        ("0 vs 2", "0 vs 2"): 0.75,
+        ("0 vs 2", "0 vs 3+4"): 0.25,
+        ("0 vs 3+4", "0 vs 2"): 1.0,
+        ("0 vs 3+4", "0 vs 3+4"): 0.0,
+    }

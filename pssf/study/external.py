@@ -26,7 +26,7 @@ from .learn.modelfile import TrainedOn, pack
 from .learn.refit import Kept, refitted
 from .predictions import class_names, joined
 from .settings import StudySettings
-from .statistics.external import counted, score_films
+from .statistics.external import CONTRASTS, counted, score_films
 
 # Films that pitch and region are taken from, where they are not given.
 _SAMPLE = 15
@@ -223,7 +223,7 @@ def trained_on(manifest: pd.DataFrame) -> tuple[TrainedOn, ...]:
 
 
 def _predicted(films: pd.DataFrame, names: list[str], kept: Sequence[Kept]) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """films.csv, and the predictions of models of grade 0 against 2 of films whose grade is known."""
+    """films.csv, and the predictions of models of CONTRASTS of films whose grade is known."""
     found = films["status"] == "found"
     table = films.reindex(columns=["file", "subject", "grade", *_SHOWN]).copy()
     predictions = []
@@ -233,9 +233,9 @@ def _predicted(films: pd.DataFrame, names: list[str], kept: Sequence[Kept]) -> t
             probability[found] = one.fitted.pipeline.predict_proba(films.loc[found, names])
         for place, grade in enumerate(one.grades):
             table[f"{one.name} grade {grade}"] = probability[:, place]
-        if one.grades == (0, 2):
+        if one.task in CONTRASTS:
             rows = films.loc[found & films["grade"].notna(), ["subject", "grade"]]
             p = probability[rows.index, 1]
-            predictions.append(rows.assign(model=one.model, selection=one.selection, p=p))
-    columns = ["subject", "grade", "model", "selection", "p"]
+            predictions.append(rows.assign(task=one.task, model=one.model, selection=one.selection, p=p))
+    columns = ["subject", "grade", "task", "model", "selection", "p"]
     return table, joined(predictions) if predictions else pd.DataFrame(columns=columns)

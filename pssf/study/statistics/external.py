@@ -9,7 +9,7 @@ from .subjects import draws, worst_grades
 # Contrast -> the grades of films that count as without and with osteoarthritis.
 CONTRASTS = {"0 vs 2": ((0,), (2,)), "0 vs 3+4": ((0,), (3, 4))}
 COLUMNS = [
-    *("films_of", "model", "selection", "films", "subjects", "without", "with"),
+    *("films_of", "learnt", "model", "selection", "films", "subjects", "without", "with"),
     *(f"{metric}{end}" for metric in METRICS for end in ("", "_low", "_high")),
 ]
 _STREAM = 2**31 + 1
@@ -18,21 +18,21 @@ _LEAST_SUBJECTS = 2
 
 
 def score_films(predictions: pd.DataFrame, *, replicates: int, seed: int) -> pd.DataFrame:
-    """One row a contrast, model and selection: COLUMNS; for contrasts of which the films have both sides.
+    """One row a contrast, task, model and selection: COLUMNS; for contrasts of which the films have both sides.
 
     95 % intervals by a bootstrap of the films' subjects within their grade, each with all its films; the models stay
     as they were fitted. NaN where a side has fewer than two subjects.
 
-    predictions  of models of grade 0 against 2: model, selection, subject (text), grade, p (of grade 2); one row a film
-                 that a region was found in and whose grade is known
+    predictions  of models of grade 0 against others: task, model, selection, subject (text), grade, p (of the others);
+                 one row a film that a region was found in and whose grade is known
     """
     rows = []
     for contrast, (without, with_) in CONTRASTS.items():
         part = predictions[predictions["grade"].isin((*without, *with_))]
-        for (model, selection), of in part.groupby(["model", "selection"], sort=False):
+        for (task, model, selection), of in part.groupby(["task", "model", "selection"], sort=False):
             truth = of["grade"].isin(with_).to_numpy(np.int64)
             if len(set(truth)) == 2:
-                label = {"films_of": contrast, "model": model, "selection": selection}
+                label = {"films_of": contrast, "learnt": task, "model": model, "selection": selection}
                 rows.append(label | _counts(of, truth) | _scores(of, truth, replicates, seed))
     return pd.DataFrame(rows, columns=COLUMNS)
 
