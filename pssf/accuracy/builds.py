@@ -1,4 +1,4 @@
-"""Random knees built, half of them drawn as a cohort's, half from all over the ranges of an adult."""
+"""Random knees built, half of them drawn as cohorts' are, by every table, half from all over the ranges of an adult."""
 
 from time import perf_counter
 from typing import Any
@@ -6,8 +6,10 @@ from typing import Any
 import numpy as np
 
 from ..anatomy import build
+from ..anatomy.joint import DEFINED_UNDER
 from ..core.checks import InputError
 from ..core.parallel import ordered_map
+from ..data.grades import grade_table
 from ..data.shapes import shape_table
 from ..geometry.scene import Scene
 from ..model.draw import draw_knee
@@ -37,6 +39,8 @@ _RANGES = {
     "patellar_tilt_deg": (-8.0, 14.0),
     "fabella_mm": (4.0, 14.0),
 }
+# Of the first half: table of grades and grade, in turn.
+_DRAWN = tuple((table, grade) for table in ("paper", "people") for grade in grade_table(table).grades)
 # Standard deviations at which every mode of the shape stands, to either side.
 _SHAPE_SD = 3.0
 
@@ -45,8 +49,8 @@ def build_rows(count: int, workers: int) -> list[Row]:
     """How many were built and how many refused, with the first refusal; largest error of a joint space, triangles.
 
     A built knee has valid solids, nested shells and bones that keep clear of each other: `build` refuses others. The
-    least path in any material along any ray (reference and geometry shift), and the knee that has it, is 0 unless a
-    surface folds over itself.
+    least path in any material along any ray (as joint spaces are defined, and of geometry shift), and the knee that has
+    it, is 0 unless a surface folds over itself.
     """
     attempts = ordered_map(_built, list(range(count)), shared={}, workers=workers)
     refused = [f"knee {number}: {one['refused']}" for number, one in enumerate(attempts) if one["refused"]]
@@ -64,18 +68,20 @@ def build_rows(count: int, workers: int) -> list[Row]:
 
 def _built(number: int) -> Row:
     rng = np.random.default_rng(np.random.SeedSequence(number, spawn_key=(1,)))
-    knee = draw_knee(grade=number // 2 % 3, rng=rng) if number % 2 else wide_knee(rng)
+    table, grade = _DRAWN[number // 2 % len(_DRAWN)]
+    knee = draw_knee(grade=grade, rng=rng, table=table) if number % 2 else wide_knee(rng)
     start = perf_counter()
+    protocol = load_protocol(DEFINED_UNDER[knee.jsw_as])
     try:
-        built = build(knee)
+        built = build(knee, protocol)
     except InputError as error:
         return {"refused": str(error)}
     seconds = perf_counter() - start
-    spaces = built.measured_jsw_mm(load_protocol("reference"))
+    spaces = built.measured_jsw_mm(protocol)
     return {
         "refused": "",
         "jsw_error_mm": max(abs(spaces[0] - knee.jsw_medial_mm), abs(spaces[1] - knee.jsw_lateral_mm)),
-        "least_path_mm": min(_least_path_mm(built.scene, name) for name in ("reference", "geometry_shift")),
+        "least_path_mm": min(_least_path_mm(built.scene, name) for name in (protocol.name, "geometry_shift")),
         "triangles": sum(len(surface.mesh.faces) for surface in built.scene.surfaces),
         "seconds": seconds,
     }

@@ -78,7 +78,7 @@ class KneeAssembly:
 
 
 # What a knee's joint spaces are defined under, by `Knee.jsw_as`.
-_DEFINED_UNDER = {"projected": "reference", "read": "fixed_flexion"}
+DEFINED_UNDER = {"projected": "reference", "read": "fixed_flexion"}
 
 
 def assemble(knee: Knee, shape: BoneShape, posture: Posture) -> KneeAssembly:
@@ -88,7 +88,7 @@ def assemble(knee: Knee, shape: BoneShape, posture: Posture) -> KneeAssembly:
     posture  in which it stands
     raises   InputError if the joint spaces cannot be met
     """
-    protocol = load_protocol(_DEFINED_UNDER[knee.jsw_as])
+    protocol = load_protocol(DEFINED_UNDER[knee.jsw_as])
     build = build_of(knee, shape)
     # The first knee after an installation waits seconds for both; they need not wait for each other.
     with ThreadPoolExecutor(2) as pool:
