@@ -7,13 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from phantoms import PIXEL_MM, SHAPE, TEMPLATE, phantom
+from scipy.ndimage import gaussian_filter
 
 import pssf
 from pssf.core.checks import InputError
 from pssf.data.localisation import localisation
 from pssf.radiomics.edges import Pyramid, edge_field
-from pssf.radiomics.locate import _status, find_joint, locate
-from pssf.radiomics.patches import Template, density_of
+from pssf.radiomics.locate import _chance, _status, find_joint, locate
+from pssf.radiomics.patches import Template, density_of, poses
+from pssf.radiomics.search import matches
 
 
 def joint_of(pixels, side="right", pixel_mm=PIXEL_MM, region_px=64, templates=(TEMPLATE,)):
@@ -185,3 +187,22 @@ def test_an_image_at_another_pitch_lies_where_it_should(zoomed):
     inside = [slice(length // 4, -(length // 4) or None) for length in image.shape]
     wanted = np.add.outer(row, 2 * col)
     np.testing.assert_allclose(image[tuple(inside)], wanted[tuple(inside)], atol=0.6 / zoomed)
+
+
+def test_the_smaller_a_knee_the_better_is_its_best_score_by_chance():
+    """On noise, over which a small knee has more places; of an unknown pitch sizes are weighed by it."""
+    table = localisation()
+    chance = [_chance((160, 300), unit_mm, table) for unit_mm in (0.2, 0.4, 0.8, 1.6, 3.2)]
+    assert chance == sorted(chance)
+    noise = gaussian_filter(np.random.default_rng(3).standard_normal((160, 300)), 1.5)
+    found = [_best_at(noise, unit_mm) for unit_mm in (0.4, 1.6)]
+    assert found[0] < found[1]
+    assert np.ptp(
+        [score - _chance(noise.shape, unit, table) for score, unit in zip(found, (0.4, 1.6), strict=True)]
+    ) < (found[1] - found[0])
+
+
+def _best_at(image, unit_mm):
+    table = localisation()
+    whole = poses((TEMPLATE,), table.wide)
+    return max(one.score for one in matches(Pyramid(image), [unit_mm], whole, table.wide, table.search.least_seen))

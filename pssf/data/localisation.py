@@ -31,6 +31,14 @@ class Search(Record, frozen=True):
     least_seen: float
 
 
+class Chance(Record, frozen=True):
+    """What a score is by chance; see the table."""
+
+    sd: float
+    cell_mm: float
+    held: float
+
+
 class Plateau(Record, frozen=True):
     """Width of a tibial plateau on films, mean and standard deviation."""
 
@@ -63,6 +71,7 @@ class Localisation(Record, frozen=True):
     wide: PatchLaw
     narrow: PatchLaw
     search: Search
+    chance: Chance
     plateau: Plateau
     thresholds: Thresholds
 

@@ -101,8 +101,9 @@ def locate(
 
     Directions of edges are correlated, relative to the strength of the edges about, so that any display's tone will do.
     First the whole joint is looked for at a coarse pitch: over places, sizes, both sides, upright and upside down, bone
-    bright and dark. Then the medial compartment near that place: over templates, turns and sizes, to a fraction of a
-    pixel. What is given is checked against what is found.
+    bright and dark; where the pitch is not known, sizes are weighed by how far a score is beyond what chance gives.
+    Then the medial compartment near that place: over templates, turns and sizes, to a fraction of a pixel. What is
+    given is checked against what is found.
 
     density    (rows, cols) bone bright in any monotone scale: minus the logarithm of a signal, or a film as displayed;
                row 0 proximal, and a right knee's fibula on the left
@@ -121,18 +122,18 @@ def locate(
     whole = poses(tuple(dict.fromkeys((templates[0], templates[-1]))), table.wide)
     units = _units(density.shape, templates[0], pixel_mm, table)
     found = list(matches(image, units, whole, table.wide, table.search.least_seen))
+    if pixel_mm is None:
+        found = [replace(match, chance=_chance(density.shape, match.unit_mm, table)) for match in found]
     if not found:
         raise InputError(f"image of {density.shape} pixels of {pixel_mm} mm; allowed: one that holds a knee joint")
     best = _best(found, table)
     if pixel_mm is not None and best.score < table.thresholds.score:
-        smaller = list(matches(image, _smaller(pixel_mm, table), whole, table.wide, table.search.least_seen))
-        found += smaller
+        found += matches(image, _smaller(pixel_mm, table), whole, table.wide, table.search.least_seen)
         best = _best(found, table)
     mirrored = _best_of(found, way=best.way, side=SIDES[1 - SIDES.index(best.side)])
     if side is not None and best.side != side:
         best, mirrored = mirrored, best
-    best = _between_sizes(best, found)
-    flipped = max(match.score for match in found if match.way != best.way)
+    best, flipped = _between_sizes(best, found), max(match.score for match in found if match.way != best.way)
     pitch_mm, pixel_from, scale = _size(best, templates[0], pixel_mm, table)
     narrow = _refined(image, tuple(templates), best, table)
     located = Located(
@@ -188,6 +189,18 @@ def _size(best: Match, template: Template, pixel_mm: float | None, table: Locali
     return best.unit_mm * scale, "plateau", scale
 
 
+def _chance(shape: tuple[int, ...], unit_mm: float, table: Localisation) -> float:
+    """The best score that chance gives over a film for a knee of one size: the smaller, the more places there are.
+
+    Expected largest of so many normal values (Cramer 1946, leading term).
+    """
+    law, by_chance = table.wide, table.chance
+    patch_mm = (law.up_mm + law.down_mm, law.lateral_mm + law.medial_mm)
+    free_mm = (length * unit_mm - by_chance.held * side for length, side in zip(shape, patch_mm, strict=True))
+    places = float(np.prod([max(1.0, free / by_chance.cell_mm) for free in free_mm]))
+    return float(by_chance.sd * np.sqrt(2 * np.log(max(2.0, places))))
+
+
 def _evidence(score: float, other: float) -> float:
     return (score - other) / max(1.0 - max(score, other), 1e-6)
 
@@ -195,13 +208,13 @@ def _evidence(score: float, other: float) -> float:
 def _best(found: Sequence[Match], table: Localisation) -> Match:
     """The best upright match, unless one upside down is better by more than chance."""
     upright, turned = (
-        max((match for match in found if match.way == way), key=lambda match: match.score) for way in WAYS
+        max((match for match in found if match.way == way), key=lambda match: match.excess) for way in WAYS
     )
     return turned if _evidence(turned.score, upright.score) > table.thresholds.way else upright
 
 
 def _best_of(found: Sequence[Match], *, way: str, side: str) -> Match:
-    return max((m for m in found if m.way == way and m.side == side), key=lambda match: match.score)
+    return max((m for m in found if m.way == way and m.side == side), key=lambda match: match.excess)
 
 
 def _between_sizes(best: Match, found: Sequence[Match]) -> Match:
@@ -209,7 +222,7 @@ def _between_sizes(best: Match, found: Sequence[Match]) -> Match:
     alike = [m for m in found if (m.side, m.way, m.polarity) == (best.side, best.way, best.polarity)]
     sizes = sorted(alike, key=lambda match: match.unit_mm)
     at = sizes.index(best)
-    offset = vertex(np.array([match.score for match in sizes]), at)
+    offset = float(np.clip(vertex(np.array([match.score for match in sizes]), at), -1.0, 1.0))
     if offset == 0.0:
         return best
     neighbour = sizes[at + (1 if offset > 0 else -1)].unit_mm

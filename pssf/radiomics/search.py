@@ -26,6 +26,7 @@ class Match:
     row, col  medial joint line, pixels of the image
     unit_mm   mm of the template a pixel of the image
     seen      share of the patch's weight within the image
+    chance    score that chance may give, where sizes are to be weighed against each other
     """
 
     score: float
@@ -36,6 +37,12 @@ class Match:
     col: float
     unit_mm: float
     seen: float
+    chance: float = 0.0
+
+    @property
+    def excess(self) -> float:
+        """By how much the score is beyond chance."""
+        return self.score - self.chance
 
 
 def matches(
