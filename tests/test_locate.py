@@ -195,11 +195,10 @@ def test_the_smaller_a_knee_the_better_is_its_best_score_by_chance():
     chance = [_chance((160, 300), unit_mm, table) for unit_mm in (0.2, 0.4, 0.8, 1.6, 3.2)]
     assert chance == sorted(chance)
     noise = gaussian_filter(np.random.default_rng(3).standard_normal((160, 300)), 1.5)
-    found = [_best_at(noise, unit_mm) for unit_mm in (0.4, 1.6)]
-    assert found[0] < found[1]
-    assert np.ptp(
-        [score - _chance(noise.shape, unit, table) for score, unit in zip(found, (0.4, 1.6), strict=True)]
-    ) < (found[1] - found[0])
+    large, small = (_best_at(noise, unit_mm) for unit_mm in (0.4, 1.6))
+    assert large < small
+    weighed = large - _chance(noise.shape, 0.4, table), small - _chance(noise.shape, 1.6, table)
+    assert abs(weighed[1] - weighed[0]) < small - large
 
 
 def _best_at(image, unit_mm):
