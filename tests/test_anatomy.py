@@ -15,6 +15,7 @@ from pssf.anatomy.bone_build import build_of, formed
 from pssf.anatomy.femur import mean_femur
 from pssf.anatomy.solids import checked, edges_of, height_field, loft, mesh_of, ring, solid_of, split_edges
 from pssf.data.bones import mean_shape
+from pssf.data.spongy import trabecular_bone
 from pssf.model.knee import SITES
 
 REFERENCE = pssf.load_protocol("reference")
@@ -121,10 +122,20 @@ def test_an_osteophyte_stands_out_by_its_size(site, size):
 
 
 def test_a_thicker_subchondral_plate_takes_its_volume_from_trabecular_bone():
-    thick = dataclasses.replace(MEAN, plate=1.5)
+    thick = dataclasses.replace(MEAN, plates=dataclasses.replace(MEAN.plates, medial=1.5, lateral=1.5))
     normal, sclerotic = (bones.tibia(build, bones.grown_tibia(build, ())) for build in (MEAN, thick))
     assert sclerotic.inner.volume() < normal.inner.volume()
     assert_allclose(sclerotic.outer.volume(), normal.outer.volume(), rtol=1e-12)
+
+
+def test_sclerosis_is_of_the_medial_side_and_a_share_of_it_of_the_lateral():
+    knee = pssf.Knee(subchondral_plate=1.5)
+    plates, healthy = build_of(knee, mean_shape()).plates, build_of(pssf.Knee(), mean_shape()).plates
+    far = plates.at(np.array([[400.0, 0.0, 0.0], [-400.0, 0.0, 0.0], [0.0, 0.0, 0.0]])) / healthy.medial
+    share = trabecular_bone().sclerosis.lateral_share
+    assert 0 < share < 1
+    assert_allclose(far, [1.5, 1 + 0.5 * share, 1 + 0.25 * (1 + share)], atol=1e-3)
+    assert healthy.medial == healthy.lateral
 
 
 @pytest.mark.parametrize("varus", [-5.0, 0.0, 5.0])
