@@ -35,7 +35,7 @@ from .page import Row, Section, Table, render
 SHOWN = {
     "contours": ("contours_outside",),
     "bones": ("bones", "bones_forms"),
-    "films": ("films_domains", "films_transfer", "films_effects"),
+    "films": ("films_found", "films_domains", "films_transfer", "films_effects"),
 }
 # Read as text wherever films are listed.
 _TEXT = ("sha256", "key", "file", "source", "subject", "status", "side", "polarity", "pixel_from", "reason")
