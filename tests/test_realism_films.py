@@ -146,6 +146,7 @@ def test_effects_are_alike_where_grades_act_alike_and_their_intervals_hold_them(
         rows, groups = effects(real, films_of("simulated", 160, effect=effect, seed=2), low=0, high=(2,), **CHANCE)
         row = next(one for one in groups if one["group"] == "all")
         assert row["features"] == len(rows) == len(real.features.columns)
+        assert next(one for one in groups if one["group"] == "shape")["features"] == 2
         assert row["r_low"] <= row["r"] <= row["r_high"]
         assert row["r"] * sign > 0.8
         assert row["same_sign_low"] <= row["same_sign"] <= row["same_sign_high"]

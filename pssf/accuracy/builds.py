@@ -70,8 +70,8 @@ def _built(number: int) -> Row:
     rng = np.random.default_rng(np.random.SeedSequence(number, spawn_key=(1,)))
     table, grade = _DRAWN[number // 2 % len(_DRAWN)]
     knee = draw_knee(grade=grade, rng=rng, table=table) if number % 2 else wide_knee(rng)
-    start = perf_counter()
     protocol = load_protocol(DEFINED_UNDER[knee.jsw_as])
+    start = perf_counter()
     try:
         built = build(knee, protocol)
     except InputError as error:

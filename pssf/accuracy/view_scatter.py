@@ -60,8 +60,8 @@ def _row(name: str, photons: int, workers: int) -> Row:
         "view": name,
         "exit_gap_mm": round(exit_gap_mm(built.scene, view_of(aimed)), 1),
         "scatter_over_primary": round(float(other[region].sum() / primary[region].sum()), 2),
-        "off_percent": round(100 * float(one[region].sum() / other[region].sum() - 1), 1),
-        "off_signal_percent": round(100 * float((one - other)[region].sum() / (primary + other)[region].sum()), 1),
+        "off_percent": round(100 * float(one[region].sum() / other[region].sum() - 1), 4),
+        "off_signal_percent": round(100 * float((one - other)[region].sum() / (primary + other)[region].sum()), 4),
         "cell_percent": round(100 * float(np.abs(one[limb] / other[limb] - 1).max()), 1),
         "photons": photons,
     }

@@ -139,6 +139,8 @@ def _fix_inverted_faces(places: Array, faces: Indices, free: NDArray[np.bool_], 
     them are taken up again with a wider patch. Slivers that are left get another edge.
     """
     best, faces, fewest, used = _without_slivers(places, faces, free, field)
+    if not len(fewest):
+        return best, faces
     amid = neighbour_means(faces, len(places))
     for rings in range(1, 1 + _STARTS):
         laid, folded = best.copy(), fewest
@@ -163,8 +165,7 @@ def _without_slivers(
 
     And of those faces of which a corner may move: the ones that are still folded, and all.
     """
-
-    used = faces[free[faces].any(axis=1) & (np.abs(places[faces, 2]) < _USED_MM).all(axis=1)]
+    used = _movable(places, faces, free)
     folded = used[_face_inwards(places[used], field)]
     if not len(folded):
         return places, faces, folded, used
@@ -175,8 +176,12 @@ def _without_slivers(
     for corner in lonely:
         others = np.setdiff1d(faces[(faces == corner).any(axis=1)], corner)
         places[corner] = project_to_surface(places[others].mean(axis=0, keepdims=True), field, None, 2)[0]
-    used = faces[free[faces].any(axis=1) & (np.abs(places[faces, 2]) < _USED_MM).all(axis=1)]
-    return places, faces, folded[_face_inwards(places[folded], field)], used
+    return places, faces, folded[_face_inwards(places[folded], field)], _movable(places, faces, free)
+
+
+def _movable(places: Array, faces: Indices, free: NDArray[np.bool_]) -> Indices:
+    """Faces of which a corner may move, but for what is cut off shafts."""
+    return faces[free[faces].any(axis=1) & (np.abs(places[faces, 2]) < _USED_MM).all(axis=1)]
 
 
 def _flipped(places: Array, faces: Indices, folded: Indices, field: Field) -> tuple[Indices, Indices]:

@@ -84,13 +84,13 @@ def subject_of(
     from ..core.checks import InputError, require_seed
     from ..model.draw import draw_pair
 
-    require_seed(seed)
     if not protocol.apart_mm:
         return knee_of(path, grade, seed, table)
     if path is not None:
         raise InputError(
             f"knee = {path}, protocol = {protocol.name}, which takes both knees; allowed: a protocol of one"
         )
+    require_seed(seed)
     return draw_pair(grade=grade, rng=np.random.default_rng(seed), table=table), f"knees_grade{grade}"
 
 

@@ -5,6 +5,20 @@ from contextlib import contextmanager
 from time import perf_counter
 
 
+def seldom(seconds: float, now: Callable[[], float] = perf_counter) -> Callable[[], bool]:
+    """What says yes when so many seconds have gone by since it was made, or last said so."""
+    last = now()
+
+    def due() -> bool:
+        nonlocal last
+        if now() - last <= seconds:
+            return False
+        last = now()
+        return True
+
+    return due
+
+
 class Stage:
     """What a stage of the work has done, how fast, and how long it took.
 

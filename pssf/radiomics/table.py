@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..core.execution import Execution
 from ..core.parallel import ordered_map
+from ..core.timer import seldom
 from ..data.code import code_digest, require_code
 from .families import FAMILIES
 from .features import extract
@@ -31,7 +32,7 @@ NOT_FEATURES = (*TEXT, "row_px", "col_px", "film_pixel_mm", *SCORES)
 # What a record depends on beside the file, templates and `How`: code and tables of the package, what reads files too.
 _CODE = ("core", "data", "detector", "io", "radiomics")
 _LIBRARIES = ("numpy", "pyradiomics", "scikit-image", "scipy", "simpleitk")
-_SAVE_SECONDS = 10
+SAVE_SECONDS = 10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,18 +87,16 @@ def extract_all(
             records[index] = {**known[job.sha256], "radiograph": job.radiograph}
     missing = [index for index in range(len(jobs)) if index not in records]
     seconds = {"localisation": 0.0, "features": 0.0}
-    saved_at = perf_counter()
+    due = seldom(SAVE_SECONDS)
 
     def arrived(nth: int, result: tuple[Record, dict[str, float]]) -> None:
-        nonlocal saved_at
         record = {**result[0], "settings": key}
         records[missing[nth]] = {**record, "checksum": _checksum(record)}
         for step, spent in result[1].items():
             seconds[step] += spent
         stage.advance()
-        if perf_counter() - saved_at > _SAVE_SECONDS:
+        if due():
             save([records[index] for index in sorted(records)])
-            saved_at = perf_counter()
 
     with execution.stage(stage_name, "radiographs", len(jobs)) as stage:
         stage.keep(len(records))

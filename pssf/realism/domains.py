@@ -154,16 +154,19 @@ def resampled_auc(
     truth, value, subjects  (films,)
     """
     rng, found = np.random.default_rng(seed), []
+    _, of_film = np.unique(subjects, return_inverse=True)
     for _ in range(replicates):
-        drawn = drawn_again(subjects, rng)
+        drawn = drawn_again(of_film, rng)
         if 0 < truth[drawn].sum() < len(drawn):
             found.append(auc(truth[drawn], value[drawn]))
     return np.array(found)
 
 
-def drawn_again(subjects: NDArray[Any], rng: np.random.Generator) -> NDArray[np.int64]:
-    """(drawn,) numbers of the films (films,) of subjects drawn with replacement, each with all its films."""
-    _, of_film = np.unique(subjects, return_inverse=True)
+def drawn_again(of_film: NDArray[np.int64], rng: np.random.Generator) -> NDArray[np.int64]:
+    """(drawn,) numbers of the films of subjects drawn with replacement, each with all its films.
+
+    of_film  (films,) number of each film's subject, from 0
+    """
     people = of_film.max() + 1
     times = np.bincount(rng.integers(0, people, people), minlength=people)[of_film]
-    return np.repeat(np.arange(len(subjects)), times)
+    return np.repeat(np.arange(len(of_film)), times)

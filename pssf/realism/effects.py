@@ -63,7 +63,8 @@ def _standardised(films: Films, low: int, high: Sequence[int], replicates: int, 
     of_grades = films.of_grades([low, *high])
     values, without = of_grades.features.to_numpy(np.float64), of_grades.grades == low
     rng = np.random.default_rng(seed)
-    draws = [np.arange(len(values)), *(drawn_again(of_grades.subjects, rng) for _ in range(replicates))]
+    _, of_film = np.unique(of_grades.subjects, return_inverse=True)
+    draws = [np.arange(len(values)), *(drawn_again(of_film, rng) for _ in range(replicates))]
     return np.array([_difference(values[draw], without[draw]) for draw in draws])
 
 

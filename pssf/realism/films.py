@@ -5,7 +5,6 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -14,10 +13,12 @@ import pandas as pd
 from ..core.checks import Array, InputError
 from ..core.execution import Execution
 from ..core.parallel import ordered_map
+from ..core.timer import seldom
 from ..data.code import code_digest, require_code
 from ..io.films import Film, read_film
 from ..radiomics.locate import locate
 from ..radiomics.patches import Template
+from ..radiomics.table import SAVE_SECONDS
 from .domains import Films
 from .form import PITCH_MM, PLATEAU_MM, Place, field_of, joint_pixel, stretched
 from .grey_features import grey_groups
@@ -35,8 +36,6 @@ _TO_MIDDLE = 0.25  # of the plateau's width, from the medial joint line
 # How much wider a field the joint is centred in, turn by turn; and by how much a turn, or all, may change its size.
 _ZOOMS = (0.8, 0.9, 1.0)
 _RESIZED = 1.25
-# What is measured is saved so often while the rest is.
-_SAVE_SECONDS = 10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,16 +75,14 @@ def measure_films(
     with execution.stage(f"films: {source.name}", "films", len(records)) as stage:
         stage.keep(len(records) - len(missing))
 
-        saved_at = perf_counter()
+        due = seldom(SAVE_SECONDS)
 
         def arrived(nth: int, record: Record) -> None:
-            nonlocal saved_at
             index = missing[nth]
             records[index] = {"key": _shown_key(key, source.films[index]), **record}
             stage.advance()
-            if perf_counter() - saved_at > _SAVE_SECONDS:
+            if due():
                 save(_with_source(records, source))
-                saved_at = perf_counter()
 
         ordered_map(
             measure_film,

@@ -3,11 +3,12 @@
 import numpy as np
 import pandas as pd
 
+from ..predictions import TASKS
 from .metrics import METRICS, percentiles, weighted_scores
 from .subjects import draws, worst_grades
 
-# Contrast -> the grades of films that count as without and with osteoarthritis.
-CONTRASTS = {"0 vs 2": ((0,), (2,)), "0 vs 3+4": ((0,), (3, 4))}
+# Contrast -> the grades of films that count as without and with osteoarthritis; of each there may be models.
+CONTRASTS = {name: classes for name, classes in TASKS.items() if len(classes) == 2}
 COLUMNS = [
     *("films_of", "learnt", "model", "selection", "films", "subjects", "without", "with"),
     *(f"{metric}{end}" for metric in METRICS for end in ("", "_low", "_high")),
