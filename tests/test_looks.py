@@ -93,6 +93,13 @@ def test_air_and_the_collimator_are_black():
     assert grey[30:, :20].max() < 0.05
 
 
+def test_a_limb_too_thick_for_the_beam_is_white_and_not_black():
+    signal = limb()
+    signal[-30:, 32:-32] = 1.0
+    grey = processed(signal, 0.15, looks().processed)
+    assert grey[-15:, 64:-64].min() > 0.9
+
+
 def test_a_film_has_the_density_of_its_table_at_the_median_and_darkens_with_dose():
     look = looks().film
     signal = limb(np.random.default_rng(1).normal(0, 0.3, (SIDE, SIDE)))

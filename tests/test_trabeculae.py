@@ -18,7 +18,16 @@ from pssf.geometry.view import View
 
 HEALTHY = dict(seed=3, scale=1.0, frame=np.eye(3, 4), mirror=(1.0, 1.0, 1.0), sclerosis=1.0, age_years=55.0, sex="male")
 FLAT = dict(
-    shaft=0.15, bvtv=0.15, medial=0.0, load=0.0, plate=0.0, hard_medial=0.0, hard_lateral=0.0, fan=0.0, scar_bvtv=0.0
+    margin_per_mm=0.0,
+    shaft=0.15,
+    bvtv=0.15,
+    medial=0.0,
+    load=0.0,
+    plate=0.0,
+    hard_medial=0.0,
+    hard_lateral=0.0,
+    fan=0.0,
+    scar_bvtv=0.0,
 )
 NO_STRUTS = dict(gain=0.0, gain_shaft=0.0)
 EVEN = dict(FLAT, gain=1.0, gain_shaft=1.0)

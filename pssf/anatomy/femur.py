@@ -92,6 +92,7 @@ def notch_field(points: Array, notch: Notch) -> Array:
 def _shell(shape: FemurShape, points: Array, cortex: float, plate: float | Array) -> Array:
     """(n,)  thickness of cortex or plate at points (n, 3), mm; cortex and plate, of all or (n,), over the mean man's"""
     share = np.clip((shape.plate_below_z - points[:, 2]) / 4.0, 0.0, 1.0)
+    share *= np.clip((shape.plate_within_x - np.abs(points[:, 0])) / 4.0, 0.0, 1.0)
     shell = (1 - share) * thickness(shape.cortex, cortex)(points[:, 2]) + share * shape.plate_mm * plate
     # The notch bears no weight: its walls are thin, and pass into the condyles' plate over 3 mm.
     within = np.clip(1 - notch_field(points, shape.notch) / 3.0, 0.0, 1.0)

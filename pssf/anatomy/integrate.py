@@ -24,7 +24,6 @@ _NEAR, _FAR, _RISE = range(14 * LANES, 35 * LANES, 7 * LANES)
 # Where it is in the lattice (x, z, y, in voxels), the contrast of struts, BV/TV less that, half thicknesses over the
 # scar, BV/TV that the scar adds.
 _A, _B, _C, _SWING, _REST, _OVER, _SCAR = range(0, 7 * LANES, LANES)
-
 # Of the present sample: the lattice at four corners around it.
 _ONE, _TWO, _THREE, _FOUR = range(35 * LANES, 39 * LANES, LANES)
 
@@ -81,6 +80,8 @@ class Region(NamedTuple):
     load: float
     column_mm: float
     column_per_mm: float
+    margin_mm: float
+    margin_per_mm: float
     plate: float
     plate_per_mm: float
     hard_medial: float
@@ -123,12 +124,9 @@ def _nodes(lanes: Array, region: Region, struts: Struts) -> None:
     """Fill in the far ends of pieces."""
     for n in range(LANES):
         at = lanes[_END + n] * lanes[_STEP + n]
-        place = (
-            lanes[_X + n] + at * lanes[_DX + n],
-            lanes[_Y + n] + at * lanes[_DY + n],
-            lanes[_Z + n] + at * lanes[_DZ + n],
-        )
-        x, y, z = place[0] * region.per_scale, place[1] * region.per_scale, place[2] * region.per_scale
+        true_x = lanes[_X + n] + at * lanes[_DX + n]
+        true_y, true_z = lanes[_Y + n] + at * lanes[_DY + n], lanes[_Z + n] + at * lanes[_DZ + n]
+        x, y, z = true_x * region.per_scale, true_y * region.per_scale, true_z * region.per_scale
         down = max(region.shaftward * z, 0.0)
         near, far = region.fan_mm * region.fan_mm, down * down
         u = x * (near + far) / (near + (1.0 - region.fan) * far)
@@ -138,6 +136,7 @@ def _nodes(lanes: Array, region: Region, struts: Struts) -> None:
         side = (abs(u) - region.column_mm) * region.column_per_mm
         mean = region.shaft + (region.bvtv - region.shaft) * fade
         mean *= (1.0 + region.medial * medial) * (1.0 + region.load * (1.0 - side * side) / (1.0 + side * side))
+        mean /= 1.0 + (max(abs(x) - region.margin_mm, 0.0) * region.margin_per_mm) ** 2
         surface = 0.0
         for dip in region.dips:
             surface += dip[2] * _bell((x - dip[0]) * dip[1])
@@ -152,10 +151,10 @@ def _nodes(lanes: Array, region: Region, struts: Struts) -> None:
         over = z - region.scar_z - region.scar_slope * x - region.scar_bow_per_mm * x * x
         over -= region.scar_dome_per_mm * back * back
         over -= region.scar_ripple_mm * math.sin(x * region.scar_ripple_per_mm + region.scar_phase)
-        across, up = u * region.scale / region.squat, place[2] * region.squat
+        across, up = u * region.scale / region.squat, true_z * region.squat
         lanes[_FAR + _A + n] = across * struts.per_mm[0] + struts.shift[0] + _PERIODS
         lanes[_FAR + _B + n] = up * struts.per_mm[1] + struts.shift[1] + _PERIODS
-        lanes[_FAR + _C + n] = place[1] * struts.per_mm[2] + struts.shift[2] + _PERIODS + _ON_PLANE / 2
+        lanes[_FAR + _C + n] = true_y * struts.per_mm[2] + struts.shift[2] + _PERIODS + _ON_PLANE / 2
         lanes[_FAR + _SWING + n], lanes[_FAR + _REST + n] = swing, mean - swing
         lanes[_FAR + _OVER + n] = over * region.scar_per_mm
         lanes[_FAR + _SCAR + n] = region.scar_bvtv * _bell((x - region.scar_x) * region.scar_wide_per_mm)

@@ -67,33 +67,43 @@ def between(
     rings = [solid.transform(pose.tibia()) for solid in cartilage.menisci(shape.menisci, s)]
     patella, femur_frame, tibia_frame = placed["patella"].outer, pose.femur(), pose.tibia()
     upper, lower = _poles(patella)
+    thin, sheaths = (
+        (
+            patellar_tendon(shape.patellar_tendon, s, lower, tibia_frame, more_mm),
+            quadriceps_tendon(shape.quadriceps_tendon, s, upper, femur_frame, more_mm),
+            fat_pad(shape.fat_pad, s, tibia_frame, more_mm),
+        )
+        for more_mm in (0.0, shape.deep_fat.sheath_mm)
+    )
     joint = [
         ("patella_cartilage", "cartilage", _behind(patella, shape.patella, s, femur_frame)),
         ("medial_meniscus", "cartilage", rings[0]),
         ("lateral_meniscus", "cartilage", rings[1]),
-        ("patellar_tendon", "tendon", patellar_tendon(shape.patellar_tendon, s, lower, tibia_frame)),
-        ("quadriceps_tendon", "tendon", quadriceps_tendon(shape.quadriceps_tendon, s, upper, femur_frame)),
-        ("fat_pad", "adipose", fat_pad(shape.fat_pad, s, tibia_frame)),
+        ("patellar_tendon", "tendon", thin[0]),
+        ("quadriceps_tendon", "tendon", thin[1]),
+        ("fat_pad", "adipose", thin[2]),
     ]
     parts += _carved(joint, keep + [_cut(solid) for solid in small], muscle)
-    return [*parts, _between_muscles(fat, placed, parts, shape.deep_fat)]
+    return [*parts, _between_muscles(fat, placed, parts, sheaths, shape.deep_fat)]
 
 
-def _between_muscles(fat: Manifold, placed: dict[str, bones.Bone], parts: list[Part], table: DeepFat) -> Part:
-    """What is left of the fat between muscles, clear of all bones and parts by what covers them.
+def _between_muscles(
+    fat: Manifold, placed: dict[str, bones.Bone], parts: list[Part], sheaths: tuple[Manifold, ...], table: DeepFat
+) -> Part:
+    """What is left of the fat between muscles, clear of all bones and parts by what covers them, and of sheaths.
 
     No face of it lies in one of theirs, where rounding could make them overlap.
     """
     meshes = {name: mesh_of(bone.outer) for name, bone in placed.items()} | {part.name: part.mesh for part in parts}
     patella = [meshes.pop(name) for name in ("patella", "patella_cartilage") if name in meshes]
-    thin = [[meshes.pop(name)] for name in ("patellar_tendon", "quadriceps_tendon", "fat_pad") if name in meshes]
+    for name in ("patellar_tendon", "quadriceps_tendon", "fat_pad"):
+        meshes.pop(name, None)
     small = [[meshes.pop(name)] for name in placed if name not in ("femur", "tibia", "patella")]
     # Femur and tibia with all that is left: cartilage and menisci, and the joint space between.
     covers = [
         envelope(group, table.cover, "cover of bones", _FAR_MM) for group in (list(meshes.values()), patella, *small)
     ]
-    covers += [envelope(group, ((0.0, table.sheath_mm),), "sheath", _FAR_MM) for group in thin]
-    left = Manifold.batch_boolean([fat, *covers], OpType.Subtract).simplify(_COARSER_MM)
+    left = Manifold.batch_boolean([fat, *covers, *sheaths], OpType.Subtract).simplify(_COARSER_MM)
     whole = Manifold.compose([piece for piece in left.decompose() if piece.volume() > _LEAST_MM3])
     return Part("intermuscular_fat", "adipose", mesh_of(whole))
 

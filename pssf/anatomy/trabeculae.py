@@ -130,7 +130,7 @@ def _region(
     same = {name: value for name in Region._fields if isinstance(value := getattr(part, name, None), float)}
     same |= {name: min(1.0, getattr(part, name) * contrast) for name in ("gain", "gain_shaft")}
     same |= {f"{name}_per_mm": 1 / getattr(part, f"{name}_mm") for name in ("fade", "plate")}
-    same |= {f"{name}_per_mm": 1 / getattr(part, f"{name}_half_mm") for name in ("column", "scar")}
+    same |= {f"{name}_per_mm": 1 / getattr(part, f"{name}_half_mm") for name in ("column", "margin", "scar")}
     dips = [(x, 1 / half, rise) for x, half, rise in part.dips]
     same["scar_bvtv"] *= scar.least + (1 - scar.least) * chance[1]
     return Region(

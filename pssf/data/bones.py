@@ -76,6 +76,7 @@ class FemurShape(Record, frozen=True):
     cortex: Rows
     plate_mm: float
     plate_below_z: float
+    plate_within_x: float
     canal_from_z_mm: float
     canal_full_z_mm: float
     notch: Notch

@@ -81,6 +81,8 @@ class SpongyBone(Record, frozen=True):
     load: float
     column_mm: float
     column_half_mm: float
+    margin_mm: float
+    margin_half_mm: float
     plate: float
     plate_mm: float
     fan: float

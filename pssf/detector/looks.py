@@ -16,6 +16,8 @@ Image = NDArray[np.float32]
 _EVERY = 4
 # Of an open beam: the quantile of the signal that is taken for its greatest.
 _GREATEST = 0.999
+# Of a row or column: the share that is dim behind a leaf, where noise lets the rest through.
+_LEAF = 0.99
 
 
 def linear(signal: Image) -> Image:
@@ -49,7 +51,7 @@ def processed(signal: Image, pixel_mm: float, look: Processed) -> Image:
     even = join(details, middle + np.float32(look.latitude_gain) * (rest - middle))
     low, high = _quantiles(even, limb, (look.dark, look.bright))
     grey = _bent((even - low) / np.float32(max(high - low, 1e-6)), look.bend)
-    grey[signal < dimmest] = 0
+    grey[_behind_leaves(signal < dimmest)] = 0
     return grey
 
 
@@ -72,6 +74,16 @@ def _limb(signal: Image, look: Processed | Film) -> tuple[NDArray[np.bool_], flo
     limb = (some < look.open * greatest) & (some > look.shut * greatest)
     # An even field has no limb.
     return (limb if limb.any() else np.ones_like(limb)), max(1.0, look.shut * greatest)
+
+
+def _behind_leaves(dim: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Whole rows and columns along the edges that are dim: what is dim within the field is a thick limb."""
+    behind = np.zeros_like(dim)
+    for rows, dark in ((behind, dim), (behind.T, dim.T)):
+        whole = dark.mean(axis=1) > _LEAF
+        for edge, along in ((rows, whole), (rows[::-1], whole[::-1])):
+            edge[: int(np.argmin(along)) if not along.all() else len(along)] = True
+    return behind
 
 
 def _quantiles(image: Image, limb: NDArray[np.bool_], shares: tuple[float, ...]) -> list[float]:
