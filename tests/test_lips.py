@@ -6,16 +6,15 @@ import pytest
 import pssf
 from pssf.anatomy import bones, osteophytes
 from pssf.anatomy.bone_build import build_of, formed
-from pssf.anatomy.femur import mean_femur
 from pssf.anatomy.solids import mesh_of
-from pssf.anatomy.tibia import mean_tibia
-from pssf.data.bones import mean_shape
+from pssf.data.anatomy import anatomy_tables
 
-SHAPE = mean_shape()
-BUILD = build_of(pssf.Knee(shape=(1.0, -1.5, 2.0, 0.5, -1.0)), SHAPE)
+TABLES = anatomy_tables()
+SHAPE = TABLES.shape
+BUILD = build_of(pssf.Knee(shape=(1.0, -1.5, 2.0, 0.5, -1.0)), TABLES)
 OF_BONE = {
-    "femur": (bones.grown_femur, mean_femur(SHAPE.femur), BUILD.femur, SHAPE.osteophytes.femur.band_z),
-    "tibia": (bones.grown_tibia, mean_tibia(SHAPE.tibia), BUILD.tibia, SHAPE.osteophytes.tibia.band_z),
+    "femur": (bones.grown_femur, BUILD.mean_femur, BUILD.femur, SHAPE.osteophytes.femur.band_z),
+    "tibia": (bones.grown_tibia, BUILD.mean_tibia, BUILD.tibia, SHAPE.osteophytes.tibia.band_z),
 }
 MARGINS = ("medial_femur", "lateral_femur", "medial_tibia", "lateral_tibia")
 

@@ -8,13 +8,11 @@ import numpy as np
 import trimesh
 
 from ..anatomy.bone_build import build_of, stand_femur, stand_tibia
-from ..anatomy.femur import mean_femur
 from ..anatomy.small_bones import patella
 from ..anatomy.solids import mesh_of
-from ..anatomy.tibia import mean_tibia
 from ..core.checks import Array, InputError, require_whole
 from ..core.parallel import ordered_map
-from ..data.bones import mean_shape
+from ..data.anatomy import anatomy_tables
 from ..geometry.mesh import Mesh
 from ..model.draw import draw_knees
 from ..model.knee import Knee
@@ -78,8 +76,8 @@ class BoneComparison:
 
 def built_bones(knee: Knee) -> dict[str, Mesh]:
     """Femur, tibia and patella of a right knee, each in its own frame (mm), osteophytes aside."""
-    build = build_of(replace(knee, osteophytes=()), mean_shape())
-    femur, tibia = (mesh_of(bone.outer) for bone in (mean_femur(build.shape.femur), mean_tibia(build.shape.tibia)))
+    build = build_of(replace(knee, osteophytes=()), anatomy_tables())
+    femur, tibia = (mesh_of(bone.outer) for bone in (build.mean_femur, build.mean_tibia))
     return {
         "femur": Mesh(stand_femur(femur.vertices, build), femur.faces),
         "tibia": Mesh(stand_tibia(tibia.vertices, build), tibia.faces),

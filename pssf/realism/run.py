@@ -13,7 +13,7 @@ from ..cohort import Plan, make_cohort, plan_cohort
 from ..core.checks import Array, InputError, require_whole
 from ..core.execution import Execution
 from ..data.grades import grade_table
-from ..data.landmarks import landmark_reference
+from ..data.landmarks import LandmarkReference, landmark_reference
 from ..experiment import standard_templates
 from ..io import results
 from ..io.atomic import folder
@@ -92,19 +92,20 @@ def measure(
     grades        table that they are drawn by; see `draw_knee`
     raises        InputError for a folder that holds none, a number out of range, a disk that cannot be written
     """
-    require_whole("knees", knees, 2 * len(grade_table(grades).grades), 100_000, "")
+    count = len(grade_table(grades).grades)
+    require_whole("knees", knees, 2 * count, 100_000, "")
     seen_under = load_protocol(protocol)
     given = read_bones(bones_folder) if bones_folder is not None else None
     sources = sources_of(films) if films is not None else ()
     out = folder(Path(out))
     # First, since a folder that holds another cohort is refused then, and not after minutes.
-    of_films = [_films(out, sources, _plan(protocol, knees, grades, seed), execution)] if sources else []
+    of_films = [_films(out, sources, _plan(protocol, knees, grades, count, seed), execution)] if sources else []
     with execution.timer.stage("contours", "knees", knees):
         if cohort is None:
             sample = contours.drawn_landmarks(knees, seed, seen_under, execution.workers, grades)
         else:
             sample = cohort_landmarks(cohort, seen_under.name)
-    sections = [_contours(sample)]
+    sections = [_contours(sample, landmark_reference())]
     if given is not None:
         sections.append(_bones(given, knees, grades, seed, execution))
     sections += of_films
@@ -138,8 +139,8 @@ def sources_of(given: Path) -> tuple[Source, ...]:
     return tuple(found)
 
 
-def _contours(sample: contours.LandmarkSample) -> Section:
-    found = contours.compare(sample, landmark_reference())
+def _contours(sample: contours.LandmarkSample, people: LandmarkReference) -> Section:
+    found = contours.compare(sample, people)
     counts = [f"{row['outside']} of {row['of']} at grade {row['grade']}" for row in found.outside]
     cosines = ", ".join(f"{row['cosine']:.2f}" for row in found.modes[:3])
     return Section(
@@ -201,9 +202,8 @@ def _films(out: Path, sources: Sequence[Source], plan: Plan, execution: Executio
         return films_section(records, partial(_read, {one.name: one for one in (*sources, simulated)}), seed=plan.seed)
 
 
-def _plan(protocol: str, knees: int, grades: str, seed: int) -> Plan:
-    """A cohort of drawn knees, the grades alike: takings of a protocol, as people's films are."""
-    count = len(grade_table(grades).grades)
+def _plan(protocol: str, knees: int, grades: str, count: int, seed: int) -> Plan:
+    """A cohort of drawn knees, so many grades alike: takings of a protocol, as people's films are."""
     each = [knees // count + (index < knees % count) for index in range(count)]
     drawn = {"knees": each, "protocols": [protocol], "exposures": "drawn", "grades": grades}
     return plan_cohort("quick", seed=seed, overrides=drawn)

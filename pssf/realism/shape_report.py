@@ -45,7 +45,7 @@ def standing(mean: MeanFit, displacements_mm: Fitted) -> dict[str, Mesh]:
     displacements_mm  bone -> (controls, 3)
     """
     own = formed(mean, displacements_mm)
-    return {name: Mesh(stand(bone.vertices, name), bone.faces) for name, bone in own.items()}
+    return {name: Mesh(stand(bone.vertices, name, mean.man), bone.faces) for name, bone in own.items()}
 
 
 def reached(mean: MeanFit, displacements_mm: Sequence[Fitted], given: Given, workers: int = 1) -> dict[str, Array]:

@@ -15,7 +15,6 @@ from ..geometry.view import View
 from ..raycast.scanline import crossings
 from ..raycast.sheets import BAND_ROWS, sheet_of
 from ..xray.collimator import is_collimated, open_shares
-from ..xray.materials import density_g_per_cm3
 from ..xray.spectrum import beam_of, heel_factor
 from ..xray.technique import Technique
 
@@ -61,7 +60,7 @@ def coarse(
     primary = block_mean(primary_kev, step)
     mass = np.zeros_like(primary)
     for name, lengths in path_mm.items():
-        mass += block_mean(lengths, step) * (density_g_per_cm3(name) / 10.0)
+        mass += block_mean(lengths, step) * (technique.material(name).density_g_per_cm3 / 10.0)
     opened = _open_kev(primary.shape, step, technique)
     passed = np.divide(primary, opened, out=np.ones_like(primary), where=opened > 0)
     return opened, np.maximum(mass, 0), np.clip(passed, _LEAST, 1.0), step

@@ -15,6 +15,7 @@ import pandas as pd
 
 from ..core.checks import InputError, require_choice
 from ..core.execution import Execution
+from ..data.localisation import localisation
 from ..io import results
 from ..io.films import Film
 from ..radiomics.compact import compact
@@ -89,7 +90,8 @@ def tested_on_films(bench: Bench, films: FilmSet, manifest: pd.DataFrame) -> Ext
     cohort = manifest[manifest["protocol"] == films.protocol]
     pitch_mm = float(cohort["pixel_mm"].iloc[0])
     largest_mm = settings.region_px * pitch_mm
-    templates = tuple(compact(template, max(largest_mm, films.region_mm or 0.0)) for template in bench.templates)
+    reach_mm, law = max(largest_mm, films.region_mm or 0.0), localisation()
+    templates = tuple(compact(template, reach_mm, law) for template in bench.templates)
     bench = replace(bench, templates=templates)
     with bench.execution.timer.stage("pitch and field of the films"):
         pixel_mm, region_mm = _pitch_and_region_mm(films, templates, pitch_mm, largest_mm)
