@@ -66,6 +66,7 @@ DOORS = {
     "realism/shape_fit.py": "derive",
     "realism/shape_modes.py": "fit_mean",
 }
+SAYS_NOTHING = ("found", "told")
 ARRAYS = ("Array", "NDArray", "Map", "Block", "Faces", "Floats", "Ints", "Signs", "Frequencies")
 
 
@@ -297,6 +298,15 @@ def _has_shape(name: str, notes: str) -> bool:
     return False
 
 
+def say_nothing(sources: dict[str, str]) -> Iterator[str]:
+    """Variables, arguments and fields whose names do not say what they hold."""
+    for path, text in sources.items():
+        for node in ast.walk(ast.parse(text)):
+            for kind in ("id", "arg", "attr", "name"):
+                if getattr(node, kind, None) in SAYS_NOTHING:
+                    yield f"{path}:{node.lineno}: {getattr(node, kind)}"
+
+
 # A table and its reader.
 TABLES = {"data/a.py": "def reader():\n    return data('a')\n"}
 RULES = {
@@ -309,6 +319,7 @@ RULES = {
     absolute_imports: {"core/a.py": "from pssf.model import knee\n"},
     read_tables: {"xray/a.py": "tables.data('x')\n"},
     read_behind_the_door: {**TABLES, "xray/a.py": "from ..data.a import reader\ndef f():\n    reader()\n"},
+    say_nothing: {"core/a.py": "found = 1\n"},
     refuse_without_value: {"core/a.py": "raise InputError('no')\n"},
     arrays_without_shape: {"core/a.py": 'def f(a: Array):\n    """Nothing of a."""\n'},
 }
@@ -334,6 +345,11 @@ def test_the_rule_sees_a_planted_violation(rule):
         (open_the_disk, "mkdir('x')\n"),
         (read_tables, "from ..data.tables import data\ndata('x')\n"),
         (absolute_imports, "import pssf.model.knee\n"),
+        (say_nothing, "def f(told):\n    pass\n"),
+        (say_nothing, "class A:\n    found: int\n"),
+        (say_nothing, "def f(a):\n    return a.found\n"),
+        (say_nothing, "with a as told:\n    pass\n"),
+        (say_nothing, "f(found=1)\n"),
         (refuse_without_value, "raise ValueError('no')\n"),
     ],
 )

@@ -124,12 +124,12 @@ SHARP = pssf.Knee(
 
 def test_no_tip_of_an_osteophyte_is_cut_off():
     assembly = anatomy.build(SHARP).assembly
-    beaks = [(grown.outer, beak) for grown in (assembly.femur, assembly.tibia) for beak in grown.beaks]
-    assert len(beaks) == 6
-    for outer, beak in beaks:
+    shapes = [(grown.outer, shape) for grown in (assembly.femur, assembly.tibia) for shape in grown.shapes]
+    assert len(shapes) == 6
+    for outer, shape in shapes:
         points = mesh_of(outer).vertices
-        about = points[np.linalg.norm(points - beak.tip, axis=1) < 3.0]
-        assert (about @ beak.out).max() == pytest.approx(beak.farthest @ beak.out, abs=1e-4)
+        about = points[np.linalg.norm(points - shape.tip, axis=1) < 3.0]
+        assert (about @ shape.out).max() == pytest.approx(shape.farthest @ shape.out, abs=1e-4)
 
 
 def test_folds_are_laid_flat():

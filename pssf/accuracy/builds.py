@@ -99,7 +99,7 @@ def wide_knee(rng: np.random.Generator, modes: int) -> Knee:
     """A knee from all over the ranges of an adult, with so many modes of its shape at an end."""
     sites = rng.permutation(SITES)[: rng.integers(0, len(SITES) + 1)]
     fields: dict[str, Any] = {name: float(rng.uniform(*bounds)) for name, bounds in _RANGES.items()}
-    beaks = tuple(Osteophyte(site=str(site), size_mm=float(rng.uniform(0.2, 3.0))) for site in sites)
+    osteophytes = tuple(Osteophyte(site=str(site), size_mm=float(rng.uniform(0.2, 3.0))) for site in sites)
     side, sex = rng.choice(["left", "right"]), rng.choice(["male", "female"])
     shape = tuple(_SHAPE_SD * float(sign) for sign in rng.choice([-1.0, 1.0], modes))
-    return Knee(side=str(side), sex=str(sex), osteophytes=beaks, shape=shape, **fields)
+    return Knee(side=str(side), sex=str(sex), osteophytes=osteophytes, shape=shape, **fields)

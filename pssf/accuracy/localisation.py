@@ -123,11 +123,11 @@ def _of_knee(number: int, *, templates: "tuple[Template, ...]", modes: int) -> l
     assert whole.truth is not None
     rows = []
     for case in _CASES:
-        found = _find(case, bare.pixels if case == "without bones" else whole.pixels, knee, protocol, templates)
-        away = np.subtract((found.row, found.col), whole.truth.medial_joint_line_px)
+        joint = _find(case, bare.pixels if case == "without bones" else whole.pixels, knee, protocol, templates)
+        away = np.subtract((joint.row, joint.col), whole.truth.medial_joint_line_px)
         error_mm = float(np.hypot(*away)) * protocol.pixel_mm / magnification(view_of(protocol))
-        measures = {name: getattr(found, name) for name in _MEASURES}
-        rows.append({"case": case, "kind": kind, "status": found.status, "error_mm": error_mm, **measures})
+        measures = {name: getattr(joint, name) for name in _MEASURES}
+        rows.append({"case": case, "kind": kind, "status": joint.status, "error_mm": error_mm, **measures})
     return rows
 
 

@@ -78,20 +78,20 @@ def on_films(job: tuple[int, Knee], tables: AnatomyTables, range_deg: Pair) -> d
         draw_exposure(load_protocol(name), rng=rng, side=knee.side) for name in ("fixed_flexion", "lyon_schuss")
     )
     assembly = assemble(knee, tables, fixed.posture, defining_protocol(knee))
-    found = {"inter_margin_fixed_flexion_mm": abs(inter_margin_mm(assembly, outer_bones(assembly)[1], fixed))}
+    measured = {"inter_margin_fixed_flexion_mm": abs(inter_margin_mm(assembly, outer_bones(assembly)[1], fixed))}
     assembly = assemble(knee, tables, schuss.posture, defining_protocol(knee))
     tibia = outer_bones(assembly)[1]
     aimed = along_plateau(assembly, tibia, schuss, range_deg)
     level = replace(schuss, beam_along="horizontal", beam_angle_deg=_FIXED_DEG)
     aligned = abs(inter_margin_mm(assembly, tibia, level)) <= ALIGNED_MM
-    found |= {
+    measured |= {
         "inter_margin_lyon_schuss_mm": abs(inter_margin_mm(assembly, tibia, aimed)),
         "beam_along_plateau_deg": aimed.beam_angle_deg,
         "aligned_at_11_deg_percent": 100.0 * aligned,
     }
     # A radiographer turns a lateral until the condyles meet, whatever way the foot points by itself.
     turned = replace(knee, rotation_deg=0.0)
-    return found | _slopes(turned, tables) | _sulcus(turned, tables)
+    return measured | _slopes(turned, tables) | _sulcus(turned, tables)
 
 
 def _slopes(knee: Knee, tables: AnatomyTables) -> dict[str, float]:

@@ -64,13 +64,13 @@ def osteophyte_meshes(knee: Knee, assembly: KneeAssembly) -> dict[str, Mesh]:
     )
     meshes = {}
     for mean, grown, move in bones:
-        sites = [beak.site for beak in knee.osteophytes if BONE[beak.site.split("_")[1]] == mean.name]
+        sites = [one.site for one in knee.osteophytes if BONE[one.site.split("_")[1]] == mean.name]
         if not sites:
             continue
         bare = project_solid(mean.outer, mean.field, depth_mm=lambda points: np.full(len(points), -_OUT_MM))
         # Moved first: a cut across a triangle stays within it, and the osteophyte within its bone.
         outer, bare = (_moved(solid, move) for solid in (grown.outer, bare))
-        tips = move(np.array([beak.tip for beak in grown.beaks]))
+        tips = move(np.array([shape.tip for shape in grown.shapes]))
         for site, added in _by_site(outer - bare, sites, tips).items():
             meshes[site] = assembly.mirrored(mesh_of(added))
     return meshes

@@ -66,10 +66,12 @@ def read(path: Path) -> dict[str, NDArray[np.bool_]]:
 
 def _segment(number: int, name: str, side: str | None, version: str, code: Code) -> Dataset:
     """What a mask is, by its name: a bone, or an osteophyte or the cysts of a bone."""
-    beak, cyst = name.endswith(_OSTEOPHYTE), name.endswith(_CYST)
-    of_bone = beak or cyst
+    osteophyte, cyst = name.endswith(_OSTEOPHYTE), name.endswith(_CYST)
+    of_bone = osteophyte or cyst
     category = "abnormal_structure" if of_bone else "anatomical_structure"
-    what = "osteophyte" if beak else "abnormal_structure" if cyst else name if name in _BONES else "body_structure"
+    what = (
+        "osteophyte" if osteophyte else "abnormal_structure" if cyst else name if name in _BONES else "body_structure"
+    )
     item = dicom.dataset({
         "SegmentNumber": number,
         "SegmentLabel": name,

@@ -127,9 +127,9 @@ def _draw_osteophytes(
     sites = rng.permutation(len(SITES))
     shares = rng.uniform(0.3, 1.0, len(SITES))
     shares[0] = 1.0
-    beaks = [(SITES[sites[i]], round(largest * float(shares[i]), 4)) for i in range(count)]
-    # Below 0.2 mm a beak cannot be told from the margin's own rounding, nor seen in a 0.15 mm pixel.
-    return tuple(Osteophyte(site=site, size_mm=size) for site, size in beaks if size >= 0.2)
+    sized = [(SITES[sites[i]], round(largest * float(shares[i]), 4)) for i in range(count)]
+    # Below 0.2 mm an osteophyte cannot be told from the margin's own rounding, nor seen in a 0.15 mm pixel.
+    return tuple(Osteophyte(site=site, size_mm=size) for site, size in sized if size >= 0.2)
 
 
 def _uniform(rng: np.random.Generator, bounds: Pair) -> float:

@@ -131,12 +131,12 @@ def compare(given: Bones, built: Mapping[str, Mesh], drawn: Bones, workers: int 
     }
     tasks = [(what, name, bone) for what, of in spreads.items() for name in names for bone in of.bones[name]]
     centres = {(what, name): of.centres[name] for what, of in spreads.items() for name in names}
-    found = ordered_map(_about, tasks, shared={"centres": centres}, workers=workers)
+    distances = ordered_map(_about, tasks, shared={"centres": centres}, workers=workers)
     rows = list[Row]()
     for name in names:
         rows.append(_mean_row(name, len(given[name]), sized[name], means[name], fits[name]))
         for what in spreads:
-            about = [one for one, task in zip(found, tasks, strict=True) if task[:2] == (what, name)]
+            about = [one for one, task in zip(distances, tasks, strict=True) if task[:2] == (what, name)]
             rows += [{"bone": name, "what": what} | _spread_row(np.array(about))] if len(about) > 1 else []
     figure = bone_figure.draw({name: (fit.placed, fit.off_mm) for name, fit in fits.items()}, _MOST_MM)
     return BoneComparison(rows=[dict.fromkeys(_COLUMNS, "") | row for row in rows], fits=fits, figure=figure)

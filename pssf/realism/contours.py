@@ -147,8 +147,8 @@ def compare(sample: LandmarkSample, reference: LandmarkReference) -> ContourComp
     sizes = joint_sizes(sample.places_mm)
     grades = [grade for grade in np.unique(sample.grades) if str(grade) in reference.grade]
     if not grades:
-        found = ", ".join(map(str, np.unique(sample.grades))) or "none"
-        raise InputError(f"grades = {found}; allowed: some of {', '.join(reference.grade)}")
+        given = ", ".join(map(str, np.unique(sample.grades))) or "none"
+        raise InputError(f"grades = {given}; allowed: some of {', '.join(reference.grade)}")
     landmark_rows, size_rows, outside = list[Row](), list[Row](), list[Row]()
     panels = []
     for grade in grades:

@@ -126,38 +126,39 @@ def sources_of(given: Path) -> tuple[Source, ...]:
         return (Source(name=given.resolve().name, folder=given, films=list_films(given)),)
     except InputError as error:
         nothing = error
-    found = []
+    sources = []
     for below in sorted(path for path in given.iterdir() if path.is_dir()):
         try:
-            found.append(Source(name=below.name, folder=below, films=list_films(below)))
+            sources.append(Source(name=below.name, folder=below, films=list_films(below)))
         except InputError:
             continue
-    if not found:
+    if not sources:
         raise nothing
-    if any(source.name == SIMULATED for source in found):
+    if any(source.name == SIMULATED for source in sources):
         raise InputError(f"films = {given / SIMULATED}; allowed: any other name, which simulated films have here")
-    return tuple(found)
+    return tuple(sources)
 
 
 def _contours(sample: contours.LandmarkSample, people: LandmarkReference) -> Section:
-    found = contours.compare(sample, people)
-    counts = [f"{row['outside']} of {row['of']} at grade {row['grade']}" for row in found.outside]
-    cosines = ", ".join(f"{row['cosine']:.2f}" for row in found.modes[:3])
+    compared = contours.compare(sample, people)
+    counts = [f"{row['outside']} of {row['of']} at grade {row['grade']}" for row in compared.outside]
+    cosines = ", ".join(f"{row['cosine']:.2f}" for row in compared.modes[:3])
     return Section(
         name="Contours",
         line=f"heights and spreads outside people's: {'; '.join(counts)}; cosines of first modes {cosines or 'none'}",
         text=_CONTOURS,
         tables=(
-            Table(name="contours_outside", rows=found.outside, caption="Heights and their spreads outside."),
-            Table(name="contours_landmarks", rows=found.landmarks, caption="In shares of the width.", shown=32),
-            Table(name="contours_sizes", rows=found.sizes, caption="Plateau, gaps (mm on the film), convergence."),
-            Table(name="contours_modes", rows=found.modes, caption="First modes of variation, grades 0 and 1."),
+            Table(name="contours_outside", rows=compared.outside, caption="Heights and their spreads outside."),
+            Table(name="contours_landmarks", rows=compared.landmarks, caption="In shares of the width.", shown=32),
+            Table(name="contours_sizes", rows=compared.sizes, caption="Plateau, gaps (mm on the film), convergence."),
+            Table(name="contours_modes", rows=compared.modes, caption="First modes of variation, grades 0 and 1."),
         ),
         figures=(Picture(
-            name="contours", png=found.figure, alt="Mean contours of drawn knees and of people with ellipses of one SD",
+            name="contours", png=compared.figure,
+            alt="Mean contours of drawn knees and of people with ellipses of one SD",
             caption="Mean landmarks and ellipses of one standard deviation, drawn knees and people, by grade.",
         ),),
-        facts={"outside": found.outside, "sizes": found.sizes, "modes": found.modes},
+        facts={"outside": compared.outside, "sizes": compared.sizes, "modes": compared.modes},
     )  # fmt: skip
 
 
@@ -165,22 +166,22 @@ def _bones(given: bones.Bones, knees: int, grades: str, seed: int, execution: Ex
     with execution.timer.stage("bones", "knees", knees):
         drawn = bones.drawn_bones(min(knees, 50), seed, grades)
         built = bones.built_bones(Knee())
-        found = bones.compare(given, built, drawn, execution.workers)
+        compared = bones.compare(given, built, drawn, execution.workers)
         forms = compare_forms(given, built, drawn, execution.workers)
-    line = "; ".join(f"{row['bone']} {row['what']} {row['rms_mm']:.2f} mm" for row in found.rows)
+    line = "; ".join(f"{row['bone']} {row['what']} {row['rms_mm']:.2f} mm" for row in compared.rows)
     return Section(
         name="Bones",
         line=line,
         text=_BONES,
         tables=(
-            Table(name="bones", rows=found.rows, caption="Distances, mm."),
+            Table(name="bones", rows=compared.rows, caption="Distances, mm."),
             Table(name="bones_forms", rows=forms, caption="Measures of form, at one size.", shown=30),
         ),
         figures=(Picture(
-            name="bones", png=found.figure, alt="Built mean bones coloured by distance",
+            name="bones", png=compared.figure, alt="Built mean bones coloured by distance",
             caption="The built mean bones; their colour is the distance from the mean of the given ones.",
         ),),
-        facts={"rows": found.rows},
+        facts={"rows": compared.rows},
     )  # fmt: skip
 
 

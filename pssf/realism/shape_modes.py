@@ -72,8 +72,8 @@ def fit_mean(
     built = mean_bones(man)
     people = {name: measured(mean_of(given[name], name)) for name in BONES}
     tasks = [(name, bone) for name in BONES for bone in given[name]]
-    found = ordered_map(_pose_one, tasks, shared={"people": people}, workers=workers)
-    poses = {name: [one for one, task in zip(found, tasks, strict=True) if task[0] == name] for name in BONES}
+    fits = ordered_map(_pose_one, tasks, shared={"people": people}, workers=workers)
+    poses = {name: [one for one, task in zip(fits, tasks, strict=True) if task[0] == name] for name in BONES}
     frames = own_frames(built, people, poses, man)
     bones, lattices = dict[str, DeformableBone](), dict[str, Lattice]()
     for name in BONES:
@@ -90,8 +90,9 @@ def fit_knees(given: Mapping[str, Sequence[Mesh]], mean: MeanFit, workers: int =
     Pose and size are taken out of every bone by a similarity fit onto the mean of people's.
     """
     tasks = [(name, bone) for name in BONES for bone in given[name]]
-    found = ordered_map(_fit_one, tasks, shared={"mean": mean}, workers=workers)
-    return {name: np.array([one for one, task in zip(found, tasks, strict=True) if task[0] == name]) for name in BONES}
+    displacements = ordered_map(_fit_one, tasks, shared={"mean": mean}, workers=workers)
+    each = list(zip(displacements, tasks, strict=True))
+    return {name: np.array([one for one, task in each if task[0] == name]) for name in BONES}
 
 
 def modes_of(fitted: Mapping[str, Array], mean: MeanFit, least_share: float = 0.99) -> Modes:
