@@ -66,6 +66,15 @@ DOORS = {
     "realism/shape_fit.py": "derive",
     "realism/shape_modes.py": "fit_mean",
 }
+# Of numbers; a share and a probability are of 1, and "unit" is of "a unit vector", "any unit" or "its own unit".
+UNITS = {
+    "mm", "mm2", "mm3", "1/mm", "1/mm2", "keV/mm2", "keV2/mm2", "px", "keV", "kV", "mGy", "uGy", "DN", "deg",
+    "degrees", "g/cm2", "counts",
+    "share", "shares", "probability", "probabilities", "dimensionless", "SD", "unit", "grey",
+}  # fmt: skip
+UNITS_IN_NAMES = ("mm", "mm2", "mm3", "px", "kev", "kev2", "kv", "mgy", "deg", "dn")
+# Elements of arrays that need no unit: numbers of things, and whether.
+WHOLE = ("int", "bool", "Any", "Faces", "Ints", "Signs")
 SAYS_NOTHING = ("found", "told")
 ARRAYS = ("Array", "NDArray", "Map", "Block", "Faces", "Floats", "Ints", "Signs", "Frequencies")
 
@@ -275,27 +284,40 @@ def refuse_without_value(sources: dict[str, str]) -> Iterator[str]:
                 yield f"{path}:{node.lineno}: {node.args[0].value!r}"
 
 
-def arrays_without_shape(sources: dict[str, str]) -> Iterator[str]:
-    """Array arguments of public functions whose docstring does not give a shape beside their name."""
+def _array_arguments(sources: dict[str, str]) -> Iterator[tuple[str, str, str, list[str]]]:
+    """Where, name, type and the lines of the docstrings that name it, of array arguments of public functions."""
     for path, text in sources.items():
         for node in ast.parse(text).body:
             methods = node.body if isinstance(node, ast.ClassDef) else [node]
             for function in methods:
                 if isinstance(function, ast.FunctionDef) and not function.name.startswith("_"):
-                    notes = (ast.get_docstring(function) or "") + (ast.get_docstring(node) or "")
+                    notes = (ast.get_docstring(function) or "") + "\n" + (ast.get_docstring(node) or "")
                     for argument in (*function.args.args, *function.args.kwonlyargs):
                         kind = ast.unparse(argument.annotation) if argument.annotation else ""
-                        if kind.split("[")[0] in ARRAYS and not _has_shape(argument.arg, notes):
-                            yield f"{path}:{function.name}: {argument.arg}"
+                        if kind.split("[")[0] in ARRAYS:
+                            yield f"{path}:{function.name}", argument.arg, kind, _naming(argument.arg, notes)
 
 
-def _has_shape(name: str, notes: str) -> bool:
-    """Whether a line names the argument and gives a shape, or the text gives one right after it."""
-    for line in notes.splitlines():
-        words = {word.strip("`*:.") for word in line.replace(",", " ").replace(";", " ").split()}
-        if words & {name, name.removesuffix("_mm")} and "(" in line and ")" in line:
-            return True
-    return False
+def _naming(name: str, notes: str) -> list[str]:
+    lines = [(line, line.replace(",", " ").replace(";", " ").split()) for line in notes.splitlines()]
+    return [line for line, words in lines if {word.strip("`*:.") for word in words} & {name, name.removesuffix("_mm")}]
+
+
+def arrays_without_shape(sources: dict[str, str]) -> Iterator[str]:
+    """Array arguments of public functions whose docstring does not give a shape beside their name."""
+    for where, name, _, lines in _array_arguments(sources):
+        if not any("(" in line and ")" in line for line in lines):
+            yield f"{where}: {name}"
+
+
+def arrays_without_unit(sources: dict[str, str]) -> Iterator[str]:
+    """Array arguments of numbers that are not whole, whose unit neither their name has nor the docstring beside it."""
+    for where, name, kind, lines in _array_arguments(sources):
+        shaped = " ".join(line for line in lines if "(" in line).replace(",", " ").replace(";", " ").split()
+        whole = any(word in kind for word in WHOLE) and "float" not in kind
+        named = any(name.endswith(f"_{unit}") for unit in UNITS_IN_NAMES)
+        if not whole and not named and not UNITS & {word.strip("`*:.()") for word in shaped}:
+            yield f"{where}: {name}"
 
 
 def say_nothing(sources: dict[str, str]) -> Iterator[str]:
@@ -319,6 +341,7 @@ RULES = {
     absolute_imports: {"core/a.py": "from pssf.model import knee\n"},
     read_tables: {"xray/a.py": "tables.data('x')\n"},
     read_behind_the_door: {**TABLES, "xray/a.py": "from ..data.a import reader\ndef f():\n    reader()\n"},
+    arrays_without_unit: {"core/a.py": 'def f(a: Array):\n    """a  (n,)  what is given"""\n'},
     say_nothing: {"core/a.py": "found = 1\n"},
     refuse_without_value: {"core/a.py": "raise InputError('no')\n"},
     arrays_without_shape: {"core/a.py": 'def f(a: Array):\n    """Nothing of a."""\n'},
@@ -355,6 +378,22 @@ def test_the_rule_sees_a_planted_violation(rule):
 )
 def test_the_rule_sees_a_violation_in_other_words(rule, text):
     assert list(rule({"core/a.py": text}))
+
+
+@pytest.mark.parametrize(
+    ("argument", "line", "kept"),
+    [
+        ("a_mm: Array", "a_mm  (n,)", True),
+        ("a: Array", "a  (n,)  mm", True),
+        ("a: NDArray[np.floating]", "a  (n,)  in its own unit", True),
+        ("a: NDArray[np.int64]", "a  (n,)  vertex numbers", True),
+        ("a: NDArray[np.integer | np.floating]", "a  (n,)  numbers", False),
+        ("a: Array", "a  (n,)  of a comma", False),
+        ("a: Array", "b  (n,)  mm", False),
+    ],
+)
+def test_the_unit_of_an_array_is_in_its_name_or_beside_its_shape(argument, line, kept):
+    assert kept is not any(arrays_without_unit({"core/a.py": f'def f({argument}):\n    """{line}"""\n'}))
 
 
 @pytest.mark.parametrize(

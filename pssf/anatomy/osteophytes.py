@@ -58,12 +58,12 @@ class Spike:
         return min(2.0, 0.8 * self.size_mm)
 
     def near(self, points: Array) -> NDArray[np.bool_]:
-        """(n,)  whether points (n, 3) are so near that the bone's surface may be another there"""
+        """(n,)  whether points (n, 3), mm, are so near that the bone's surface may be another there"""
         reach = np.linalg.norm(self.feet - self.tip, axis=1).max() + self.foot_mm + 4.0
         return np.asarray(((points - self.tip) ** 2).sum(axis=1) < reach**2)
 
     def field(self, points: Array) -> Array:
-        """(n,)  approximate distance from the spike at points (n, 3)"""
+        """(n,)  approximate distance from the spike at points (n, 3), mm"""
         shares = np.linspace(0.0, 2.0, _CONES)
         feet = np.stack([np.interp(shares, [0, 1, 2], self.feet[:, axis]) for axis in range(3)], axis=1)
         # A plain minimum: blended, the cones would swell where they meet, in the tip.

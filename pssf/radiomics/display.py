@@ -154,7 +154,7 @@ def _record(job: Job, joint: Located, region: Array | None) -> Record:
 def find_in_display(pixels: Array, templates: Sequence[Template], side: str | None, pixel_mm: float | None) -> Located:
     """`locate` on a display; row, column and pitch are those of its own pixels.
 
-    pixels    (rows, cols) 0 to 1, of either polarity
+    pixels    (rows, cols) share of white, 0 to 1, of either polarity
     pixel_mm  pitch; None where it is not known
     raises    InputError as `locate`
     """
@@ -175,7 +175,7 @@ def cut_display(
 
     A Gaussian takes away what the new pitch cannot hold; cubic splines lie between the pixels.
 
-    pixels    (rows, cols) as displayed, or linear
+    pixels    (rows, cols) as displayed or linear, any unit
     pixel_mm  pitch to bring it to
     returns   (region_px, region_px) of whose pixel region_px // 2 the joint line is the centre
     """
@@ -201,7 +201,7 @@ def as_signal(region: Array, template: Template, pixel_mm: float) -> NDArray[np.
     3.3). What is left does not depend on the tone curve, but where that is flat, and says nothing by its first-order
     statistics, which are those of the template.
 
-    region    (size, size) bone bright
+    region    (size, size) grey, bone bright
     pixel_mm  its pitch
     """
     half_mm = region.shape[0] * pixel_mm / 2

@@ -77,7 +77,7 @@ def find_joint(
 ) -> Located:
     """`locate` on linear pixels of a radiograph of known side and pitch.
 
-    pixels  (rows, cols) linear; columns run to world +x, so medial is right in a right knee and left in a left one
+    pixels  (rows, cols) linear, DN; columns run to world +x, so medial is right in a right knee and left in a left one
     raises  InputError as `locate`
     """
     step = max(1, int(LINEAR_MM / pixel_mm))
@@ -105,8 +105,8 @@ def locate(
     Then the medial compartment near that place: over templates, turns and sizes, to a fraction of a pixel. What is
     given is checked against what is found.
 
-    density    (rows, cols) bone bright in any monotone scale: minus the logarithm of a signal, or a film as displayed;
-               row 0 proximal, and a right knee's fibula on the left
+    density    (rows, cols) bone bright, any unit that is monotone: minus the logarithm of a signal, or a film as
+               displayed; row 0 proximal, and a right knee's fibula on the left
     templates  standard knees: the first and the last are looked for whole, all in the medial compartment
     side       right | left; None where it is not known
     pixel_mm   pitch at the film; None where it is not known, and it is estimated

@@ -77,7 +77,7 @@ class Spectra:
 def density_of(pixels: NDArray[np.generic]) -> Array:
     """(rows, cols)  minus the logarithm of a linear signal: bone bright
 
-    pixels  (rows, cols)
+    pixels  (rows, cols)  any unit
     """
     return np.asarray(-np.log(np.maximum(pixels, 1.0)), np.float64)
 

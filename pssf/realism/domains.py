@@ -151,7 +151,7 @@ def resampled_auc(
 ) -> Array:
     """(replicates,) AUC on subjects drawn with replacement; those where one kind is missing are left out.
 
-    truth, value, subjects  (films,)
+    truth, value, subjects  (films,)  value of any unit
     """
     rng, aucs = np.random.default_rng(seed), []
     _, of_film = np.unique(subjects, return_inverse=True)

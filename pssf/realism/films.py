@@ -136,7 +136,7 @@ def measure_film(film: Film, *, folder: Path, templates: Sequence[Template], cod
 def measured(film: Array, near: Place, pixel_mm: float) -> Record:
     """group|feature -> value of a film about its joint.
 
-    film      (rows, cols) display value, bone bright
+    film      (rows, cols) grey, a display value, bone bright
     near      about where the joint's middle is
     pixel_mm  pitch of the film
     """
@@ -154,7 +154,7 @@ def centred(film: Array, near: Place) -> Place:
     """The place and pitch that the film's own outline gives: its plateau PLATEAU_MM wide, its joint in the middle.
 
     Sought first in a wider field, in which both edges are sure to lie.
-    film  (rows, cols)  display value, bone bright
+    film  (rows, cols)  grey, a display value, bone bright
     """
     place = near
     for zoom in _ZOOMS:

@@ -53,7 +53,7 @@ def measured_knees(mean: MeanFit, fitted: Mapping[str, Array]) -> tuple[tuple[st
 def name_modes(modes: Modes, names: tuple[str, ...], values: Array) -> tuple[Modes, tuple[ModeName, ...]]:
     """Modes, turned so that the measure each is named by grows with its score, and their names.
 
-    values  (knees, measures)  of the knees that the modes come from
+    values  (knees, measures)  each in its own unit, of the knees that the modes come from
     """
     off = values - values.mean(axis=0)
     scores = modes.scores - modes.scores.mean(axis=0)

@@ -97,7 +97,7 @@ def knees_of(fitted: Fitted) -> list[dict[str, Array]]:
 def by_modes(modes: Modes, scores: Array) -> list[dict[str, Array]]:
     """Displacements of knees with scores, bone -> (controls, 3) each.
 
-    scores  (knees, modes)
+    scores  (knees, modes)  SD
     """
     return [{name: displacements(modes, name, one) for name in BONES} for one in scores]
 

@@ -158,7 +158,7 @@ class _Plane:
         self.exponent = -2 * (np.pi / cell_mm) ** 2 * (fy[:, None] ** 2 + fx**2)
 
     def spectrum(self, image: Array) -> NDArray[np.complex128]:
-        """(long rows, long cols / 2 + 1)  transform of an image (rows, cols)"""
+        """(long rows, long cols / 2 + 1)  transform of an image (rows, cols) of any unit"""
         return np.asarray(fft.rfft2(image, self.long))
 
     def gaussian(self, sigma_mm: float) -> Array:
@@ -166,9 +166,9 @@ class _Plane:
         return np.asarray(np.exp(self.exponent * sigma_mm**2))
 
     def back(self, spectrum: NDArray[np.complex128]) -> Array:
-        """(rows, cols)  the image of a spectrum (long rows, long cols / 2 + 1)"""
+        """(rows, cols)  the image, of any unit, of a spectrum (long rows, long cols / 2 + 1)"""
         return np.asarray(fft.irfft2(spectrum, self.long)[: self.shape[0], : self.shape[1]])
 
     def spread(self, spectrum: NDArray[np.complex128], sigma_mm: float) -> Array:
-        """(rows, cols)  the image of a spectrum (long rows, long cols / 2 + 1) under a Gaussian"""
+        """(rows, cols)  the image, of any unit, of a spectrum (long rows, long cols / 2 + 1) under a Gaussian"""
         return self.back(spectrum * self.gaussian(sigma_mm))
