@@ -18,7 +18,6 @@ from .model.protocol import Protocol
 from .model.radiograph import Radiograph, Truth
 from .raycast import ENGINES, Paths, shadow, trace
 from .stages import Chain, LatentImage, expose
-from .xray.materials import check_materials
 from .xray.technique import technique_of
 
 KEEP = ("path_mm", "primary", "scatter", "noise_free", "masks")
@@ -56,7 +55,8 @@ def simulate(
     technique = technique_of(protocol)
     scene = subject if isinstance(subject, Scene) else subject.scene
     clock.lap("anatomy")
-    check_materials(scene.materials)
+    for name in scene.materials:
+        technique.material(name)  # refused before rays are cast
     if paths is None:
         paths = trace(scene, protocol, engine=engine, workers=workers)
     _check_paths(paths, scene, protocol)

@@ -167,7 +167,7 @@ def pass_grid(image: LatentImage, chain: Chain) -> None:
     image.primary = Signal(primary.kev * passed, after.photon_kev)
     if image.scatter is not None:
         image.scatter = image.scatter * np.float32(
-            scatter_passing(grid, beam_of(technique), image.exit_gap_mm(technique.view))
+            scatter_passing(grid, beam_of(technique), image.exit_gap_mm(technique.view), technique.material("muscle"))
         )
 
 

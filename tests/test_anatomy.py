@@ -14,13 +14,13 @@ from pssf.anatomy import bones, cartilage, implicit, remesh
 from pssf.anatomy.bone_build import build_of, formed
 from pssf.anatomy.femur import mean_femur
 from pssf.anatomy.solids import checked, edges_of, height_field, loft, mesh_of, ring, solid_of, split_edges
-from pssf.data.bones import mean_shape
-from pssf.data.spongy import trabecular_bone
+from pssf.data.anatomy import anatomy_tables
 from pssf.model.knee import SITES
 
 REFERENCE = pssf.load_protocol("reference")
-SHAPE = mean_shape()
-MEAN = build_of(pssf.Knee(), SHAPE)
+TABLES = anatomy_tables()
+SHAPE = TABLES.shape
+MEAN = build_of(pssf.Knee(), TABLES)
 
 
 def test_a_loft_of_circles_has_the_volume_of_its_prism():
@@ -130,9 +130,9 @@ def test_a_thicker_subchondral_plate_takes_its_volume_from_trabecular_bone():
 
 def test_sclerosis_is_of_the_medial_side_and_a_share_of_it_of_the_lateral():
     knee = pssf.Knee(subchondral_plate=1.5)
-    plates, healthy = build_of(knee, mean_shape()).plates, build_of(pssf.Knee(), mean_shape()).plates
+    plates, healthy = build_of(knee, TABLES).plates, build_of(pssf.Knee(), TABLES).plates
     far = plates.at(np.array([[400.0, 0.0, 0.0], [-400.0, 0.0, 0.0], [0.0, 0.0, 0.0]])) / healthy.medial
-    share = trabecular_bone().sclerosis.lateral_share
+    share = TABLES.spongy.sclerosis.lateral_share
     assert 0 < share < 1
     assert_allclose(far, [1.5, 1 + 0.5 * share, 1 + 0.25 * (1 + share)], atol=1e-3)
     assert healthy.medial == healthy.lateral
@@ -183,7 +183,7 @@ def test_soft_structures_lie_clear_of_bones_and_of_each_other_within_the_fascia(
 
 def test_cartilage_takes_its_share_of_the_joint_space():
     for space in (2.0, 6.0):
-        layer = cartilage.on_femur(mean_femur(SHAPE.femur).outer, SHAPE, 1.0, (space, space))
+        layer = cartilage.on_femur(mean_femur(SHAPE.femur, TABLES.forms).outer, SHAPE, 1.0, (space, space))
         thick = np.linalg.norm(layer.top - layer.bone, axis=1)
         assert thick.max() == pytest.approx(0.47 * space, rel=1e-9)
         assert (thick[layer.bone[:, 2] > 60] == 0).all()

@@ -11,8 +11,8 @@ import pssf
 from pssf import Cyst, InputError, Knee
 from pssf.anatomy import built as anatomy
 from pssf.anatomy.cysts import WALL_MM, cysts_of
-from pssf.anatomy.joint import assemble
-from pssf.data.bones import mean_shape
+from pssf.anatomy.joint import assemble, defining_protocol
+from pssf.data.anatomy import anatomy_tables
 from pssf.data.fields import field_laws
 from pssf.model.knee import knee_from, knee_table
 from pssf.model.protocol import Posture
@@ -30,7 +30,7 @@ WORN = Knee(
 
 def solids(knee, posture):
     """Bones and cysts of a knee without its soft tissue, and how it stands."""
-    assembly = assemble(knee, mean_shape(), posture)
+    assembly = assemble(knee, anatomy_tables(), posture, defining_protocol(knee))
     placed = {name: part.solids for name, part in anatomy._bones(knee, assembly).items()}
     return placed, cysts_of(knee, assembly, placed), assembly
 

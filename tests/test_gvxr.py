@@ -16,13 +16,13 @@ import dataclasses
 import numpy as np
 import pytest
 import trimesh
+from matter import attenuation, material
 from numpy.testing import assert_allclose
 
 import pssf
 from pssf.accuracy.solids import polyhedron_chords
 from pssf.anatomy.solids import mesh_of, solid_of
 from pssf.geometry.view import view_of
-from pssf.xray.materials import _recipe, attenuation_per_mm
 from pssf.xray.spectrum import beam_for
 from pssf.xray.technique import technique_of
 
@@ -77,10 +77,10 @@ def knee_scene():
     return pssf.build(pssf.Knee()).scene
 
 
-def put(label, mesh, material="water"):
+def put(label, mesh, name="water"):
     """Give gvxr a mesh of one material."""
     gvxr.makeTriangularMesh(label, mesh.vertices.ravel().tolist(), mesh.faces.ravel().tolist(), "mm")
-    density, weights = _recipe(material)
+    density, weights = material(name)
     gvxr.setMixture(label, [z for z, _ in weights], [share for _, share in weights])
     gvxr.setDensity(label, density, "g/cm3")
     gvxr.addPolygonMeshAsInnerSurface(label)
@@ -224,10 +224,10 @@ def test_of_faces_seen_edge_on_ours_is_exact_and_gvxr_fails_at_a_few_pixels():
 
 def test_gvxr_attenuates_as_our_tissues_do(knee_scene):
     energies_kev = np.linspace(15.0, 120.0, 22)
-    for material in knee_scene.materials[1:]:
-        put(material, ball(10.0), material)
-        per_cm = [gvxr.getLinearAttenuationCoefficient(material, float(energy), "keV") for energy in energies_kev]
-        assert_allclose(np.array(per_cm) / MM_PER_CM, attenuation_per_mm(material, energies_kev), rtol=1e-12)
+    for name in knee_scene.materials[1:]:
+        put(name, ball(10.0), name)
+        per_cm = [gvxr.getLinearAttenuationCoefficient(name, float(energy), "keV") for energy in energies_kev]
+        assert_allclose(np.array(per_cm) / MM_PER_CM, attenuation(name, energies_kev), rtol=1e-12)
 
 
 def test_gvxr_makes_the_same_polychromatic_image_of_the_knee(knee_scene):
@@ -239,10 +239,10 @@ def test_gvxr_makes_the_same_polychromatic_image_of_the_knee(knee_scene):
     gvxr.disableArtefactFiltering()
     exponent = np.zeros((VIEW.rows, VIEW.cols, len(photons)))
     # Without trabeculae, for gvxr has no density that varies.
-    for material, lengths in pssf.trace(knee_scene, VIEW, engine="scanline", texture=False).path_mm.items():
+    for name, lengths in pssf.trace(knee_scene, VIEW, engine="scanline", texture=False).path_mm.items():
         # Edges halved twice: the bend of the largest triangles would be 1 % of the image.
-        put(material, split_edges(part(knee_scene, material), 2), material)
-        exponent -= lengths[..., None] * attenuation_per_mm(material, beam.energies_kev)
+        put(name, split_edges(part(knee_scene, name), 2), name)
+        exponent -= lengths[..., None] * attenuation(name, beam.energies_kev)
     ours = (np.exp(exponent) * photons * beam.energies_kev).sum(axis=-1)
     theirs = image(gvxr.computeXRayImage()) * KEV_PER_MEV
     difference = np.abs(theirs / ours - 1)
@@ -252,6 +252,6 @@ def test_gvxr_makes_the_same_polychromatic_image_of_the_knee(knee_scene):
     assert np.percentile(difference, 99.9) < 1e-3
     # A rim is at most RIM_MM of the densest material off (see above); its energies are those that come through.
     energy = float((photons * beam.energies_kev).sum())
-    rim = np.expm1(RIM_MM * attenuation_per_mm("cortical_bone", np.array([energy]))[0])
+    rim = np.expm1(RIM_MM * attenuation("cortical_bone", np.array([energy]))[0])
     assert 0.02 < rim < 0.2
     assert difference.max() < rim

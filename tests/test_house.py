@@ -16,6 +16,66 @@ OPENS = ("open", "read_text", "write_text", "read_bytes", "mkdir", "unlink", "re
 # As methods of a path, of numpy or of a table; functions of `io` may be called so.
 METHODS = ("write_bytes", "savez", "savez_compressed", "savetxt", "tofile", "fromfile", "to_csv", "to_json")
 ERRORS = ("InputError", "ValueError", "TypeError")
+# Rooms of formulas, in which a protocol comes from outside too.
+FORMULAS = ("geometry", "anatomy", "raycast", "xray", "scatter", "detector", "radiomics")
+PROTOCOLS = {"load_protocol", "defining_protocol"}
+# Module -> functions that may call readers of tables: the doors of the house, see `pssf.data`.
+DOORS = {
+    # What users call, and what they construct things from.
+    "anatomy/built.py": "build BuiltKnee.aimed",
+    "anatomy/joint.py": "defining_protocol",
+    "cli/options.py": "knee_of",
+    "detector/rendering.py": "present",
+    "model/draw.py": "draw_knee draw_knees",
+    "model/exposure.py": "draw_exposure",
+    "model/look.py": "draw_look",
+    "model/progress.py": "progress",
+    "model/protocol.py": "field_rows load_protocol",
+    "radiomics/locate.py": "locate",
+    # Where a protocol's names become records, once for all stages.
+    "xray/technique.py": "technique_of",
+    # Files that are read or written whole.
+    "cohort/labels.py": "write_labels",
+    "io/dicom.py": "write read ours",
+    "io/film_dicom.py": "is_linear_by_pssf",
+    "io/readme.py": "Checkout.take require_checkout write_tables",
+    "io/segmentation.py": "write",
+    # Beginnings of a cohort and of a study, and parts of one that are called by themselves.
+    "cohort/plan.py": "plan_cohort preset_names",
+    "study/external.py": "tested_on_films",
+    "study/learn/separability.py": "separability",
+    "study/pipeline.py": "run_study",
+    "study/report/checklist.py": "checklist",
+    "study/statistics/evidence.py": "tables_of_features",
+    "study/statistics/parameters.py": "table_of",
+    # Measurements of the package, one a table of theirs; a scene to measure in.
+    "accuracy/builds.py": "build_rows",
+    "accuracy/localisation.py": "limit_rows localisation_rows",
+    "accuracy/monte_carlo.py": "reference_rows",
+    "accuracy/morphometry.py": "knee_rows",
+    "accuracy/physics.py": "physics_rows",
+    "accuracy/scatter.py": "limb",
+    "accuracy/scatter_fit.py": "fitted_kernel",
+    "accuracy/tessellation.py": "tessellation_rows",
+    "accuracy/texture.py": "spread_rows step_rows",
+    "accuracy/views.py": "view_rows",
+    "quality/measure.py": "measure_quality",
+    "realism/bones.py": "built_bones",
+    "realism/contours.py": "drawn_landmarks",
+    "realism/run.py": "measure",
+    "realism/shape_fit.py": "derive",
+    "realism/shape_modes.py": "fit_mean",
+}
+# Of numbers; a share and a probability are of 1, and "unit" is of "a unit vector", "any unit" or "its own unit".
+UNITS = {
+    "mm", "mm2", "mm3", "1/mm", "1/mm2", "keV/mm2", "keV2/mm2", "px", "keV", "kV", "mGy", "uGy", "DN", "deg",
+    "degrees", "g/cm2", "counts",
+    "share", "shares", "probability", "probabilities", "dimensionless", "SD", "unit", "grey",
+}  # fmt: skip
+UNITS_IN_NAMES = ("mm", "mm2", "mm3", "px", "kev", "kev2", "kv", "mgy", "deg", "dn")
+# Elements of arrays that need no unit: numbers of things, and whether.
+WHOLE = ("int", "bool", "Any", "Faces", "Ints", "Signs")
+SAYS_NOTHING = ("found", "told")
 ARRAYS = ("Array", "NDArray", "Map", "Block", "Faces", "Floats", "Ints", "Signs", "Frequencies")
 
 
@@ -149,7 +209,7 @@ def absolute_imports(sources: dict[str, str]) -> Iterator[str]:
 
 
 def read_tables(sources: dict[str, str]) -> Iterator[str]:
-    """Formulas get records; a table is read where it becomes one."""
+    """A table is read where it becomes a record."""
     for path, text in sources.items():
         if path.split("/")[0] == "data":
             continue
@@ -160,6 +220,62 @@ def read_tables(sources: dict[str, str]) -> Iterator[str]:
                 break
 
 
+def readers(sources: dict[str, str]) -> set[str]:
+    """Functions of `data` that read a table, or call one that does."""
+    functions = {
+        node.name: {call.func.id for call in ast.walk(node) if isinstance(call, ast.Call) and hasattr(call.func, "id")}
+        for path, text in sources.items()
+        for node in ast.parse(text).body
+        if path.startswith("data/") and isinstance(node, ast.FunctionDef)
+    }
+    reading = {"data", "read_toml"}
+    while True:
+        more = {name for name, called in functions.items() if called & reading} - reading
+        if not more:
+            return reading
+        reading |= more
+
+
+def _uses(tree: ast.AST, names: set[str], where: str = "") -> Iterator[str]:
+    """The function, its class before it, in which one of some names is read; "" for a module itself."""
+    for child in ast.iter_child_nodes(tree):
+        if isinstance(child, ast.Name) and isinstance(child.ctx, ast.Load) and child.id in names:
+            yield where
+        inner = isinstance(child, ast.FunctionDef | ast.ClassDef)
+        yield from _uses(child, names, f"{where}.{child.name}".strip(".") if inner else where)
+
+
+def read_behind_the_door(sources: dict[str, str]) -> Iterator[str]:
+    """Calls of readers elsewhere than at a door, and doors at which nothing is read: see `pssf.data`.
+
+    A record of the model may read what its own fields may be, when it is made.
+    """
+    doors = {f"{path}:{name}" for path, names in DOORS.items() if path in sources for name in names.split()}
+    reading, read = readers(sources), set[str]()
+    for path, text in sources.items():
+        if path.startswith("data/"):
+            continue
+        tree = ast.parse(text)
+        taken = {
+            alias.asname or alias.name
+            for node in ast.walk(tree)
+            if isinstance(node, ast.ImportFrom) and node.level and (node.module or "").split(".")[0] == "data"
+            for alias in node.names
+            # Behind a whole module its readers would not be seen.
+            if alias.name in reading or (node.module == "data" and f"data/{alias.name}.py" in sources)
+        }
+        if path.split("/")[0] in FORMULAS:
+            taken |= PROTOCOLS
+        for function in _uses(tree, taken):
+            place = f"{path}:{function}"
+            born = path.startswith("model/") and function.endswith(".__post_init__")
+            read.add(place)
+            if place not in doors and not born:
+                yield f"{place or path} reads a table"
+    yield from (f"{door} is no door: it reads nothing" for door in sorted(doors - read))
+    yield from (f"{door} is no door: it is private" for door in sorted(doors) if ":_" in door or "._" in door)
+
+
 def refuse_without_value(sources: dict[str, str]) -> Iterator[str]:
     for path, text in sources.items():
         for node in ast.walk(ast.parse(text)):
@@ -168,29 +284,53 @@ def refuse_without_value(sources: dict[str, str]) -> Iterator[str]:
                 yield f"{path}:{node.lineno}: {node.args[0].value!r}"
 
 
-def arrays_without_shape(sources: dict[str, str]) -> Iterator[str]:
-    """Array arguments of public functions whose docstring does not give a shape beside their name."""
+def _array_arguments(sources: dict[str, str]) -> Iterator[tuple[str, str, str, list[str]]]:
+    """Where, name, type and the lines of the docstrings that name it, of array arguments of public functions."""
     for path, text in sources.items():
         for node in ast.parse(text).body:
             methods = node.body if isinstance(node, ast.ClassDef) else [node]
             for function in methods:
                 if isinstance(function, ast.FunctionDef) and not function.name.startswith("_"):
-                    notes = (ast.get_docstring(function) or "") + (ast.get_docstring(node) or "")
+                    notes = (ast.get_docstring(function) or "") + "\n" + (ast.get_docstring(node) or "")
                     for argument in (*function.args.args, *function.args.kwonlyargs):
                         kind = ast.unparse(argument.annotation) if argument.annotation else ""
-                        if kind.split("[")[0] in ARRAYS and not _has_shape(argument.arg, notes):
-                            yield f"{path}:{function.name}: {argument.arg}"
+                        if kind.split("[")[0] in ARRAYS:
+                            yield f"{path}:{function.name}", argument.arg, kind, _naming(argument.arg, notes)
 
 
-def _has_shape(name: str, notes: str) -> bool:
-    """Whether a line names the argument and gives a shape, or the text gives one right after it."""
-    for line in notes.splitlines():
-        words = {word.strip("`*:.") for word in line.replace(",", " ").replace(";", " ").split()}
-        if words & {name, name.removesuffix("_mm")} and "(" in line and ")" in line:
-            return True
-    return False
+def _naming(name: str, notes: str) -> list[str]:
+    lines = [(line, line.replace(",", " ").replace(";", " ").split()) for line in notes.splitlines()]
+    return [line for line, words in lines if {word.strip("`*:.") for word in words} & {name, name.removesuffix("_mm")}]
 
 
+def arrays_without_shape(sources: dict[str, str]) -> Iterator[str]:
+    """Array arguments of public functions whose docstring does not give a shape beside their name."""
+    for where, name, _, lines in _array_arguments(sources):
+        if not any("(" in line and ")" in line for line in lines):
+            yield f"{where}: {name}"
+
+
+def arrays_without_unit(sources: dict[str, str]) -> Iterator[str]:
+    """Array arguments of numbers that are not whole, whose unit neither their name has nor the docstring beside it."""
+    for where, name, kind, lines in _array_arguments(sources):
+        shaped = " ".join(line for line in lines if "(" in line).replace(",", " ").replace(";", " ").split()
+        whole = any(word in kind for word in WHOLE) and "float" not in kind
+        named = any(name.endswith(f"_{unit}") for unit in UNITS_IN_NAMES)
+        if not whole and not named and not UNITS & {word.strip("`*:.()") for word in shaped}:
+            yield f"{where}: {name}"
+
+
+def say_nothing(sources: dict[str, str]) -> Iterator[str]:
+    """Variables, arguments and fields whose names do not say what they hold."""
+    for path, text in sources.items():
+        for node in ast.walk(ast.parse(text)):
+            for kind in ("id", "arg", "attr", "name"):
+                if getattr(node, kind, None) in SAYS_NOTHING:
+                    yield f"{path}:{node.lineno}: {getattr(node, kind)}"
+
+
+# A table and its reader.
+TABLES = {"data/a.py": "def reader():\n    return data('a')\n"}
 RULES = {
     one_way: {"core/checks.py": "from ..model import knee\n", "model/knee.py": ""},
     long_modules: {"core/a.py": "x = 1\n" * 301},
@@ -200,6 +340,9 @@ RULES = {
     open_the_disk: {"core/a.py": "open('x')\n"},
     absolute_imports: {"core/a.py": "from pssf.model import knee\n"},
     read_tables: {"xray/a.py": "tables.data('x')\n"},
+    read_behind_the_door: {**TABLES, "xray/a.py": "from ..data.a import reader\ndef f():\n    reader()\n"},
+    arrays_without_unit: {"core/a.py": 'def f(a: Array):\n    """a  (n,)  what is given"""\n'},
+    say_nothing: {"core/a.py": "found = 1\n"},
     refuse_without_value: {"core/a.py": "raise InputError('no')\n"},
     arrays_without_shape: {"core/a.py": 'def f(a: Array):\n    """Nothing of a."""\n'},
 }
@@ -225,11 +368,64 @@ def test_the_rule_sees_a_planted_violation(rule):
         (open_the_disk, "mkdir('x')\n"),
         (read_tables, "from ..data.tables import data\ndata('x')\n"),
         (absolute_imports, "import pssf.model.knee\n"),
+        (say_nothing, "def f(told):\n    pass\n"),
+        (say_nothing, "class A:\n    found: int\n"),
+        (say_nothing, "def f(a):\n    return a.found\n"),
+        (say_nothing, "with a as told:\n    pass\n"),
+        (say_nothing, "f(found=1)\n"),
         (refuse_without_value, "raise ValueError('no')\n"),
     ],
 )
 def test_the_rule_sees_a_violation_in_other_words(rule, text):
     assert list(rule({"core/a.py": text}))
+
+
+@pytest.mark.parametrize(
+    ("argument", "line", "kept"),
+    [
+        ("a_mm: Array", "a_mm  (n,)", True),
+        ("a: Array", "a  (n,)  mm", True),
+        ("a: NDArray[np.floating]", "a  (n,)  in its own unit", True),
+        ("a: NDArray[np.int64]", "a  (n,)  vertex numbers", True),
+        ("a: NDArray[np.integer | np.floating]", "a  (n,)  numbers", False),
+        ("a: Array", "a  (n,)  of a comma", False),
+        ("a: Array", "b  (n,)  mm", False),
+    ],
+)
+def test_the_unit_of_an_array_is_in_its_name_or_beside_its_shape(argument, line, kept):
+    assert kept is not any(arrays_without_unit({"core/a.py": f'def f({argument}):\n    """{line}"""\n'}))
+
+
+@pytest.mark.parametrize(
+    ("path", "text"),
+    [
+        ("xray/a.py", "from ..data.a import reader\nTABLE = reader()\n"),
+        ("xray/a.py", "from ..data.a import reader as mine\nclass A:\n    def f(self):\n        mine()\n"),
+        ("xray/a.py", "from ..data import a\ndef f():\n    a.reader()\n"),
+        ("study/learn/a.py", "from ...data.b import wrapped\ndef f(make=wrapped):\n    make()\n"),
+        ("model/a.py", "from ..data.a import reader\nclass A:\n    def other(self):\n        reader()\n"),
+        ("anatomy/a.py", "from ..model.protocol import load_protocol\ndef f():\n    load_protocol('a')\n"),
+        ("xray/technique.py", "def technique_of():\n    pass\n"),
+    ],
+    ids=["constant", "renamed", "module", "wrapped", "not at birth", "protocol", "no door"],
+)
+def test_a_table_read_behind_the_door_is_seen(path, text):
+    wrapped = {"data/b.py": "from .a import reader\ndef wrapped():\n    return reader()\n"}
+    assert list(read_behind_the_door({**TABLES, **wrapped, path: text}))
+
+
+@pytest.mark.parametrize(
+    ("path", "text"),
+    [
+        ("xray/technique.py", "from ..data.a import reader\ndef technique_of():\n    reader()\n"),
+        ("model/a.py", "from ..data.a import reader\nclass A:\n    def __post_init__(self):\n        reader()\n"),
+        ("accuracy/a.py", "from ..model.protocol import load_protocol\ndef f():\n    load_protocol('a')\n"),
+        ("xray/a.py", "from ..data.a import Kind\ndef f(reader: Kind):\n    reader()\n"),
+    ],
+    ids=["door", "at birth", "measurement", "argument"],
+)
+def test_a_table_read_at_the_door_is_let_pass(path, text):
+    assert not list(read_behind_the_door({**TABLES, path: text}))
 
 
 @pytest.mark.parametrize(

@@ -13,10 +13,12 @@ from pssf.anatomy.femur import mean_femur
 from pssf.anatomy.mean_bone import Plates
 from pssf.anatomy.solids import mesh_of
 from pssf.anatomy.tibia import mean_tibia
-from pssf.data.bones import mean_shape
+from pssf.data.anatomy import anatomy_tables
 from pssf.model.knee import SITES
 
-SHAPE = mean_shape()
+TABLES = anatomy_tables()
+SHAPE = TABLES.shape
+BONES = [mean_femur(SHAPE.femur, TABLES.forms), mean_tibia(SHAPE.tibia, TABLES.forms)]
 
 
 @given(x=st.floats(-25, 25), y=st.floats(-18, 18))
@@ -43,12 +45,12 @@ def outwardness(solid, field) -> np.ndarray:
     return cosine[(np.abs(middle[:, 2]) < 190.0) & (np.asarray(mesh.area_faces) > 1e-9)]
 
 
-@pytest.mark.parametrize("bone", [mean_femur(SHAPE.femur), mean_tibia(SHAPE.tibia)], ids=["femur", "tibia"])
+@pytest.mark.parametrize("bone", BONES, ids=["femur", "tibia"])
 def test_no_triangle_of_a_bone_faces_inwards(bone):
     assert outwardness(bone.outer, bone.field).min() > 0
 
 
-@pytest.mark.parametrize("bone", [mean_femur(SHAPE.femur), mean_tibia(SHAPE.tibia)], ids=["femur", "tibia"])
+@pytest.mark.parametrize("bone", BONES, ids=["femur", "tibia"])
 @pytest.mark.parametrize(("cortex", "plate"), [(1.0, 1.0), (0.6, 0.4), (1.5, 2.5)])
 def test_marrow_lies_as_deep_as_cortex_and_plate_say(bone, cortex, plate):
     points = mesh_of(bone.inner(cortex, Plates(plate, plate, 10.0))).vertices
@@ -122,12 +124,12 @@ SHARP = pssf.Knee(
 
 def test_no_tip_of_an_osteophyte_is_cut_off():
     assembly = anatomy.build(SHARP).assembly
-    beaks = [(grown.outer, beak) for grown in (assembly.femur, assembly.tibia) for beak in grown.beaks]
-    assert len(beaks) == 6
-    for outer, beak in beaks:
+    shapes = [(grown.outer, shape) for grown in (assembly.femur, assembly.tibia) for shape in grown.shapes]
+    assert len(shapes) == 6
+    for outer, shape in shapes:
         points = mesh_of(outer).vertices
-        about = points[np.linalg.norm(points - beak.tip, axis=1) < 3.0]
-        assert (about @ beak.out).max() == pytest.approx(beak.farthest @ beak.out, abs=1e-4)
+        about = points[np.linalg.norm(points - shape.tip, axis=1) < 3.0]
+        assert (about @ shape.out).max() == pytest.approx(shape.farthest @ shape.out, abs=1e-4)
 
 
 def test_folds_are_laid_flat():

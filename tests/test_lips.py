@@ -6,16 +6,15 @@ import pytest
 import pssf
 from pssf.anatomy import bones, osteophytes
 from pssf.anatomy.bone_build import build_of, formed
-from pssf.anatomy.femur import mean_femur
 from pssf.anatomy.solids import mesh_of
-from pssf.anatomy.tibia import mean_tibia
-from pssf.data.bones import mean_shape
+from pssf.data.anatomy import anatomy_tables
 
-SHAPE = mean_shape()
-BUILD = build_of(pssf.Knee(shape=(1.0, -1.5, 2.0, 0.5, -1.0)), SHAPE)
+TABLES = anatomy_tables()
+SHAPE = TABLES.shape
+BUILD = build_of(pssf.Knee(shape=(1.0, -1.5, 2.0, 0.5, -1.0)), TABLES)
 OF_BONE = {
-    "femur": (bones.grown_femur, mean_femur(SHAPE.femur), BUILD.femur, SHAPE.osteophytes.femur.band_z),
-    "tibia": (bones.grown_tibia, mean_tibia(SHAPE.tibia), BUILD.tibia, SHAPE.osteophytes.tibia.band_z),
+    "femur": (bones.grown_femur, BUILD.mean_femur, BUILD.femur, SHAPE.osteophytes.femur.band_z),
+    "tibia": (bones.grown_tibia, BUILD.mean_tibia, BUILD.tibia, SHAPE.osteophytes.tibia.band_z),
 }
 MARGINS = ("medial_femur", "lateral_femur", "medial_tibia", "lateral_tibia")
 
@@ -34,39 +33,39 @@ def lip(site: str, size_mm: float, **where: float):
 )
 def test_a_lip_stands_out_of_the_deformed_margin_by_its_size_wherever_it_is(site, size_mm, place, curve_deg):
     grown, form, margin = lip(site, size_mm, place=place, curve_deg=curve_deg)
-    (beak,) = grown.beaks
-    way = beak.axes[1]
+    (shape,) = grown.shapes
+    way = shape.axes[1]
     bare = (formed(margin, form) @ way).max()
-    assert (formed(beak.farthest[None], form) @ way)[0] - bare == pytest.approx(size_mm, abs=1e-8)
+    assert (formed(shape.farthest[None], form) @ way)[0] - bare == pytest.approx(size_mm, abs=1e-8)
     points = mesh_of(grown.outer).vertices
-    about = formed(points[np.linalg.norm(points - beak.farthest, axis=1) < 3.0], form) @ way
+    about = formed(points[np.linalg.norm(points - shape.farthest, axis=1) < 3.0], form) @ way
     assert about.max() - bare == pytest.approx(size_mm, abs=1e-4 if size_mm > 1 else 0.1)
 
 
 @pytest.mark.parametrize("site", MARGINS)
 def test_a_lip_is_broad_along_the_margin_and_at_its_base(site):
     grown, _, _ = lip(site, 4.0)
-    (beak,) = grown.beaks
+    (shape,) = grown.shapes
     mean = OF_BONE[site.split("_")[1]][1]
     points = mesh_of(grown.outer).vertices
-    added = points[beak.near(points) & (mean.field(points) > 0.5)]
-    along, _, up = ((added - beak.origin) @ beak.axes.T).T
+    added = points[shape.near(points) & (mean.field(points) > 0.5)]
+    along, _, up = ((added - shape.origin) @ shape.axes.T).T
     assert 14 < np.ptp(along) < 30
     assert 6 < np.ptp(up) < 15
 
 
 @pytest.mark.parametrize("site", MARGINS)
 def test_a_larger_lip_is_longer_and_one_that_curves_ends_nearer_to_the_joint(site):
-    small, large = (lip(site, size)[0].beaks[0] for size in (2.0, 8.0))
+    small, large = (lip(site, size)[0].shapes[0] for size in (2.0, 8.0))
     assert large.half_mm > small.half_mm + 3
-    flat, bent = (lip(site, 4.0, curve_deg=curve)[0].beaks[0] for curve in (0.0, 40.0))
+    flat, bent = (lip(site, 4.0, curve_deg=curve)[0].shapes[0] for curve in (0.0, 40.0))
     towards = 1.0 if site.endswith("tibia") else -1.0
     assert towards * (bent.farthest - flat.farthest)[2] > 1.0
 
 
 def test_the_filling_of_a_lip_is_one_with_the_spongy_bone_and_within_a_cortex():
-    beak = pssf.Osteophyte(site="medial_tibia", size_mm=6.0)
-    grown = bones.grown_tibia(BUILD, (beak,))
+    osteophyte = pssf.Osteophyte(site="medial_tibia", size_mm=6.0)
+    grown = bones.grown_tibia(BUILD, (osteophyte,))
     bone = bones.tibia(BUILD, grown)
     assert len(bone.inner.decompose()) == 1
     assert (bone.inner - bone.outer).volume() < 1e-6
@@ -75,15 +74,15 @@ def test_the_filling_of_a_lip_is_one_with_the_spongy_bone_and_within_a_cortex():
 
 
 def test_one_lip_that_hides_the_end_of_another_is_refused():
-    small, large = (lip("medial_tibia", size)[0].beaks[0] for size in (1.0, 6.0))
-    beak = pssf.Osteophyte(site="medial_tibia", size_mm=1.0)
+    small, large = (lip("medial_tibia", size)[0].shapes[0] for size in (1.0, 6.0))
+    osteophyte = pssf.Osteophyte(site="medial_tibia", size_mm=1.0)
     with pytest.raises(pssf.InputError, match=r"one hides the farthest point of another; allowed: smaller"):
-        osteophytes._refuse_hidden((beak,), [small, large], "tibia")
+        osteophytes._refuse_hidden((osteophyte,), [small, large], "tibia")
 
 
 def test_two_lips_of_one_margin_are_one_mask():
-    beaks = tuple(pssf.Osteophyte(site="medial_tibia", size_mm=2.0, place=place) for place in (-0.8, 0.5))
-    meshes = pssf.build(pssf.Knee(osteophytes=beaks)).osteophytes()
+    lips = tuple(pssf.Osteophyte(site="medial_tibia", size_mm=2.0, place=place) for place in (-0.8, 0.5))
+    meshes = pssf.build(pssf.Knee(osteophytes=lips)).osteophytes()
     assert set(meshes) == {"medial_tibia"}
     places = meshes["medial_tibia"].vertices[:, 1]
     assert places.min() < -10

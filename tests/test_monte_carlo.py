@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 import xraylib
+from matter import attenuation, material
 from msgspec import structs
 from numpy.testing import assert_allclose
 
@@ -12,7 +13,6 @@ from pssf.accuracy.monte_carlo import reference_rows
 from pssf.accuracy.scatter import limb, slab
 from pssf.data.detectors import detectors
 from pssf.data.references import ScatterCases, references
-from pssf.geometry.view import view_of
 from pssf.scatter import transport
 from pssf.scatter.interactions import interactions_of
 from pssf.scatter.monte_carlo import count, scatter_monte_carlo
@@ -42,7 +42,7 @@ def taken(kv=70.0, thick_mm=120.0, gap_mm=140.0, rows=300, cols=300):
 
 
 def open_kev(protocol):
-    return float(transmit({}, beam_of(technique_of(protocol)), view_of(protocol)).kev.max())
+    return float(transmit({}, beam_of(technique_of(protocol)), technique_of(protocol)).kev.max())
 
 
 def mean_and_error(batches):
@@ -99,7 +99,7 @@ def test_compton_scatter_keeps_the_mean_energy_of_klein_and_nishina(kev):
 @pytest.mark.parametrize("kev", [20.0, 60.0])
 @pytest.mark.parametrize("kind", ["compton", "rayleigh"])
 def test_scatter_in_oxygen_has_the_angles_of_xraylib(kev, kind):
-    what, random = interactions_of(("O@1.0",), 80.0, CSI), stream(2)
+    what, random = interactions_of((material("O@1.0"),), 80.0, CSI), stream(2)
     # Below 0.01 there are no values for Compton, and too little of the weight to matter.
     angle = np.linspace(0.01, np.pi, 4001) if kind == "compton" else np.linspace(0, np.pi, 4001)
     section = xraylib.DCS_Compt if kind == "compton" else xraylib.DCS_Rayl
@@ -115,13 +115,11 @@ def test_scatter_in_oxygen_has_the_angles_of_xraylib(kev, kind):
 
 
 def test_tables_add_up_to_the_attenuation_of_the_primary():
-    what = interactions_of(("muscle", "cortical_bone", "Ti@4.51"), 80.0, CSI)
-    from pssf.xray.materials import attenuation_per_mm
-
+    what = interactions_of(tuple(map(material, ("muscle", "cortical_bone", "Ti@4.51"))), 80.0, CSI)
     energies = 5.0 + 0.5 * np.arange(what.photo.shape[1])
     for number, name in enumerate(("muscle", "cortical_bone", "Ti@4.51")):
         total = (what.photo + what.compton + what.rayleigh)[number]
-        assert_allclose(total, attenuation_per_mm(name, energies), rtol=1e-12)
+        assert_allclose(total, attenuation(name, energies), rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -132,7 +130,7 @@ def test_unscattered_photons_follow_beer_and_lambert(angle_deg, mono_kev, detect
     scene = pssf.Scene([pssf.Surface(box(90, 60, 110, at_mm=(20, 10, -15)), "muscle", "air", "block")])
     found = count(scene, technique_of(protocol), photons=400_000, voxel_mm=1.0)
     paths = pssf.trace(scene, protocol, materials=["muscle"]).path_mm
-    exact = transmit(paths, beam_of(technique_of(protocol)), view_of(protocol)).kev
+    exact = transmit(paths, beam_of(technique_of(protocol)), technique_of(protocol)).kev
     # Inside the shadow of the block: elsewhere photons are aimed only near it.
     shadow = paths["muscle"] > 59.0
     cells = found.step * np.arange(found.primary_kev.shape[1]), found.step * np.arange(found.primary_kev.shape[2])
@@ -243,7 +241,7 @@ def test_scatter_behind_water_agrees_with_the_reference_within_3_percent(kv, thi
     middle = np.s_[:, 12:18, 12:18]
     scatter, error = mean_and_error(found.scatter_kev[middle].sum(axis=(1, 2)) / found.pixels[middle[1:]].sum())
     paths = pssf.trace(slab(thick_mm), protocol, materials=["water"]).path_mm
-    primary = transmit(paths, beam_of(technique_of(protocol)), view_of(protocol)).kev[120:180, 120:180].mean()
+    primary = transmit(paths, beam_of(technique_of(protocol)), technique_of(protocol)).kev[120:180, 120:180].mean()
     assert error / scatter < 0.03
     assert abs(scatter / primary / reference - 1) < 0.03 + 3 * error / scatter
 

@@ -2,7 +2,12 @@ import pytest
 
 import pssf
 from pssf.data.oarsi import oarsi_cuts
-from pssf.model.oarsi import oarsi
+from pssf.data.spongy import trabecular_bone
+from pssf.model import oarsi as readings_of
+
+
+def oarsi(knee, attrition_mm):
+    return readings_of.oarsi(knee, attrition_mm, oarsi_cuts(), trabecular_bone())
 
 
 def test_a_healthy_knee_has_no_grade_above_0():

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from scipy.stats import spearmanr
 
+from pssf.data.grades import grade_table
 from pssf.study.statistics.parameters import composition, follows, morphology, parameters_of, strongest, table_of
 
 
@@ -31,7 +32,7 @@ def test_parameters_are_one_row_a_knee_with_the_largest_osteophyte_and_their_cou
 
 
 def test_what_was_drawn_stands_beside_the_range_of_its_grade():
-    table = morphology(parameters_of(manifest()), "paper").set_index(["parameter", "grade"])
+    table = morphology(parameters_of(manifest()), grade_table("paper")).set_index(["parameter", "grade"])
     space = table.loc[("JSW medial, mm", 1)]
     assert (space["low"], space["high"]) == (3.5, 5.0)
     assert (space["least"], space["mean"], space["most"]) == pytest.approx((4.8, 4.95, 5.1))
@@ -67,9 +68,9 @@ def test_the_cohort_is_counted_by_grade_and_in_all():
 
 def test_ranges_are_of_the_table_that_the_manifest_names():
     told = manifest().assign(grade_table="paper")
-    assert table_of(told) == "paper"
+    assert table_of(told) == grade_table("paper")
     assert morphology(parameters_of(told), table_of(told))["low"].notna().any()
     for other in (manifest(), told.assign(grade_table="gone.toml"), told.assign(grade_table=["paper", "people"] * 12)):
         assert table_of(other) is None
         assert morphology(parameters_of(other), table_of(other))["low"].isna().all()
-    assert morphology(parameters_of(told), "people")["low"].isna().all()
+    assert morphology(parameters_of(told), grade_table("people"))["low"].isna().all()

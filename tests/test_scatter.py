@@ -16,14 +16,15 @@ from pssf.xray.technique import technique_of
 
 def kernel(scene, protocol, gap_mm=None):
     """Scatter and primary of a scene, and the open beam (keV a pixel)."""
-    view, beam = view_of(protocol), beam_of(technique_of(protocol))
+    technique = technique_of(protocol)
+    beam = beam_of(technique)
     paths = pssf.trace(scene, protocol).path_mm
-    primary = transmit(paths, beam, view).kev
-    gap_mm = exit_gap_mm(scene, view) if gap_mm is None else gap_mm
+    primary = transmit(paths, beam, technique).kev
+    gap_mm = exit_gap_mm(scene, technique.view) if gap_mm is None else gap_mm
     return (
-        scatter_kev(primary, paths, gap_mm, technique_of(protocol)),
+        scatter_kev(primary, paths, gap_mm, technique),
         primary,
-        float(transmit({}, beam, view).kev.max()),
+        float(transmit({}, beam, technique).kev.max()),
     )
 
 
@@ -70,7 +71,7 @@ def test_scatter_falls_with_the_gap_and_is_flatter_than_the_primary():
 
 def test_no_object_makes_no_scatter():
     protocol = dataclasses.replace(pssf.load_protocol("reference"), rows=64, cols=64, pixel_mm=4.8)
-    primary = transmit({}, beam_of(technique_of(protocol)), view_of(protocol)).kev
+    primary = transmit({}, beam_of(technique_of(protocol)), technique_of(protocol)).kev
     assert (scatter_kev(primary, {}, 100.0, technique_of(protocol)) == 0).all()
     assert (scatter_kev(primary, {"muscle": np.zeros((64, 64), np.float32)}, 100.0, technique_of(protocol)) == 0).all()
 
@@ -80,11 +81,11 @@ def test_no_object_makes_no_scatter():
 def test_scatter_is_finite_and_not_negative_for_any_detector_and_beam(shape, setting):
     protocol = dataclasses.replace(pssf.load_protocol("reference"), rows=shape[0], cols=shape[1], **setting)
     for paths in ({"muscle": np.full(shape, 120, np.float32)}, {"Pb@11.35": np.full(shape, 1000, np.float32)}):
-        primary = transmit(paths, beam_of(technique_of(protocol)), view_of(protocol)).kev
+        primary = transmit(paths, beam_of(technique_of(protocol)), technique_of(protocol)).kev
         scatter = scatter_kev(primary, paths, 100.0, technique_of(protocol))
         assert np.isfinite(scatter).all()
         assert (scatter >= 0).all()
-        assert scatter.max() < transmit({}, beam_of(technique_of(protocol)), view_of(protocol)).kev.max()
+        assert scatter.max() < transmit({}, beam_of(technique_of(protocol)), technique_of(protocol)).kev.max()
 
 
 def test_a_mirrored_scene_has_mirrored_scatter():
@@ -92,8 +93,9 @@ def test_a_mirrored_scene_has_mirrored_scatter():
     paths = pssf.trace(scene, protocol).path_mm
     tilted = {name: lengths * np.linspace(0.8, 1.2, 256, dtype=np.float32) for name, lengths in paths.items()}
     turned = {name: lengths[:, ::-1] for name, lengths in tilted.items()}
-    view, beam = view_of(protocol), beam_of(technique_of(protocol))
-    one, other = (scatter_kev(transmit(p, beam, view).kev, p, 60.0, technique_of(protocol)) for p in (tilted, turned))
+    technique = technique_of(protocol)
+    beam = beam_of(technique)
+    one, other = (scatter_kev(transmit(p, beam, technique).kev, p, 60.0, technique) for p in (tilted, turned))
     assert_allclose(one, other[:, ::-1], rtol=1e-3)
 
 

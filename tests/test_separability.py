@@ -6,7 +6,10 @@ from typer.testing import CliRunner
 
 from pssf import InputError, Knee, Osteophyte
 from pssf.cli import app
+from pssf.data.shapes import shape_table
 from pssf.study.learn.separability import parameter_table, separability
+
+MODES = len(shape_table().modes)
 
 
 @pytest.fixture(scope="module")
@@ -39,11 +42,11 @@ def test_a_draw_is_repeated_by_its_seed_alone():
 
 def test_no_grade_nor_texture_is_among_what_is_known():
     one, other = (
-        parameter_table([Knee(grade=grade, grade_read=grade, texture_seed=grade, side=side)])
+        parameter_table([Knee(grade=grade, grade_read=grade, texture_seed=grade, side=side)], MODES)
         for grade, side in ((0, "left"), (4, "right"))
     )
     assert one.equals(other)
-    beak = parameter_table([Knee(osteophytes=(Osteophyte(site="lateral_tibia", size_mm=3.0),))])
+    beak = parameter_table([Knee(osteophytes=(Osteophyte(site="lateral_tibia", size_mm=3.0),))], MODES)
     assert beak["osteophyte_lateral_tibia_mm"].item() == 3.0
 
 

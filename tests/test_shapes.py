@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 
 from pssf.anatomy.shape import knee_form
 from pssf.core.checks import InputError
+from pssf.data.anatomy import anatomy_tables
 from pssf.data.records import record
 from pssf.data.shapes import ShapeTable, read_displacements, shape_table, write_displacements
 from pssf.geometry.freeform import displaced, least_jacobian, with_displacements
@@ -16,7 +17,7 @@ from pssf.geometry.mesh import Mesh
 from pssf.realism.bones import BONES
 from pssf.realism.freeform_fit import deformable, fit_lattice, lattice_around
 from pssf.realism.shape_fit import table_text
-from pssf.realism.shape_frames import mean_bones, stand, unstand
+from pssf.realism.shape_frames import mean_bones, mean_man, stand, unstand
 from pssf.realism.shape_measures import femur_measures, patella_measures, tibia_measures
 from pssf.realism.shape_modes import (
     MeanFit,
@@ -56,7 +57,10 @@ def pebbles():
     """A mean fit of three pebbles, in the place of a knee's bones."""
     bone = deformable(pebble(3), EVERYWHERE)
     lattice = lattice_around(bone, 20.0, 0)
-    return MeanFit(bones=dict.fromkeys(BONES, bone), lattices=dict.fromkeys(BONES, lattice), frames={}, people={})
+    man = mean_man(anatomy_tables())
+    return MeanFit(
+        bones=dict.fromkeys(BONES, bone), lattices=dict.fromkeys(BONES, lattice), frames={}, people={}, man=man
+    )
 
 
 def of_two_modes(mean, knees=12):
@@ -103,9 +107,10 @@ def test_stiffer_fits_bend_less():
 
 
 def test_bones_that_stand_are_taken_back_to_their_own_frames():
+    man = mean_man(anatomy_tables())
     points = np.random.default_rng(0).uniform([-40, -35, -100], [40, 35, 100], (300, 3))
     for name in BONES:
-        assert_allclose(stand(unstand(points, name), name), points, atol=1e-9)
+        assert_allclose(stand(unstand(points, name, man), name, man), points, atol=1e-9)
 
 
 def test_modes_are_found_again_with_the_scores_that_made_them():
@@ -202,14 +207,17 @@ def test_modes_are_in_order_named_once_and_hold_99_percent(form):
 
 
 def test_the_mean_forms_bones_of_the_width_that_the_package_has(form):
-    built = mean_bones()["tibia"].vertices
+    built = mean_bones(mean_man(anatomy_tables()))["tibia"].vertices
     formed = displaced(built, form.bones["tibia"].mean)
     widths = [np.ptp(points[points[:, 2] > points[:, 2].max() - 25][:, 0]) for points in (built, formed)]
     assert_allclose(widths[1], widths[0], atol=0.5)
 
 
 def test_measures_of_form_follow_what_is_done_to_a_bone(form):
-    bones = {name: displaced(bone.vertices, form.bones[name].mean) for name, bone in mean_bones().items()}
+    bones = {
+        name: displaced(bone.vertices, form.bones[name].mean)
+        for name, bone in mean_bones(mean_man(anatomy_tables())).items()
+    }
     deeper = femur_measures(bones["femur"] * [1.0, 1.05, 1.0])["femoral condyles' depth over width"]
     assert_allclose(deeper, 1.05 * femur_measures(bones["femur"])["femoral condyles' depth over width"], rtol=1e-9)
     tilted = bones["tibia"].copy()

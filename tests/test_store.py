@@ -7,7 +7,7 @@ import pssf
 from pssf.anatomy.femur import mean_femur
 from pssf.anatomy.mean_bone import Plates
 from pssf.data import code, store
-from pssf.data.bones import mean_shape
+from pssf.data.anatomy import anatomy_tables
 from pssf.xray.spectrum import tube_spectrum
 
 ORIGIN = store.Origin(sources=("core",), libraries=("numpy",))
@@ -94,7 +94,7 @@ def test_a_spectrum_from_the_folder_is_the_one_that_is_computed(folder):
 
 def test_the_solids_of_the_mean_femur_are_kept(folder):
     mean_femur.cache_clear()
-    mean = mean_femur(mean_shape().femur)
+    mean = mean_femur(anatomy_tables().shape.femur, anatomy_tables().forms)
     assert mean.outer.num_tri() > mean.inner(1.0, Plates(1.0, 1.0, 10.0)).num_tri() > 1000
     assert [path.name.split("-")[0] for path in folder.iterdir()] == ["femur"]
     mean_femur.cache_clear()

@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 
 from pssf import study
 from pssf.core.checks import InputError
+from pssf.data.localisation import localisation
 from pssf.experiment import OwnFilms, _film_set
 from pssf.io.films import Film, FilmImage
 from pssf.radiomics.compact import compact
@@ -215,7 +216,7 @@ def test_a_fine_display_is_looked_at_coarsely_and_told_in_its_own_pixels(pitch):
 
 def test_a_compact_template_finds_the_same_joint():
     whole = drawn.TEMPLATE
-    small = compact(whole, 48.0)
+    small = compact(whole, 48.0, localisation())
     assert small.pixels.size <= whole.pixels.size
     pixels = drawn.cohort().load(drawn.text_subjects()["file"].iloc[1])
     side = drawn.text_subjects()["side"].iloc[1]

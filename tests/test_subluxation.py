@@ -10,9 +10,9 @@ import pssf
 from pssf import InputError, Knee
 from pssf.anatomy import built as anatomy
 from pssf.anatomy.contours import measure_gap
-from pssf.anatomy.joint import assemble
+from pssf.anatomy.joint import assemble, defining_protocol
 from pssf.anatomy.solids import edges_of, mesh_of
-from pssf.data.bones import mean_shape
+from pssf.data.anatomy import anatomy_tables
 from pssf.geometry.view import view_of
 from pssf.model.protocol import Posture
 
@@ -22,7 +22,7 @@ REFERENCE = pssf.load_protocol("reference")
 
 def standing(knee, posture):
     """How it stands, and its bones without soft tissue."""
-    assembly = assemble(knee, mean_shape(), posture)
+    assembly = assemble(knee, anatomy_tables(), posture, defining_protocol(knee))
     return assembly, {name: part.solids for name, part in anatomy._bones(knee, assembly).items()}
 
 
@@ -49,7 +49,8 @@ def test_the_femur_stands_so_far_to_medial_on_the_tibia_and_spaces_are_kept(slip
 
 def test_a_bent_knee_has_slipped_as_far():
     knee = Knee(jsw_as="read", jsw_medial_mm=2.0, jsw_lateral_mm=5.0, subluxation_mm=4.0)
-    bent, straight = (assemble(knee, mean_shape(), posture) for posture in (FIXED_FLEXION.posture, Posture()))
+    tables, protocol = anatomy_tables(), defining_protocol(knee)
+    bent, straight = (assemble(knee, tables, posture, protocol) for posture in (FIXED_FLEXION.posture, Posture()))
     assert bent.pose.femur_on_tibia()[0, 3] == pytest.approx(straight.pose.femur_on_tibia()[0, 3], abs=1.0)
     assert bent.pose.medial_mm == straight.pose.medial_mm == 4.0
 

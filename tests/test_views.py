@@ -14,6 +14,8 @@ from pssf.anatomy.bend import bend_of, sheared_deg
 from pssf.anatomy.landmarks import CONTOUR_LANDMARKS
 from pssf.anatomy.plateau import plateau_margins
 from pssf.anatomy.solids import mesh_of
+from pssf.data.anatomy import anatomy_tables
+from pssf.data.fields import beam_range_deg
 from pssf.data.references import references
 from pssf.geometry.mesh import Mesh
 from pssf.geometry.view import project, view_of
@@ -265,7 +267,7 @@ def test_how_far_off_is_told_from_the_nearer_end_of_a_range():
 
 
 def test_all_that_is_known_of_films_of_people_is_measured_on_knees():
-    found = views.on_films((1, KNEE))
+    found = views.on_films((1, KNEE), anatomy_tables(), beam_range_deg())
     assert set(found) | {"beam_along_plateau_sd_deg"} == set(references().views)
     assert found["inter_margin_lyon_schuss_mm"] < found["inter_margin_fixed_flexion_mm"]
     assert 90 < found["sulcus_angle_deg"] < 180

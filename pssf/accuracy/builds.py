@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..anatomy import build
-from ..anatomy.joint import DEFINED_UNDER
+from ..anatomy.joint import defining_protocol
 from ..core.checks import InputError
 from ..core.parallel import ordered_map
 from ..data.grades import grade_table
@@ -39,8 +39,8 @@ _RANGES = {
     "patellar_tilt_deg": (-8.0, 14.0),
     "fabella_mm": (4.0, 14.0),
 }
-# Of the first half: table of grades and grade, in turn.
-_DRAWN = tuple((table, grade) for table in ("paper", "people") for grade in grade_table(table).grades)
+# Of the first half: tables of grades, of which each grade has its turn.
+_TABLES = ("paper", "people")
 # Standard deviations at which every mode of the shape stands, to either side.
 _SHAPE_SD = 3.0
 
@@ -52,7 +52,10 @@ def build_rows(count: int, workers: int) -> list[Row]:
     least path in any material along any ray (as joint spaces are defined, and of geometry shift), and the knee that has
     it, is 0 unless a surface folds over itself.
     """
-    attempts = ordered_map(_built, list(range(count)), shared={}, workers=workers)
+    drawn = tuple((table, grade) for table in _TABLES for grade in grade_table(table).grades)
+    attempts = ordered_map(
+        _built, list(range(count)), shared={"drawn": drawn, "modes": len(shape_table().modes)}, workers=workers
+    )
     refused = [f"knee {number}: {one['refused']}" for number, one in enumerate(attempts) if one["refused"]]
     built = [one for one in attempts if not one["refused"]]
     triangles = [one["triangles"] for one in built]
@@ -66,11 +69,11 @@ def build_rows(count: int, workers: int) -> list[Row]:
     }]  # fmt: skip
 
 
-def _built(number: int) -> Row:
+def _built(number: int, drawn: tuple[tuple[str, int], ...], modes: int) -> Row:
     rng = np.random.default_rng(np.random.SeedSequence(number, spawn_key=(1,)))
-    table, grade = _DRAWN[number // 2 % len(_DRAWN)]
-    knee = draw_knee(grade=grade, rng=rng, table=table) if number % 2 else wide_knee(rng)
-    protocol = load_protocol(DEFINED_UNDER[knee.jsw_as])
+    table, grade = drawn[number // 2 % len(drawn)]
+    knee = draw_knee(grade=grade, rng=rng, table=table) if number % 2 else wide_knee(rng, modes)
+    protocol = defining_protocol(knee)
     start = perf_counter()
     try:
         built = build(knee, protocol)
@@ -92,11 +95,11 @@ def _least_path_mm(scene: Scene, protocol: str) -> float:
     return min(float(lengths.min()) for lengths in paths.path_mm.values())
 
 
-def wide_knee(rng: np.random.Generator) -> Knee:
-    """A knee from all over the ranges of an adult."""
+def wide_knee(rng: np.random.Generator, modes: int) -> Knee:
+    """A knee from all over the ranges of an adult, with so many modes of its shape at an end."""
     sites = rng.permutation(SITES)[: rng.integers(0, len(SITES) + 1)]
     fields: dict[str, Any] = {name: float(rng.uniform(*bounds)) for name, bounds in _RANGES.items()}
-    beaks = tuple(Osteophyte(site=str(site), size_mm=float(rng.uniform(0.2, 3.0))) for site in sites)
+    osteophytes = tuple(Osteophyte(site=str(site), size_mm=float(rng.uniform(0.2, 3.0))) for site in sites)
     side, sex = rng.choice(["left", "right"]), rng.choice(["male", "female"])
-    shape = tuple(_SHAPE_SD * float(sign) for sign in rng.choice([-1.0, 1.0], len(shape_table().modes)))
-    return Knee(side=str(side), sex=str(sex), osteophytes=beaks, shape=shape, **fields)
+    shape = tuple(_SHAPE_SD * float(sign) for sign in rng.choice([-1.0, 1.0], modes))
+    return Knee(side=str(side), sex=str(sex), osteophytes=osteophytes, shape=shape, **fields)

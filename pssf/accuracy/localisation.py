@@ -11,6 +11,7 @@ from ..anatomy import build
 from ..core.checks import InputError
 from ..core.parallel import ordered_map
 from ..data.localisation import localisation
+from ..data.shapes import shape_table
 from ..experiment import standard_templates
 from ..geometry.scene import Scene
 from ..geometry.view import magnification, view_of
@@ -50,7 +51,7 @@ def localisation_rows(count: int, workers: int) -> list[Row]:
     """
     return [
         _row(case, kind, [one for one in located if one["case"] == case and one["kind"] == kind])
-        for located in [_located(count, workers)]
+        for located in [_located(count, workers, len(shape_table().modes))]
         for kind in ("study", "adult")
         for case in _CASES
         if any((one["case"], one["kind"]) == (case, kind) for one in located)
@@ -59,7 +60,7 @@ def localisation_rows(count: int, workers: int) -> list[Row]:
 
 def limit_rows(count: int, workers: int) -> list[Row]:
     """One row a limit: what the simulations give for it, by which rule, and what is in force."""
-    located, limits = _located(count, workers), localisation().thresholds
+    located, limits = _located(count, workers, len(shape_table().modes)), localisation().thresholds
 
     def values(case: str, measure: str, kinds: tuple[str, ...] = ("study", "adult")) -> NDArray[np.float64]:
         return np.array([one[measure] for one in located if one["case"] == case and one["kind"] in kinds])
@@ -100,16 +101,16 @@ def _row(case: str, kind: str, located: list[Row]) -> Row:
 
 
 @lru_cache(maxsize=1)  # both tables are of the same simulations
-def _located(count: int, workers: int) -> list[Row]:
-    shared = {"templates": standard_templates("scanline")}
+def _located(count: int, workers: int, modes: int) -> list[Row]:
+    shared = {"templates": standard_templates("scanline"), "modes": modes}
     return [row for rows in ordered_map(_of_knee, list(range(count)), shared=shared, workers=workers) for row in rows]
 
 
-def _of_knee(number: int, *, templates: "tuple[Template, ...]") -> list[Row]:
+def _of_knee(number: int, *, templates: "tuple[Template, ...]", modes: int) -> list[Row]:
     """Every case of one knee; nothing where it cannot be built."""
     rng = np.random.default_rng(np.random.SeedSequence(number, spawn_key=(2,)))
     kind = "adult" if number % 4 == 3 else "study"
-    knee = wide_knee(rng) if kind == "adult" else draw_knee(grade=number % 3, rng=rng)
+    knee = wide_knee(rng, modes) if kind == "adult" else draw_knee(grade=number % 3, rng=rng)
     names = _OTHERS if kind == "adult" else _STUDY
     protocol = _protocol(names[(number // 4 + number) % len(names)])
     try:
@@ -122,11 +123,11 @@ def _of_knee(number: int, *, templates: "tuple[Template, ...]") -> list[Row]:
     assert whole.truth is not None
     rows = []
     for case in _CASES:
-        found = _find(case, bare.pixels if case == "without bones" else whole.pixels, knee, protocol, templates)
-        away = np.subtract((found.row, found.col), whole.truth.medial_joint_line_px)
+        joint = _find(case, bare.pixels if case == "without bones" else whole.pixels, knee, protocol, templates)
+        away = np.subtract((joint.row, joint.col), whole.truth.medial_joint_line_px)
         error_mm = float(np.hypot(*away)) * protocol.pixel_mm / magnification(view_of(protocol))
-        measures = {name: getattr(found, name) for name in _MEASURES}
-        rows.append({"case": case, "kind": kind, "status": found.status, "error_mm": error_mm, **measures})
+        measures = {name: getattr(joint, name) for name in _MEASURES}
+        rows.append({"case": case, "kind": kind, "status": joint.status, "error_mm": error_mm, **measures})
     return rows
 
 

@@ -43,9 +43,9 @@ def _row(kind: str, case: tuple[float, ...], workers: int, photons: int) -> Row:
     scene = slab(thick_mm) if kind == "slab" else limb(thick_mm)
     technique = technique_of(protocol)
     counts = count(scene, technique, photons=photons, seed=1, workers=workers, cell_mm=_CELL_MM)
-    view, beam = technique.view, beam_of(technique)
-    opened = float(transmit({}, beam, view, workers).kev[rows // 2, cols // 2])
-    behind = transmit(trace(scene, protocol, workers=workers).path_mm, beam, view, workers).kev
+    beam = beam_of(technique)
+    opened = float(transmit({}, beam, technique, workers).kev[rows // 2, cols // 2])
+    behind = transmit(trace(scene, protocol, workers=workers).path_mm, beam, technique, workers).kev
     read = _READ[kind]
     # The primary by Beer and Lambert: counted photons would bring an error of their own.
     primary = float(block_mean(behind, counts.step)[read[1:]].mean()) / opened

@@ -32,7 +32,9 @@ def knee_rows(count: int, workers: int) -> list[Row]:
         {"quantity": name, "value": float(f"{max(abs(one[name]) for one in sizes):.2g}"), "knees": count}
         for name in ("error of jsw_medial_mm", "error of jsw_lateral_mm", "error of varus_deg")
     ]
-    for name, known in references().morphometry.items():
+    sizes_known = references().morphometry
+    plateau = sizes_known["tibial_ml_mm"]
+    for name, known in sizes_known.items():
         for sex in ("male", "female", "both"):
             size = getattr(known, sex)
             if size is None:
@@ -42,15 +44,14 @@ def knee_rows(count: int, workers: int) -> list[Row]:
             rows.append({
                 "quantity": name, "sex": sex, "value": round(float(values.mean()), 2),
                 "sd": round(float(values.std(ddof=1)), 2), "knees": len(values), "reference": mean,
-                "reference_sd": sd, "off_sd": round(float(values.mean() - mean) / sd, 2), "people": _people(known, sex),
-                "source": known.source,
+                "reference_sd": sd, "off_sd": round(float(values.mean() - mean) / sd, 2),
+                "people": _people(known, sex, plateau), "source": known.source,
             })  # fmt: skip
     return [{name: row.get(name, "") for name in rows[-1]} for row in rows]
 
 
-def _people(known: Size, sex: str) -> float | str:
+def _people(known: Size, sex: str, plateau: Size) -> float | str:
     """A size of people's bones at the mean width of the plateau of a sex, or of both; "" where none was measured."""
-    plateau = references().morphometry["tibial_ml_mm"]
     wide = [getattr(plateau, name)[0] for name in ("male", "female") if sex in (name, "both")]
     return "" if known.people is None else round(known.people * float(np.mean(wide)), 1)
 

@@ -7,9 +7,10 @@ import numpy as np
 
 from ..core.checks import Array
 from ..data.references import references
+from ..data.tissues import tissues
 from ..model.protocol import load_protocol
 from ..scatter.kernel import scatter_kev
-from ..xray.materials import attenuation_per_mm
+from ..xray.materials import attenuation_per_mm, material_of
 from ..xray.primary import transmit
 from ..xray.spectrum import beam_for, tube_spectrum
 from ..xray.technique import technique_of
@@ -31,7 +32,7 @@ def physics_rows() -> list[Row]:
     group   of quantities that are told of together
     source  of the reference
     """
-    known = references()
+    known, named = references(), tissues()
     rows = []
     for kv, (fluence, mean_kev) in known.spectrum.items():
         energies, photons = tube_spectrum(float(kv), 12.0, 3.0)
@@ -40,7 +41,7 @@ def physics_rows() -> list[Row]:
         rows.append(_row(f"mean energy at {kv} kV, keV", mean, mean_kev, *_ENERGY))
     for tissue, values in known.attenuation.items():
         for kev, value in zip((40.0, 60.0), values, strict=True):
-            mu = float(attenuation_per_mm(tissue, np.array([kev]))[0]) * 10
+            mu = float(attenuation_per_mm(material_of(tissue, named), np.array([kev]))[0]) * 10
             rows.append(_row(f"attenuation of {tissue} at {kev:g} keV, 1/cm", mu, value, *_ATTENUATION))
     for tube_kv, thick, gap, primary, scatter in known.scatter.limb:
         primary_here, scatter_here = limb_signals(tube_kv, thick, gap)
@@ -57,15 +58,14 @@ def limb_signals(kv: float, thick_mm: float, gap_mm: float) -> tuple[float, floa
         load_protocol("reference"), tube_kv=kv, rows=300, cols=180, pixel_mm=1.0, sod_mm=1150.0 - gap_mm - thick_mm / 2
     )
     technique = technique_of(protocol)
-    view = technique.view
     limb = _ellipse_chords(0.6 * thick_mm, 0.5 * thick_mm, protocol.sod_mm)
     core = _ellipse_chords(0.36 * thick_mm, 0.225 * thick_mm, protocol.sod_mm)
     soft = limb - core
     parts = {"muscle": 0.7 * soft, "adipose": 0.3 * soft, "cortical_bone": 0.17 * core, "marrow": 0.83 * core}
     paths = {name: np.tile(line.astype(np.float32), (300, 1)) for name, line in parts.items()}
     beam = beam_for(technique, {name: float(lengths.max()) for name, lengths in paths.items()})
-    primary = transmit(paths, beam, view).kev
-    opened = transmit({}, beam, view).kev[150, 90]
+    primary = transmit(paths, beam, technique).kev
+    opened = transmit({}, beam, technique).kev[150, 90]
     scattered = scatter_kev(primary, paths, gap_mm, technique)
     return float(primary[150, 90] / opened), float(scattered[150, 90] / opened)
 

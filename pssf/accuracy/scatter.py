@@ -13,13 +13,14 @@ from scipy import ndimage
 from ..anatomy import build
 from ..core.blocks import block_mean
 from ..core.checks import Array
+from ..data.tissues import Tissue, tissues
 from ..geometry.scene import Scene, Surface
 from ..model.knee import Knee
 from ..model.protocol import Protocol, load_protocol
 from ..raycast import trace
 from ..scatter.kernel import exit_gap_mm, scatter_kev
 from ..scatter.monte_carlo import Counts, count
-from ..xray.materials import elements
+from ..xray.materials import material_of
 from ..xray.primary import transmit
 from ..xray.spectrum import beam_of
 from ..xray.technique import Technique, technique_of
@@ -64,7 +65,7 @@ def scatter_rows(
     rows = []
     for case in cases:
         run = measured(case, photons, workers)
-        opened = float(transmit({}, beam_of(run.technique), run.technique.view, workers).kev.max())
+        opened = float(transmit({}, beam_of(run.technique), run.technique, workers).kev.max())
         fast = block_mean(scatter_kev(run.primary, run.path_mm, run.gap_mm, run.technique), run.counts.step) / opened
         slow = run.counts.scatter_kev / run.counts.pixels / opened
         known = {"used_to_fit": case in FITTED, "exit_gap_mm": round(run.gap_mm, 1)}
@@ -87,12 +88,11 @@ def measured(case: Case, photons: int, workers: int) -> Run:
     """A case by Monte Carlo."""
     scene, protocol = case_of(case)
     technique, paths = technique_of(protocol), trace(scene, protocol, workers=workers).path_mm
-    view = technique.view
     return Run(
         technique=technique,
-        gap_mm=exit_gap_mm(scene, view),
+        gap_mm=exit_gap_mm(scene, technique.view),
         counts=count(scene, technique, photons=photons, seed=7, workers=workers, cell_mm=CELL_MM),
-        primary=transmit(paths, beam_of(technique), view, workers).kev,
+        primary=transmit(paths, beam_of(technique), technique, workers).kev,
         path_mm=paths,
     )
 
@@ -137,8 +137,9 @@ def limb(thick_mm: float) -> Scene:
 
     The core is 17 % cortical bone in marrow, 0.6 of the limb's width and 0.45 of its thickness.
     """
-    soft = mixture({"muscle": 0.7, "adipose": 0.3})
-    core = mixture({"cortical_bone": 0.17, "marrow": 0.83})
+    known = tissues()
+    soft = mixture({"muscle": 0.7, "adipose": 0.3}, known)
+    core = mixture({"cortical_bone": 0.17, "marrow": 0.83}, known)
     outer, inner = _cylinder(0.6 * thick_mm, 0.5 * thick_mm), _cylinder(0.36 * thick_mm, 0.225 * thick_mm)
     return Scene([Surface(outer, soft, "air", "limb"), Surface(inner, core, soft, "core")])
 
@@ -148,14 +149,15 @@ def slab(thick_mm: float, side_mm: float = 440.0) -> Scene:
     return Scene([Surface(trimesh.creation.box((side_mm, thick_mm, side_mm)), "water", "air", "slab")])
 
 
-def mixture(volumes: dict[str, float]) -> str:
-    """Materials mixed by volume, as one: "FORMULA@DENSITY"."""
-    density = sum(share * elements(name)[0] for name, share in volumes.items())
+def mixture(volumes: Mapping[str, float], known: Mapping[str, Tissue]) -> str:
+    """Tissues, of those that are known by name, mixed by volume as one: "FORMULA@DENSITY"."""
+    parts = [(share, material_of(name, known)) for name, share in volumes.items()]
+    density = sum(share * part.density_g_per_cm3 for share, part in parts)
     moles = dict[int, float]()
-    for name, share in volumes.items():
-        part, weights = elements(name)
-        for z, weight in weights:
-            moles[z] = moles.get(z, 0.0) + 100 * share * part / density * weight / xraylib.AtomicWeight(z)
+    for share, part in parts:
+        for z, weight in part.elements:
+            grams = share * part.density_g_per_cm3 / density * weight
+            moles[z] = moles.get(z, 0.0) + 100 * grams / xraylib.AtomicWeight(z)
     formula = "".join(f"{xraylib.AtomicNumberToSymbol(z)}{count:.5f}" for z, count in moles.items())
     return f"{formula}@{density:.6f}"
 

@@ -32,13 +32,13 @@ def spectrum_rows(tolerances: tuple[float, ...] = (1e-1, 1e-2, 3e-3, 1e-3, 5e-4,
     technique = technique_of(protocol)
     paths = trace(build(Knee()).scene, protocol, engine="scanline").path_mm
     most_mm = {name: float(lengths.max()) for name, lengths in paths.items()}
-    full = primary.transmit(paths, beam_of(technique), technique.view).kev
+    full = primary.transmit(paths, beam_of(technique), technique).kev
     rows: list[Row] = []
     for tolerance in tolerances:
         beam, seconds = beam_for(technique, most_mm, tolerance), []
         for _ in range(3):
             start = perf_counter()
-            kev = primary.transmit(paths, beam, technique.view).kev
+            kev = primary.transmit(paths, beam, technique).kev
             seconds.append(perf_counter() - start)
         error = float(np.abs(kev / full - 1).max())
         rows.append({

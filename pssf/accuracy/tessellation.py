@@ -11,7 +11,7 @@ from ..anatomy.implicit import project_solid
 from ..anatomy.solids import edges_of, mesh_of
 from ..anatomy.tibia import mean_tibia
 from ..core.checks import Array
-from ..data.bones import mean_shape
+from ..data.anatomy import anatomy_tables
 from ..geometry.mesh import Mesh
 from ..geometry.view import magnification, project, view_of
 from ..model.protocol import load_protocol
@@ -33,8 +33,9 @@ def tessellation_rows(coarse_mm: Sequence[float] = (0.2, 0.1, 0.05), finer: Sequ
     finer      and so many times less than that
     """
     rows: list[Row] = []
-    shape = mean_shape()
-    for mean, lowest in ((mean_femur(shape.femur), 1.0), (mean_tibia(shape.tibia), -1.0)):
+    tables = anatomy_tables()
+    shape, forms = tables.shape, tables.forms
+    for mean, lowest in ((mean_femur(shape.femur, forms), 1.0), (mean_tibia(shape.tibia, forms), -1.0)):
         exact = mesh_of(project_solid(mean.meshed(_EXACT_MM).refine(2), mean.field, steps=3))
         usual = mean.tolerance_mm
         for tolerance_mm in (*coarse_mm, usual, *(usual / times for times in finer)):

@@ -105,7 +105,7 @@ def texture(patch: Array, pixel_mm: float) -> dict[str, float]:
     slope_*               of the radially averaged power spectrum in the log-log plane, over so many cycles/mm
     vertical_over_horizontal  power of vertical over horizontal lines (within 30 deg), 0.3 to 1.5 cycles/mm
     sd_over_mean, skewness, excess_kurtosis
-    patch  (side, side)  linear pixels
+    patch  (side, side)  linear pixels, DN
     """
     side = len(patch)
     row, col = (part.ravel() for part in np.mgrid[:side, :side] / side)

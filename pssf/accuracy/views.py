@@ -7,15 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..anatomy.joint import KneeAssembly, assemble
+from ..anatomy.joint import KneeAssembly, assemble, defining_protocol
 from ..anatomy.plateau import along_plateau, inter_margin_mm
 from ..anatomy.pose import moved
 from ..anatomy.turned_truth import trochlea_px
 from ..anatomy.wear import outer_bones
 from ..core.checks import Array
 from ..core.parallel import ordered_map
-from ..data.bones import mean_shape
-from ..data.references import references
+from ..data.anatomy import AnatomyTables, anatomy_tables
+from ..data.fields import beam_range_deg
+from ..data.records import Pair
+from ..data.references import Known, references
 from ..geometry.mesh import Mesh
 from ..geometry.view import project, view_of
 from ..model.draw import draw_knee
@@ -39,15 +41,17 @@ def view_rows(count: int, workers: int) -> list[Row]:
     off  of the mean from the reference, or from the nearer end of its range
     """
     knees = [draw_knee(grade=k % 3, rng=np.random.default_rng(k), table="people") for k in range(count)]
-    measured = ordered_map(on_films, list(enumerate(knees)), shared={}, workers=workers)
+    shared = {"tables": anatomy_tables(), "range_deg": beam_range_deg()}
+    measured = ordered_map(on_films, list(enumerate(knees)), shared=shared, workers=workers)
     values = {name: np.array([one[name] for one in measured]) for name in measured[0]}
     means = {name: (float(value.mean()), float(value.std(ddof=1))) for name, value in values.items()}
     means["beam_along_plateau_sd_deg"] = (means["beam_along_plateau_deg"][1], float("nan"))
-    return [_row(name, *means[name], count) for name in references().views]
+    return [_row(name, known, means[name], count) for name, known in references().views.items()]
 
 
-def _row(name: str, mean: float, sd: float, count: int) -> Row:
-    known = references().views[name]
+def _row(name: str, known: Known, measured: tuple[float, float], count: int) -> Row:
+    """measured: mean and standard deviation"""
+    mean, sd = measured
     low, high = known.range or (known.value, known.value)
     assert low is not None
     assert high is not None
@@ -62,35 +66,37 @@ def _row(name: str, mean: float, sd: float, count: int) -> Row:
     }
 
 
-def on_films(job: tuple[int, Knee]) -> dict[str, float]:
+def on_films(job: tuple[int, Knee], tables: AnatomyTables, range_deg: Pair) -> dict[str, float]:
     """What is measured on films of one knee: signs of distances and of changes are left out, as readers do.
 
-    job  number of the knee, from which its takings are drawn, and the knee
+    job        number of the knee, from which its takings are drawn, and the knee
+    range_deg  that a beam may be tilted by
     """
     number, knee = job
     rng = np.random.default_rng([number, 1])
     fixed, schuss = (
         draw_exposure(load_protocol(name), rng=rng, side=knee.side) for name in ("fixed_flexion", "lyon_schuss")
     )
-    assembly = assemble(knee, mean_shape(), fixed.posture)
-    found = {"inter_margin_fixed_flexion_mm": abs(inter_margin_mm(assembly, outer_bones(assembly)[1], fixed))}
-    assembly = assemble(knee, mean_shape(), schuss.posture)
+    assembly = assemble(knee, tables, fixed.posture, defining_protocol(knee))
+    measured = {"inter_margin_fixed_flexion_mm": abs(inter_margin_mm(assembly, outer_bones(assembly)[1], fixed))}
+    assembly = assemble(knee, tables, schuss.posture, defining_protocol(knee))
     tibia = outer_bones(assembly)[1]
-    aimed = along_plateau(assembly, tibia, schuss)
+    aimed = along_plateau(assembly, tibia, schuss, range_deg)
     level = replace(schuss, beam_along="horizontal", beam_angle_deg=_FIXED_DEG)
     aligned = abs(inter_margin_mm(assembly, tibia, level)) <= ALIGNED_MM
-    found |= {
+    measured |= {
         "inter_margin_lyon_schuss_mm": abs(inter_margin_mm(assembly, tibia, aimed)),
         "beam_along_plateau_deg": aimed.beam_angle_deg,
         "aligned_at_11_deg_percent": 100.0 * aligned,
     }
     # A radiographer turns a lateral until the condyles meet, whatever way the foot points by itself.
-    return found | _slopes(replace(knee, rotation_deg=0.0)) | _sulcus(replace(knee, rotation_deg=0.0))
+    turned = replace(knee, rotation_deg=0.0)
+    return measured | _slopes(turned, tables) | _sulcus(turned, tables)
 
 
-def _slopes(knee: Knee) -> dict[str, float]:
+def _slopes(knee: Knee, tables: AnatomyTables) -> dict[str, float]:
     protocol = load_protocol("lateral")
-    assembly = assemble(knee, mean_shape(), protocol.posture)
+    assembly = assemble(knee, tables, protocol.posture, defining_protocol(knee))
     tibia, frame = outer_bones(assembly)[1], assembly.pose.tibia()
     own = Mesh((tibia.vertices - frame[:, 3]) @ frame[:, :3], tibia.faces)
     slopes = []
@@ -122,9 +128,9 @@ def slope_deg(assembly: KneeAssembly, tibia: Mesh) -> float:
     return float(np.rad2deg(np.arctan2(height[front] - height[rear], across[rear] - across[front])))
 
 
-def _sulcus(knee: Knee) -> dict[str, float]:
+def _sulcus(knee: Knee, tables: AnatomyTables) -> dict[str, float]:
     protocol = load_protocol("skyline")
-    assembly = assemble(knee, mean_shape(), protocol.posture)
+    assembly = assemble(knee, tables, protocol.posture, defining_protocol(knee))
     spots = trochlea_px(assembly, outer_bones(assembly)[0], view_of(protocol))
     middle = np.array(spots["sulcus"])
     ways = [np.array(spots[f"trochlea_{side}"]) - middle for side in ("medial", "lateral")]

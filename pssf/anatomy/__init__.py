@@ -1,7 +1,7 @@
 """anatomy.build  knee parameters -> BuiltKnee: the knee, its scene of closed meshes, its labels
 
 built        the object that carries them                       joint        the pose that gives the joint spaces
-bones        femur, tibia, fibula, patella as nested solids     osteophytes  beaks that flow into the bone
+bones        femur, tibia, fibula, patella as nested solids     osteophytes  lips and spikes that flow into the bone
 femur, tibia their outer shapes, blended                        mean_bone    their solids at the mean man's size
 implicit     fields, blends, settling onto them                 remesh       smoothed, refined, without folds
 shape        lattices that give bones people's form

@@ -12,17 +12,18 @@ import numpy as np
 from manifold3d import Manifold
 
 from ..core.checks import Array
+from ..data.anatomy import AnatomyTables
 from ..data.bones import BoneShape, FemurShape, RoughZone, TibiaShape
 from ..data.records import Rows
-from ..data.shapes import shape_table
-from ..data.spongy import trabecular_bone
+from ..data.spongy import TrabecularBone
 from ..geometry.freeform import Lattice, displaced
 from ..model.knee import Knee
-from .mean_bone import Plates
+from .femur import mean_femur
+from .mean_bone import MeanBone, Plates
 from .roughness import roughness
 from .shape import knee_form, lattices_of
 from .solids import SHAFT_POWER, ring
-from .tibia import plateau_height
+from .tibia import mean_tibia, plateau_height
 
 # Along this part of a shaft its lean is looked for (mean man's size), with which it goes on beyond; and where the angle
 # of shafts is measured (its own size).
@@ -74,7 +75,7 @@ class Form:
 class Build:
     """What shapes the bones of one knee: size over the mean man's, relative cortex and plates, angles in degrees.
 
-    shape             of the mean man's bones
+    tables            that all of it is made from
     femur, tibia      this person's form of them
     patella           the lattice of this person's
     slope_deg         by which the plateau falls backwards, mean of both sides
@@ -84,7 +85,7 @@ class Build:
     seed              of how uneven its cortex is, and of how rough
     """
 
-    shape: BoneShape
+    tables: AnatomyTables
     femur: Form
     tibia: Form
     patella: Lattice
@@ -98,30 +99,45 @@ class Build:
     seed: int
 
     @property
+    def shape(self) -> BoneShape:
+        """Of the mean man's bones."""
+        return self.tables.shape
+
+    @property
+    def mean_femur(self) -> MeanBone:
+        """The mean man's femur."""
+        return mean_femur(self.tables.shape.femur, self.tables.forms)
+
+    @property
+    def mean_tibia(self) -> MeanBone:
+        """The mean man's tibia."""
+        return mean_tibia(self.tables.shape.tibia, self.tables.forms)
+
+    @property
     def half_ml_mm(self) -> float:
         """Half the medio-lateral width of the tibial plateau."""
         return self.shape.size.male_tibial_ml_mm / 2 * self.scale
 
 
-def build_of(knee: Knee, shape: BoneShape) -> Build:
+def build_of(knee: Knee, tables: AnatomyTables) -> Build:
     """What a knee's parameters make of the mean man's bones."""
-    size = shape.size
+    shape, size = tables.shape, tables.shape.size
     sex_scale = size.female_over_male if knee.sex == "female" else 1.0
     scale = sex_scale * knee.bone_scale * knee.stature_mm / getattr(size.stature_mm, knee.sex)
-    lattices = lattices_of(knee.shape, knee_form(shape_table()))
+    lattices = lattices_of(knee.shape, knee_form(tables.forms))
     femur = _form(lattices["femur"], +1, shape.femur, scale, knee.texture_seed)
     tibia = _form(lattices["tibia"], -1, shape.tibia, scale, knee.texture_seed)
     # The tibia leans as this person's does; the femur as makes the angle between them the one of a straight leg. Of an
     # angle beyond that each has half.
     varus = float(np.rad2deg(np.arctan(tibia.slope)))
     return Build(
-        shape=shape,
+        tables=tables,
         femur=femur,
         tibia=tibia,
         patella=lattices["patella"],
         scale=scale,
         cortex=knee.cortex_scale,
-        plates=_plates(knee, scale),
+        plates=_plates(knee, scale, tables.spongy),
         slope_deg=knee.tibial_slope_deg,
         fall=plateau_fall(tibia, shape.tibia),
         femur_valgus_deg=shape.femur.valgus_deg + varus - knee.varus_deg / 2,
@@ -130,9 +146,9 @@ def build_of(knee: Knee, shape: BoneShape) -> Build:
     )
 
 
-def _plates(knee: Knee, scale: float) -> Plates:
+def _plates(knee: Knee, scale: float, spongy: TrabecularBone) -> Plates:
     """Sclerosis is of the side that bears the load; the other has the share of it that its spongy bone has."""
-    spongy, healthy = trabecular_bone(), knee.cortex_scale / scale
+    healthy = knee.cortex_scale / scale
     lateral = 1 + spongy.sclerosis.lateral_share * (knee.subchondral_plate - 1)
     return Plates(healthy * knee.subchondral_plate, healthy * lateral, spongy.side.middle_mm)
 

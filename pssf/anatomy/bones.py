@@ -10,11 +10,9 @@ from ..core.checks import Array
 from ..data.bones import FemurShape, TibiaShape
 from ..model.knee import Osteophyte
 from .bone_build import Build, formed, scaled, stood
-from .femur import mean_femur
 from .mean_bone import Uneven
 from .osteophytes import BoneWithOsteophytes, grow
 from .solids import checked, column, thickness
-from .tibia import mean_tibia
 from .uneven import MOST_SD, uneven_share
 
 # Shafts end here, outside the beam of any protocol in the package and within the soft tissue's own length.
@@ -48,19 +46,19 @@ def trimmed(solid: Manifold, direction: int, end_mm: float) -> Manifold:
 
 def grown_femur(build: Build, osteophytes: tuple[Osteophyte, ...]) -> BoneWithOsteophytes:
     """The outer femur at the mean man's size, in its own frame, osteophytes and all."""
-    mean, margins = mean_femur(build.shape.femur), build.shape.osteophytes
+    mean, margins = build.mean_femur, build.shape.osteophytes
     return grow(osteophytes, mean, margins, build.scale, partial(formed, form=build.femur))
 
 
 def grown_tibia(build: Build, osteophytes: tuple[Osteophyte, ...]) -> BoneWithOsteophytes:
     """The outer tibia at the mean man's size, in its own frame, osteophytes and all."""
-    mean, margins = mean_tibia(build.shape.tibia), build.shape.osteophytes
+    mean, margins = build.mean_tibia, build.shape.osteophytes
     return grow(osteophytes, mean, margins, build.scale, partial(formed, form=build.tibia))
 
 
 def femur(build: Build, grown: BoneWithOsteophytes) -> Bone:
     """Distal femur; z = 0 near the condyles' distal end, shaft leaning laterally by `femur_valgus_deg`."""
-    table, s, mean = build.shape.femur, build.scale, mean_femur(build.shape.femur)
+    table, s, mean = build.shape.femur, build.scale, build.mean_femur
     marrow = mean.inner(build.cortex, build.plates, _unevenness(build, "femur"))
     heights = levels(table.canal_from_z_mm, (SHAFT_END_MM + _SPARE_MM) / s, 2.5)
     canal = _canal(build, table, heights)
@@ -69,7 +67,7 @@ def femur(build: Build, grown: BoneWithOsteophytes) -> Bone:
 
 def tibia(build: Build, grown: BoneWithOsteophytes) -> Bone:
     """Proximal tibia; z = 0 near the middle of the plateau, shaft leaning medially by `tibia_varus_deg`."""
-    table, s, mean = build.shape.tibia, build.scale, mean_tibia(build.shape.tibia)
+    table, s, mean = build.shape.tibia, build.scale, build.mean_tibia
     marrow = mean.inner(build.cortex, build.plates, _unevenness(build, "tibia"))
     heights = levels(-(SHAFT_END_MM + _SPARE_MM) / s, table.canal_from_z_mm, 2.5)
     canal = _canal(build, table, heights)

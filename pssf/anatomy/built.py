@@ -8,8 +8,9 @@ from manifold3d import Manifold, OpType
 
 from ..core.checks import Array, InputError
 from ..core.workers import one_blas_thread
-from ..data.bones import mean_shape
-from ..data.spongy import TrabecularBone, trabecular_bone
+from ..data.anatomy import anatomy_tables
+from ..data.fields import beam_range_deg
+from ..data.spongy import TrabecularBone
 from ..geometry.density import Density
 from ..geometry.mesh import Mesh
 from ..geometry.scene import Scene, Surface
@@ -19,7 +20,7 @@ from ..model.protocol import Posture, Protocol
 from ..model.radiograph import Truth
 from . import bones, small_bones, soft
 from .cysts import CystSolids, cyst_meshes, cysts_of
-from .joint import KneeAssembly, assemble
+from .joint import KneeAssembly, assemble, defining_protocol
 from .plateau import along_plateau, inter_margin_mm
 from .pose import moved
 from .solids import checked, mesh_of
@@ -67,7 +68,7 @@ class BuiltKnee:
         """
         if protocol.beam_along == "horizontal":
             return protocol
-        return along_plateau(self.assembly, mesh_of(self.bones["tibia"].outer), protocol)
+        return along_plateau(self.assembly, mesh_of(self.bones["tibia"].outer), protocol, beam_range_deg())
 
     def inter_margin_mm(self, protocol: Protocol) -> float:
         """Height on the film of the front margin of the medial plateau over its back one, scaled to the joint plane.
@@ -121,7 +122,7 @@ def build(knee: Knee, protocol: Protocol | None = None) -> BuiltKnee:
     if not isinstance(protocol, Protocol | None):
         raise InputError(f"protocol = {protocol!r}; allowed: a Protocol, as load_protocol gives it, or None")
     posture = Posture() if protocol is None else protocol.posture
-    assembly = assemble(knee, mean_shape(), posture)
+    assembly = assemble(knee, anatomy_tables(), posture, defining_protocol(knee))
     placed = _bones(knee, assembly)
     solids = {name: part.solids for name, part in placed.items()}
     cysts = cysts_of(knee, assembly, solids)
@@ -146,7 +147,7 @@ def _surfaces(
     for tissue in between(knee, assembly, solids, wraps["muscle"], wraps["intermuscular_fat"]):
         surfaces.append(_sided(tissue.mesh, tissue.material, "muscle", tissue.name, assembly))
     for name, part in solids.items():
-        density = _texture(knee, name, trabecular_bone(), assembly, placed[name].frame)
+        density = _texture(knee, name, shape.tables.spongy, assembly, placed[name].frame)
         surfaces.append(_surface(part.outer, "cortical_bone", "muscle", name, assembly))
         spongy = ("trabecular_bone", "cortical_bone", f"{name}_trabecular")
         surfaces.append(_surface(part.inner, *spongy, assembly, inside_density=density))

@@ -11,10 +11,11 @@ from ..data.bones import BoneShape
 from ..data.records import Pair
 from ..data.soft import Menisci, Meniscus
 from ..geometry.mesh import Indices
-from .femur import mean_femur
+from .femur import field_of as femur_field
 from .implicit import Field, lengths, with_gradient
 from .solids import dilate_rings, edges_of, loft, mesh_of, ring, solid_of
-from .tibia import above, mean_tibia
+from .tibia import above
+from .tibia import field_of as tibia_field
 
 # Farther than this from the bare bone's surface is osteophyte, which bears no cartilage.
 _BARE_MM = 0.02
@@ -66,7 +67,7 @@ def on_femur(outer: Manifold, shape: BoneShape, scale: float, spaces_mm: tuple[f
         notch = np.minimum(limits.notch_x - np.abs(x), y - limits.notch_y)
         return np.asarray(np.maximum(np.min([below, behind, before], axis=0), notch))
 
-    return _layer(outer, mean_femur(shape.femur).field, zone, _full_mm(shape, scale, spaces_mm))
+    return _layer(outer, femur_field(shape.femur), zone, _full_mm(shape, scale, spaces_mm))
 
 
 def on_tibia(outer: Manifold, shape: BoneShape, scale: float, spaces_mm: tuple[float, float]) -> Layer:
@@ -79,7 +80,7 @@ def on_tibia(outer: Manifold, shape: BoneShape, scale: float, spaces_mm: tuple[f
         ]
         return np.asarray(np.maximum(np.min(ovals, axis=0), -2.5 - above(points, shape.tibia.relief)))
 
-    return _layer(outer, mean_tibia(shape.tibia).field, zone, _full_mm(shape, scale, spaces_mm))
+    return _layer(outer, tibia_field(shape.tibia), zone, _full_mm(shape, scale, spaces_mm))
 
 
 def menisci(table: Menisci, scale: float) -> list[Manifold]:

@@ -11,6 +11,7 @@ from manifold3d import Manifold
 
 from ..core.checks import Array
 from ..data.bones import Condyle, FemurShape, Notch
+from ..data.shapes import ShapeTable
 from .implicit import Column, Field, blend, carve, ellipsoid, lengths, meet
 from .mean_bone import MeanBone, mean_bone
 from .solids import SHAFT_POWER, checked, column, hull, loft, thickness
@@ -20,9 +21,9 @@ _END_MM = 285.0
 
 
 @lru_cache(maxsize=4)
-def mean_femur(shape: FemurShape) -> MeanBone:
+def mean_femur(shape: FemurShape, forms: ShapeTable) -> MeanBone:
     """The mean man's femur."""
-    return mean_bone("femur", shape, field_of(shape), _shell, _rough)
+    return mean_bone("femur", shape, field_of(shape), _shell, _rough, forms)
 
 
 # manifold3d says on standard error what of it still stands when Python has ended.

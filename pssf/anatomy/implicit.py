@@ -39,12 +39,12 @@ def meet(one: Array, other: Array, radius_mm: float) -> Array:
 
 
 def carve(one: Array, other: Array, radius_mm: float) -> Array:
-    """(n,)  one field without the other, with a rounded edge"""
+    """(n,)  one field without the other, each (n,) mm, with a rounded edge"""
     return meet(one, -other, radius_mm)
 
 
 def ellipsoid(points: Array, centre_mm: Triple, half_mm: Triple) -> Array:
-    """(n,)  field of an ellipsoid; points (n, 3)"""
+    """(n,)  field of an ellipsoid, mm; points (n, 3) mm"""
     half = np.asarray(half_mm)
     scaled = (points - np.asarray(centre_mm)) / half
     norm, slope = lengths(scaled), lengths(scaled / half)
@@ -52,12 +52,12 @@ def ellipsoid(points: Array, centre_mm: Triple, half_mm: Triple) -> Array:
 
 
 def squares(vectors: Array) -> Array:
-    """(n,)  squared lengths of vectors (n, 3); a sum over so short an axis takes numpy four times as long"""
+    """(n,)  squared lengths of vectors (n, 3), any unit; a sum over so short an axis takes numpy four times as long"""
     return np.asarray(np.einsum("ij,ij->i", vectors, vectors))
 
 
 def lengths(vectors: Array) -> Array:
-    """(n,)  lengths of vectors (n, 3)"""
+    """(n,)  lengths of vectors (n, 3), in their own unit"""
     return np.sqrt(squares(vectors))
 
 
@@ -84,7 +84,7 @@ class Column:
 
 
 def with_gradient(field: Field, points: Array) -> tuple[Array, Array]:
-    """Values (n,) of a field at points (n, 3), and its gradient there (n, 3), by differences.
+    """Values (n,) of a field, mm, at points (n, 3), mm, and its gradient there (n, 3), by differences.
 
     One call of the field, not four: most of it is what numpy takes to begin, at the hundreds of points about a lip.
     """

@@ -270,8 +270,8 @@ def integrate_density(
     """Write the integral of relative density along each segment to `out`, mm.
 
     starts, ends  (n, 3)  knee frame, mm
-    into          (3, 4)  transform into the bone's frame
-    out           (n,)
+    into          (3, 4)  transform into the bone's frame, mm
+    out           (n,)  mm
 
     Samples keep their places wherever on its line a segment begins, so that its parts add up: for rays about along y
     they are on the planes of the lattice, for others at whole multiples of a step from the point nearest the origin.

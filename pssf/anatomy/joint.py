@@ -6,20 +6,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..core.checks import Array
-from ..data.bones import BoneShape
+from ..data.anatomy import AnatomyTables
 from ..geometry.mesh import Mesh
 from ..model.knee import Knee
 from ..model.protocol import Posture, Protocol, load_protocol
 from .bone_build import Build, build_of, stand_femur, stand_tibia
 from .bones import grown_femur, grown_tibia
-from .femur import mean_femur
 from .flexion import flexed
 from .mean_bone import MeanBone
 from .osteophytes import BoneWithOsteophytes
 from .pose import Pose, moved, rotation
 from .solids import mesh_of
 from .spaces import solve_pose
-from .tibia import mean_tibia
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,22 +75,26 @@ class KneeAssembly:
         return Mesh(self.seen(mesh.vertices), faces)
 
 
-# What a knee's joint spaces are defined under, by `Knee.jsw_as`.
-DEFINED_UNDER = {"projected": "reference", "read": "fixed_flexion"}
+_DEFINED_UNDER = {"projected": "reference", "read": "fixed_flexion"}
 
 
-def assemble(knee: Knee, shape: BoneShape, posture: Posture) -> KneeAssembly:
+def defining_protocol(knee: Knee) -> Protocol:
+    """What a knee's joint spaces are defined under, by its `jsw_as`."""
+    return load_protocol(_DEFINED_UNDER[knee.jsw_as])
+
+
+def assemble(knee: Knee, tables: AnatomyTables, posture: Posture, protocol: Protocol) -> KneeAssembly:
     """How a knee stands.
 
-    shape    of the mean man's bones
-    posture  in which it stands
-    raises   InputError if the joint spaces cannot be met
+    tables    that its bones are made from
+    posture   in which it stands
+    protocol  of `defining_protocol`
+    raises    InputError if the joint spaces cannot be met
     """
-    protocol = load_protocol(DEFINED_UNDER[knee.jsw_as])
-    build = build_of(knee, shape)
+    build = build_of(knee, tables)
     # The first knee after an installation waits seconds for both; they need not wait for each other.
     with ThreadPoolExecutor(2) as pool:
-        list(pool.map(MeanBone.prepare, (mean_femur(shape.femur), mean_tibia(shape.tibia))))
+        list(pool.map(MeanBone.prepare, (build.mean_femur, build.mean_tibia)))
     femur, tibia = grown_femur(build, knee.osteophytes), grown_tibia(build, knee.osteophytes)
     defined = solve_pose(knee, build, femur.outer, tibia.outer, protocol)
 

@@ -186,12 +186,12 @@ def _on_femur(seen: Array, sides: Indices) -> list[tuple[float, float]]:
     contour = _contour(seen, sides, (lateral[0], medial[0]), +1.0)
     middle, reach = (lateral[0] + medial[0]) / 2, _NOTCH_REACH * (medial[0] - lateral[0])
     top = contour.between(middle - reach, middle + reach).highest()
-    found = []
+    by_side = []
     for edge in (lateral, medial):
         low = contour.between(edge[0], top[0]).lowest()
         wall = contour.between(low[0], top[0])
         risen = wall.x_mm[wall.y_mm >= low[1] + _NOTCH_RISE * (top[1] - low[1])]
         # The first place on the way from the condyle inwards.
         notch = wall.at(risen[np.abs(risen - edge[0]).argmin()])
-        found.append([edge, contour.at((edge[0] + notch[0]) / 2), notch])
-    return [*found[0], top, *found[1][::-1]]
+        by_side.append([edge, contour.at((edge[0] + notch[0]) / 2), notch])
+    return [*by_side[0], top, *by_side[1][::-1]]

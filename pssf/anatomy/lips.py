@@ -78,7 +78,7 @@ class Lip:
         return fillet_of(self.size_mm)
 
     def at(self, spots: Array) -> Array:
-        """(n, 3)  points of the edge's rounding; spots (n, 2) as `spot` is"""
+        """(n, 3)  points of the edge's rounding, mm; spots (n, 2) as `spot` is, mm"""
         along, angle = spots.T
         outward, up = self.edge_mm * (np.cos(angle) - 1), self.edge_mm * np.sin(angle)
         out = polyval(along, self.edge) + outward * self._stretch(along)
@@ -86,7 +86,7 @@ class Lip:
         return np.asarray(self.origin + local @ self.axes)
 
     def near(self, points: Array) -> NDArray[np.bool_]:
-        """(n,)  whether points (n, 3) are so near that the bone's surface may be another there"""
+        """(n,)  whether points (n, 3), mm, are so near that the bone's surface may be another there"""
         along, out, up = self._local(points)
         wide = self.base_mm + _ABOUT_MM
         deep, high = -self.long_mm - wide, self.bend * self.size_mm / 2
@@ -94,7 +94,7 @@ class Lip:
         return np.asarray(within & (up < wide + max(high, 0.0)) & (up > -2 * wide + min(high, 0.0)))
 
     def field(self, points: Array) -> Array:
-        """(n,)  approximate distance from the lip at points (n, 3)"""
+        """(n,)  approximate distance from the lip at points (n, 3), mm"""
         along, out, up = self._local(points)
         up = up - self._bent(out)
         (foot, foot_mm), (tip, tip_mm) = self._balls(0.0)

@@ -10,7 +10,7 @@ from manifold3d import Manifold
 
 from ..core.checks import Array
 from ..data.bones import FemurShape, RoughZone, TibiaShape
-from ..data.shapes import shape_table
+from ..data.shapes import ShapeTable
 from ..data.store import Arrays, Origin, kept
 from ..geometry.freeform import displaced, with_displacements
 from ..geometry.mesh import Indices
@@ -131,8 +131,12 @@ def mean_bone(
     field: Field,
     shell: Callable[[OfBone, Array, float, float | Array], Array],
     rough: Callable[[OfBone], Manifold],
+    forms: ShapeTable,
 ) -> MeanBone:
-    """The mean man's bone of a shape; shell and rough as in MeanBone, of that shape."""
+    """The mean man's bone of a shape; shell and rough as in MeanBone, of that shape.
+
+    forms  that people's bones have, for which its triangles must be small enough
+    """
     return MeanBone(
         name=name,
         field=field,
@@ -140,7 +144,7 @@ def mean_bone(
         rough=partial(rough, shape),
         edge_mm=shape.edge_mm,
         tolerance_mm=shape.tolerance_mm,
-        form=knee_form(shape_table()).bones[name],
+        form=knee_form(forms).bones[name],
         zones=shape.rough,
     )
 

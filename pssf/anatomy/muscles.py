@@ -21,7 +21,7 @@ def intermuscular_fat(
     """All fat within the fascia: what muscles leave, before bones and the joint are taken out of it.
 
     fascia  (n, 5)  z, half ML, half AP, centre y, centre x of the fascia, rising in z, mm
-    levels  (k,)    heights of the rings that the fascia is drawn through; with others the fat might leave it in between
+    levels  (k,)    heights, mm, of the rings that the fascia is drawn through; with others the fat might leave it
     scale   of the bones, which muscles follow in height
     """
     within = fascia - np.array([0.0, table.fascia_mm, table.fascia_mm, 0.0, 0.0])

@@ -17,7 +17,7 @@ from .remesh import laplacian_smooth
 from .solids import checked, mesh_of
 
 _CORTEX_MM = 0.3
-# Large beaks have more of it, by this part of their size.
+# Large ones have more of it, by this part of their size.
 _THICKENING = 0.06
 # Bone of each kind of site.
 BONE = {"femur": "femur", "tibia": "tibia", "spine": "tibia"}
@@ -58,19 +58,19 @@ class Spike:
         return min(2.0, 0.8 * self.size_mm)
 
     def near(self, points: Array) -> NDArray[np.bool_]:
-        """(n,)  whether points (n, 3) are so near that the bone's surface may be another there"""
+        """(n,)  whether points (n, 3), mm, are so near that the bone's surface may be another there"""
         reach = np.linalg.norm(self.feet - self.tip, axis=1).max() + self.foot_mm + 4.0
         return np.asarray(((points - self.tip) ** 2).sum(axis=1) < reach**2)
 
     def field(self, points: Array) -> Array:
-        """(n,)  approximate distance from the beak at points (n, 3)"""
+        """(n,)  approximate distance from the spike at points (n, 3), mm"""
         shares = np.linspace(0.0, 2.0, _CONES)
         feet = np.stack([np.interp(shares, [0, 1, 2], self.feet[:, axis]) for axis in range(3)], axis=1)
         # A plain minimum: blended, the cones would swell where they meet, in the tip.
         return np.asarray(_cones(points, feet, self.foot_mm, self.tip, self.tip_mm).min(axis=0))
 
     def solid(self, inset_mm: float) -> Manifold:
-        """Hull of the balls, drawn in; the cortex takes the whole tip of a small beak."""
+        """Hull of the balls, drawn in; the cortex takes the whole tip of a small one."""
         tip_mm = max(self.tip_mm - inset_mm, 0.1)
         middle = self.feet.mean(axis=0)
         inward = (middle - self.tip) / np.linalg.norm(middle - self.tip)
@@ -79,7 +79,8 @@ class Spike:
         return checked(Manifold.batch_hull(balls), "osteophyte")
 
 
-Beak = Lip | Spike
+# Either has its farthest point, a field, a solid, and what is near it.
+OsteophyteShape = Lip | Spike
 
 
 def _box(solid: Manifold) -> Manifold:
@@ -90,19 +91,19 @@ def _box(solid: Manifold) -> Manifold:
 
 @dataclass(frozen=True)
 class BoneWithOsteophytes:
-    """A bone's outer solid with its beaks, in its frame at the mean man's size."""
+    """A bone's outer solid with its osteophytes, in its frame at the mean man's size."""
 
     outer: Manifold
-    beaks: tuple[Beak, ...] = ()
+    shapes: tuple[OsteophyteShape, ...] = ()
 
     def filled(self, inner: Manifold, scale: float) -> Manifold:
-        """The trabecular solid of the bone with what is inside its beaks."""
-        for beak in self.beaks:
-            within = beak.solid(_CORTEX_MM / scale + _THICKENING * beak.size_mm)
+        """The trabecular solid of the bone with what is inside its osteophytes."""
+        for shape in self.shapes:
+            within = shape.solid(_CORTEX_MM / scale + _THICKENING * shape.size_mm)
             about = self.outer ^ _box(within)
-            # A rounded margin may not hold the feet of a small beak; what is outside of the bone, drawn in, is cut off.
+            # A rounded margin may not hold the feet of a small one; what is outside of the bone, drawn in, is cut off.
             if (within - about).volume() > 0:
-                drawn_in = [about.translate(_DRAWN_IN_MM * way) for way in (*np.eye(3), *-np.eye(3), -beak.out)]
+                drawn_in = [about.translate(_DRAWN_IN_MM * way) for way in (*np.eye(3), *-np.eye(3), -shape.out)]
                 within = Manifold.batch_boolean([within, about, *drawn_in], OpType.Intersect)
             # With edges short enough to bend with the bone.
             inner = inner + within.refine_to_length(_EDGE_MM)
@@ -119,47 +120,47 @@ def grow(
     deform   what the bone is deformed by afterwards, (n, 3) -> (n, 3), whose stretching is taken back here
     raises   InputError where one hides the farthest point of another
     """
-    beaks: list[Beak] = []
+    shapes: list[OsteophyteShape] = []
     for osteophyte in osteophytes:
         side, where = osteophyte.site.split("_")
         if BONE[where] == mean.name:
             size_mm = osteophyte.size_mm / scale
             if where == "spine":
-                beaks.append(_on_spine(1.0 if side == "medial" else -1.0, mean.outer, size_mm, deform))
+                shapes.append(_on_spine(1.0 if side == "medial" else -1.0, mean.outer, size_mm, deform))
             else:
                 margin = {"femur": margins.femur, "tibia": margins.tibia}[where]
                 if size_mm < _SMALL_MM and osteophyte.place == 0:
-                    beaks.append(_at_margin(margin, 1.0 if side == "medial" else -1.0, mean.outer, size_mm, deform))
+                    shapes.append(_at_margin(margin, 1.0 if side == "medial" else -1.0, mean.outer, size_mm, deform))
                 else:
-                    beaks.append(lip_at(osteophyte, size_mm, mean, (margin, margins.lip), deform))
-    if not beaks:
+                    shapes.append(lip_at(osteophyte, size_mm, mean, (margin, margins.lip), deform))
+    if not shapes:
         return BoneWithOsteophytes(mean.outer)
-    _refuse_hidden(osteophytes, beaks, mean.name)
+    _refuse_hidden(osteophytes, shapes, mean.name)
 
     def whole(points: Array) -> Array:
         bare = mean.field(points)
-        shape = bare.copy()
-        for beak in beaks:
-            close = beak.near(points)
+        joined = bare.copy()
+        for shape in shapes:
+            close = shape.near(points)
             # Each is blended with the bone alone: blended with each other, one would lift the tip of its neighbour.
-            with_it = blend(bare[close], beak.field(points[close]), beak.fillet_mm)
-            shape[close] = np.minimum(shape[close], with_it)
-        return shape
+            with_it = blend(bare[close], shape.field(points[close]), shape.fillet_mm)
+            joined[close] = np.minimum(joined[close], with_it)
+        return joined
 
     def near(points: Array) -> NDArray[np.bool_]:
-        return np.asarray(np.any([beak.near(points) for beak in beaks], axis=0))
+        return np.asarray(np.any([shape.near(points) for shape in shapes], axis=0))
 
     rough = mean.outer
-    for beak in beaks:
-        rough = rough + beak.solid(0.0).refine_to_length(_ROUGH_EDGE_MM)
-    even = laplacian_smooth(rough, whole, _ROUNDS, near, [beak.farthest for beak in beaks])
-    return BoneWithOsteophytes(checked(even, f"{mean.name} with osteophytes"), tuple(beaks))
+    for shape in shapes:
+        rough = rough + shape.solid(0.0).refine_to_length(_ROUGH_EDGE_MM)
+    even = laplacian_smooth(rough, whole, _ROUNDS, near, [shape.farthest for shape in shapes])
+    return BoneWithOsteophytes(checked(even, f"{mean.name} with osteophytes"), tuple(shapes))
 
 
-def _refuse_hidden(osteophytes: tuple[Osteophyte, ...], beaks: list[Beak], bone: str) -> None:
-    for beak in beaks:
-        for other in beaks:
-            if other is not beak and float(other.field(beak.farthest[None])[0]) < 0:
+def _refuse_hidden(osteophytes: tuple[Osteophyte, ...], shapes: list[OsteophyteShape], bone: str) -> None:
+    for shape in shapes:
+        for other in shapes:
+            if other is not shape and float(other.field(shape.farthest[None])[0]) < 0:
                 names = ", ".join(f"{one.site} {one.size_mm:g} mm at {one.place:g}" for one in osteophytes)
                 raise InputError(
                     f"osteophytes of the {bone} ({names}): one hides the farthest point of another; allowed: smaller "
@@ -201,19 +202,19 @@ def _on_spine(direction: float, bare: Manifold, size_mm: float, deform: Deform) 
 
 
 def _standing_out(
-    shape: Callable[[float, Array], Spike], way: Array, margin_mm: float, size_mm: float, deform: Deform
+    make: Callable[[float, Array], Spike], way: Array, margin_mm: float, size_mm: float, deform: Deform
 ) -> Spike:
     """The shape whose farthest point, deformed, stands out by its size along a way beyond the deformed bare bone."""
     stands_mm, out = size_mm, way
     for _ in range(_TURNS):
-        beak = shape(stands_mm, out)
-        near = beak.farthest + np.vstack((np.zeros(3), _STEP_MM * np.eye(3)))
+        shape = make(stands_mm, out)
+        near = shape.farthest + np.vstack((np.zeros(3), _STEP_MM * np.eye(3)))
         reach = deform(near) @ way
         # On the ball, the point is farthest at which the ball's normal is the gradient of the deformed place.
         slope = reach[1:] - reach[0]
         out = slope / np.linalg.norm(slope)
         stands_mm += size_mm - (float(reach[0]) - margin_mm)
-    return shape(stands_mm, out)
+    return make(stands_mm, out)
 
 
 def _cones(points: Array, feet: Array, foot_mm: float, tip: Array, tip_mm: float) -> Array:

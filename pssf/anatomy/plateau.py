@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from ..core.checks import Array, InputError
-from ..data.fields import field_laws
+from ..data.records import Pair
 from ..geometry.mesh import Indices, Mesh
 from ..geometry.view import magnification, project, view_of
 from ..model.protocol import Protocol
@@ -61,23 +61,22 @@ def inter_margin_mm(assembly: KneeAssembly, tibia: Mesh, protocol: Protocol) -> 
     return float((back - front) * view.pixel_mm / magnification(view))
 
 
-def along_plateau(assembly: KneeAssembly, tibia: Mesh, protocol: Protocol) -> Protocol:
+def along_plateau(assembly: KneeAssembly, tibia: Mesh, protocol: Protocol, range_deg: Pair) -> Protocol:
     """The protocol with its beam along this knee's medial plateau, and from there by what its `beam_angle_deg` says.
 
+    range_deg  that a beam may be tilted by
     raises  InputError where the plateau faces another way than any beam goes
     """
-    law = field_laws("protocol")["beam_angle_deg"]
-    assert law.range is not None
     level = replace(protocol, beam_along="horizontal")
 
     def apart_mm(angle_deg: float) -> float:
         return inter_margin_mm(assembly, tibia, replace(level, beam_angle_deg=float(angle_deg)))
 
-    low, high = (apart_mm(angle) for angle in law.range)
+    low, high = (apart_mm(angle) for angle in range_deg)
     if low * high > 0:
         raise InputError(
-            f"beam_along = {protocol.beam_along!r}: at {law.range[0]:g} and {law.range[1]:g} deg of beam the plateau's "
+            f"beam_along = {protocol.beam_along!r}: at {range_deg[0]:g} and {range_deg[1]:g} deg of beam the plateau's "
             f"margins are {low:.1f} and {high:.1f} mm apart; allowed: a posture whose plateau a beam between can meet"
         )
-    fitted = brentq(apart_mm, *law.range, xtol=_TOLERANCE_DEG) + protocol.beam_angle_deg
+    fitted = brentq(apart_mm, *range_deg, xtol=_TOLERANCE_DEG) + protocol.beam_angle_deg
     return replace(level, beam_angle_deg=round(float(fitted), 4))

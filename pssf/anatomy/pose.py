@@ -77,5 +77,5 @@ def rotation(axis: int, degrees: float) -> Array:
 
 
 def moved(vertices_mm: Array, transform: Array) -> Array:
-    """(n, 3)  vertices after a (3, 4) transform"""
+    """(n, 3)  vertices after a (3, 4) transform, mm"""
     return vertices_mm @ transform[:, :3].T + transform[:, 3]

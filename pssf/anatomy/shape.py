@@ -25,7 +25,7 @@ class BoneForm:
     def lattice(self, scores: Array) -> Lattice:
         """The lattice of a knee.
 
-        scores  (modes,)  in standard deviations
+        scores  (modes,)  SD
         raises  InputError for another number of scores
         """
         if np.shape(scores) != (len(self.modes_mm),):

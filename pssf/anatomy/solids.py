@@ -61,7 +61,7 @@ def edges_of(faces: Indices) -> Indices:
 def crossing_sides(values: Array, faces: Indices, at: float) -> tuple[Indices, Indices, Array]:
     """Sides of triangles that cross a level: vertices (n,) at which they start and end, and the share (n,) of the way.
 
-    values  (k,)    of vertices
+    values  (k,)    of vertices, any unit
     faces   (m, 3)  vertex numbers; the two sides of a triangle that cross come one after the other
     """
     beyond = values >= at
@@ -113,7 +113,7 @@ def split_where(
     """Places (n, 3) and faces (m, 3) of a closed mesh with edges split in half, so often as any is chosen.
 
     rounds  at most
-    choose  places and all edges (k, 2) -> those to split (l, 2), and where their middles go (l, 3)
+    choose  places (n, 3), mm, and all edges (k, 2) -> those to split (l, 2), and where their middles go (l, 3)
     """
     for _ in range(rounds):
         edges, middles = choose(places, edges_of(faces))
@@ -169,7 +169,7 @@ def column(
 ) -> Manifold:
     """A loft through superelliptic sections that are interpolated in height and drawn in by a thickness.
 
-    sections    (n, 5)  z, half ML, half AP, centre y, centre x; any order in z
+    sections    (n, 5)  z, half ML, half AP, centre y, centre x, mm; any order in z
     inset_mm    height (k,) -> thickness (k,) taken off both half axes
     heights_mm  (k,)    levels of the rings, rising
     """

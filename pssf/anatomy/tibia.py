@@ -11,6 +11,7 @@ from manifold3d import Manifold
 
 from ..core.checks import Array
 from ..data.bones import Bell, TibiaShape
+from ..data.shapes import ShapeTable
 from .implicit import Column, Field, blend, ellipsoid, meet
 from .mean_bone import MeanBone, mean_bone
 from .solids import SHAFT_POWER, checked, column, height_field, thickness
@@ -19,9 +20,9 @@ _END_MM = -285.0
 
 
 @lru_cache(maxsize=4)
-def mean_tibia(shape: TibiaShape) -> MeanBone:
+def mean_tibia(shape: TibiaShape, forms: ShapeTable) -> MeanBone:
     """The mean man's tibia, with a level plateau."""
-    return mean_bone("tibia", shape, field_of(shape), _shell, _rough)
+    return mean_bone("tibia", shape, field_of(shape), _shell, _rough, forms)
 
 
 # manifold3d says on standard error what of it still stands when Python has ended.

@@ -175,9 +175,9 @@ def _source(piece: Manifold, whose: dict[int, int]) -> int | None:
     """Of which solid a piece is, by the numbers of the originals that its faces come from; None if of none."""
     mesh = piece.to_mesh64()
     faces = zip(mesh.run_original_id, np.diff(mesh.run_index), strict=True)
-    found = {whose[source] for source, count in faces if count and source in whose}
-    assert len(found) <= 1, "solids that touch each other were carved together"
-    return found.pop() if found else None
+    solids = {whose[source] for source, count in faces if count and source in whose}
+    assert len(solids) <= 1, "solids that touch each other were carved together"
+    return solids.pop() if solids else None
 
 
 def _poles(patella: Manifold) -> tuple[Array, Array]:

@@ -12,13 +12,11 @@ from ..geometry.view import View, project, view_of
 from ..model.knee import Knee
 from ..model.radiograph import Truth
 from .contours import Gap, measure_gap, turned_px
-from .femur import mean_femur
 from .implicit import project_solid
 from .joint import KneeAssembly
 from .landmarks import contour_landmarks, plateau_floor
 from .osteophytes import BONE
 from .solids import edges_of, mesh_of
-from .tibia import mean_tibia
 
 # Joint space is told at these fractions of the plateau's width from its medial edge, as JSW(x) (Neumann et al. 2009).
 FRACTIONS = (0.15, 0.175, 0.2, 0.225, 0.25, 0.275, 0.3, 0.7, 0.725, 0.75, 0.775, 0.8, 0.825, 0.85, 0.875, 0.9)
@@ -59,20 +57,20 @@ def measured_jsw_mm(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View
 
 def osteophyte_meshes(knee: Knee, assembly: KneeAssembly) -> dict[str, Mesh]:
     """Site -> what an osteophyte adds to its bone, where it stands out by more than 0.05 mm, in the knee frame."""
-    shape = assembly.build.shape
+    build = assembly.build
     bones = (
-        (mean_femur(shape.femur), assembly.femur, assembly.femur_mm),
-        (mean_tibia(shape.tibia), assembly.tibia, assembly.tibia_mm),
+        (build.mean_femur, assembly.femur, assembly.femur_mm),
+        (build.mean_tibia, assembly.tibia, assembly.tibia_mm),
     )
     meshes = {}
     for mean, grown, move in bones:
-        sites = [beak.site for beak in knee.osteophytes if BONE[beak.site.split("_")[1]] == mean.name]
+        sites = [one.site for one in knee.osteophytes if BONE[one.site.split("_")[1]] == mean.name]
         if not sites:
             continue
         bare = project_solid(mean.outer, mean.field, depth_mm=lambda points: np.full(len(points), -_OUT_MM))
         # Moved first: a cut across a triangle stays within it, and the osteophyte within its bone.
         outer, bare = (_moved(solid, move) for solid in (grown.outer, bare))
-        tips = move(np.array([beak.tip for beak in grown.beaks]))
+        tips = move(np.array([shape.tip for shape in grown.shapes]))
         for site, added in _by_site(outer - bare, sites, tips).items():
             meshes[site] = assembly.mirrored(mesh_of(added))
     return meshes
@@ -133,8 +131,8 @@ def _jsw_at_mm(knee: Knee, assembly: KneeAssembly, gaps: tuple[Gap, Gap], view: 
 
 def _widest(knee: Knee, assembly: KneeAssembly, view: View) -> dict[str, tuple[float, float]]:
     """Where the bones are widest, without their osteophytes."""
-    shape, medial, lean = assembly.build.shape, _medial(knee), _lean_deg(knee, assembly)
-    femur, tibia = (mesh_of(bone.outer) for bone in (mean_femur(shape.femur), mean_tibia(shape.tibia)))
+    build, medial, lean = assembly.build, _medial(knee), _lean_deg(knee, assembly)
+    femur, tibia = (mesh_of(bone.outer) for bone in (build.mean_femur, build.mean_tibia))
     spots: dict[str, tuple[float, float]] = {}
     for side, sign in (("medial", +1), ("lateral", -1)):
         for name, mesh, band, move in (

@@ -79,5 +79,5 @@ def trochlea_px(assembly: KneeAssembly, femur: Mesh, view: View) -> dict[str, tu
     left, right = int(rows[:middle].argmin()), middle + int(rows[middle:].argmin())
     low = left + int(rows[left : right + 1].argmax())
     names = ("trochlea_lateral", "sulcus", "trochlea_medial")
-    found = (left, low, right) if lateral < medial else (right, low, left)
-    return {name: (float(rows[k]), float(first + k)) for name, k in zip(names, found, strict=True)}
+    columns = (left, low, right) if lateral < medial else (right, low, left)
+    return {name: (float(rows[k]), float(first + k)) for name, k in zip(names, columns, strict=True)}

@@ -94,7 +94,7 @@ def realism(
     shown = [name for part, names in SHOWN.items() if given[part] for name in names]
     checkout = open_checkout(readme, shown, protocol=protocol, knees=knees)
     execution = Execution(workers=workers, bar=bar)
-    found = measure(
+    measured = measure(
         out,
         execution,
         films=films,
@@ -105,10 +105,10 @@ def realism(
         grades=grades,
         seed=seed,
     )
-    checkout.take({name: found.rows.get(name, []) for name in shown}, found.paths)
-    for line in found.lines:
+    checkout.take({name: measured.rows.get(name, []) for name in shown}, measured.paths)
+    for line in measured.lines:
         print(line)
-    print(f"page      {found.page}")
+    print(f"page      {measured.page}")
 
 
 def grades(
@@ -133,15 +133,15 @@ def grades(
     from ..study.learn.separability import separability
 
     with waiting("drawing and fitting"):
-        found = separability(table, knees=knees, seed=seed)
+        measured = separability(table, knees=knees, seed=seed)
     shown = Table("grades", "known", "how", "knees", "AUC", "95 %", "smaller gap on people's films")
-    for row in found.to_dict("records"):
+    for row in measured.to_dict("records"):
         people = "" if row["people"] != row["people"] else f"{row['people']:.2f}"
         interval = f"{row['low']:.2f} to {row['high']:.2f}"
         shown.add_row(row["grades"], row["known"], row["how"], str(row["knees"]), f"{row['auc']:.3f}", interval, people)
     Console(width=None if sys.stdout.isatty() else 160).print(shown)
     path = folder(out) / "separability.csv"
-    save_table(path, found)
+    save_table(path, measured)
     print(path)
 
 

@@ -72,8 +72,8 @@ def _listed(path: Path, side: str, pixel_mm: float) -> "list[Film]":
         films = [replace(film, file=(folder / film.file).as_posix()) for film in list_films(path)]
     else:
         require_choice(f"file {path}: suffix", path.suffix.lower(), SUFFIXES)
-        subject, told = subject_and_side(path.stem)
-        films = [Film(file=path.as_posix(), grade=None, subject=subject, side=told, pixel_mm=None, sha256=sha256(path))]
+        file, (subject, own) = path.as_posix(), subject_and_side(path.stem)
+        films = [Film(file=file, grade=None, subject=subject, side=own, pixel_mm=None, sha256=sha256(path))]
     return [replace(f, side=f.side or side or None, pixel_mm=f.pixel_mm or pixel_mm or None) for f in films]
 
 

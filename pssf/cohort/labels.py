@@ -1,5 +1,6 @@
 """write_labels: a cohort -> its labels in the formats that the field reads."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +8,9 @@ import numpy as np
 
 from ..anatomy.landmarks import CONTOUR_LANDMARKS
 from ..core.checks import InputError
+from ..data.bones import FemurShape, mean_shape
+from ..data.oarsi import OarsiCuts, oarsi_cuts
+from ..data.spongy import TrabecularBone, trabecular_bone
 from ..detector.rendering import for_eyes
 from ..io.atomic import folder
 from ..io.images import load
@@ -35,6 +39,7 @@ def write_labels(cohort: str | Path, out: str | Path) -> list[Path]:
     """
     cohort, out = Path(cohort), folder(Path(out))
     rows, images = [], []
+    readers = _Readers(cuts=oarsi_cuts(), spongy=trabecular_bone(), femur=mean_shape().femur)
     manifest = cohort / "manifest.csv"
     if not manifest.exists():
         raise InputError(f"folder {cohort}: no manifest.csv; allowed: a cohort that is made")
@@ -46,7 +51,7 @@ def write_labels(cohort: str | Path, out: str | Path) -> list[Path]:
             seen = radiograph.protocol.projection
             raise InputError(f"file {made['file']}: projection = {seen!r}; allowed: AP or PA, which show the contours")
         places = {name: radiograph.truth.landmarks_px[name] for name in CONTOUR_LANDMARKS}
-        rows.append(_reading(made["radiograph"], str(made["subject"]), radiograph))
+        rows.append(_reading(made["radiograph"], str(made["subject"]), radiograph, readers))
         write_pts(folder(out / "landmarks") / f"{made['radiograph']}.pts", places)
         grade = radiograph.truth.grade
         picture = f"{'none' if grade is None else grade}/{made['radiograph']}.png"
@@ -62,7 +67,16 @@ def write_labels(cohort: str | Path, out: str | Path) -> list[Path]:
     return [out / "readings.csv", write_coco(out / "coco.json", images), out / "landmarks", out / "images"]
 
 
-def _reading(name: str, subject: str, radiograph: Radiograph) -> dict[str, Any]:
+@dataclass(frozen=True, kw_only=True)
+class _Readers:
+    """What knees are graded and measured by."""
+
+    cuts: OarsiCuts
+    spongy: TrabecularBone
+    femur: FemurShape
+
+
+def _reading(name: str, subject: str, radiograph: Radiograph, by: _Readers) -> dict[str, Any]:
     knee, truth = radiograph.knee, radiograph.truth
     assert knee is not None
     assert truth is not None
@@ -72,10 +86,10 @@ def _reading(name: str, subject: str, radiograph: Radiograph) -> dict[str, Any]:
         "SIDE": _SIDE[knee.side],
         "radiograph": name,
         **({} if knee.grade_read is None else {"XRKL_READ": knee.grade_read}),
-        **oarsi(knee, truth.attrition_mm),
+        **oarsi(knee, truth.attrition_mm, by.cuts, by.spongy),
         "mJSW": round(truth.jsw_medial_mm, 4),
         "lJSW": round(truth.jsw_lateral_mm, 4),
         **spaces,
         **{f"attrition_{side}_mm": depth for side, depth in truth.attrition_mm.items()},
-        **axes(knee),
+        **axes(knee, by.femur),
     }

@@ -9,7 +9,7 @@ from .checks import Array
 def block_mean(image: NDArray[np.integer | np.floating], step: int) -> Array:
     """(ceil(rows/step), ceil(cols/step))  means of blocks; those at the lower and right edge may be smaller
 
-    image  (rows, cols)
+    image  (rows, cols)  any unit
     """
     if image.shape[0] % step == 0 and image.shape[1] % step == 0:
         blocks = image.reshape(image.shape[0] // step, step, image.shape[1] // step, step)
@@ -21,7 +21,7 @@ def block_mean(image: NDArray[np.integer | np.floating], step: int) -> Array:
 
 
 def enlarge(coarse: Array, step: int, shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """(rows, cols)  a coarse map by linear interpolation between the centres of its blocks"""
+    """(rows, cols)  a coarse map, of any unit, by linear interpolation between the centres of its blocks"""
     fine = coarse.astype(np.float32)
     for axis in (0, 1):
         place = np.clip((np.arange(shape[axis]) + 0.5) / step - 0.5, 0, coarse.shape[axis] - 1)

@@ -65,6 +65,13 @@ def check_fields(kind: str, values: Any) -> None:
         law.check(name, getattr(values, name))
 
 
+def beam_range_deg() -> Pair:
+    """That the central ray of a protocol may be tilted by."""
+    bounds = field_laws("protocol")["beam_angle_deg"].range
+    assert bounds is not None
+    return bounds
+
+
 @cache
 def field_laws(kind: str) -> dict[str, FieldLaw]:
     """Field -> what it is and may be; kind "protocol" or "knee"."""

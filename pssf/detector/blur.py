@@ -22,7 +22,7 @@ _MARGIN_PX = 32
 def forward(image: Map, workers: int = 2) -> Frequencies:
     """Transform of an image whose margin mirrors it, so that its far sides do not bleed into each other.
 
-    image  (rows, cols)
+    image  (rows, cols)  keV
     """
     long, before = _padded(image.shape)
     margins = [(b, n - size - b) for b, n, size in zip(before, long, image.shape, strict=True)]
@@ -32,7 +32,7 @@ def forward(image: Map, workers: int = 2) -> Frequencies:
 def backward(values: Frequencies, shape: tuple[int, ...], workers: int = 2) -> Map:
     """(rows, cols)  the image of such a shape that `forward` made frequencies of
 
-    values  (rows, cols / 2 + 1)  of the padded image
+    values  (rows, cols / 2 + 1)  of the padded image, keV
     """
     long, before = _padded(shape)
     back = fft.irfft2(values, long, workers=workers)
@@ -42,7 +42,7 @@ def backward(values: Frequencies, shape: tuple[int, ...], workers: int = 2) -> M
 def focal_spot_blur(image: Map, focal_spot_mm: float, view: View, workers: int = 2) -> Map:
     """(rows, cols)  blurred by a square spot, magnified as in the joint plane: width a (M - 1)
 
-    image  (rows, cols)
+    image  (rows, cols)  keV
     """
     values = forward(image, workers)
     by_focal_spot(values, image.shape, shadow_px(focal_spot_mm, view))
@@ -57,7 +57,7 @@ def shadow_px(focal_spot_mm: float, view: View) -> float:
 def by_focal_spot(values: Frequencies, shape: tuple[int, ...], width_px: float) -> None:
     """In place: blurred by a square spot whose shadow is so wide.
 
-    values  (rows, cols / 2 + 1)  as `forward` gives them
+    values  (rows, cols / 2 + 1)  as `forward` gives them, keV
     """
     fy, fx = _axes(shape)
     values *= np.sinc(width_px * fy)[:, None]
@@ -69,7 +69,7 @@ def by_panel(
 ) -> None:
     """In place: blurred by the panel, as `transfer` has it for part "mtf" or "ntf".
 
-    values  (rows, cols / 2 + 1)  as `forward` gives them
+    values  (rows, cols / 2 + 1)  as `forward` gives them, keV
     """
     values *= _passed(shape, pixel_mm, *_law(detector, part))
 

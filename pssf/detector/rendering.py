@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from ..core.checks import InputError, require, require_choice, require_whole
 from ..data.detectors import detectors
-from ..data.looks import Film, Processed, looks
+from ..data.looks import Film, Looks, Processed, looks
 from ..model.exposure import MARKERS
 from ..model.radiograph import Radiograph
 from .looks import film, linear, processed
@@ -45,13 +45,15 @@ def present(
               of range
     """
     require_whole("bits", bits, 8, 16, "")
-    require_choice("detector", detector, tuple(detectors()))
+    panels = detectors()
+    require_choice("detector", detector, tuple(panels))
+    shown_as = _look_of(look, looks())
     require("pixel_mm", pixel_mm, 1e-3, 50, "mm")
-    signal = np.maximum(pixels.astype(np.float32) - np.float32(detectors()[detector].offset_dn), 1.0)
+    signal = np.maximum(pixels.astype(np.float32) - np.float32(panels[detector].offset_dn), 1.0)
     within = _within(signal.shape, field_mm, pixel_mm)
     shown = np.zeros_like(signal)
     # What scatters behind the leaves is no part of the limb, from which greys are chosen.
-    shown[within] = _shown(np.ascontiguousarray(signal[within]), look, pixel_mm)
+    shown[within] = _shown(np.ascontiguousarray(signal[within]), shown_as, pixel_mm)
     if side is not None:
         shown = _marked(shown, side)
     most = 2**bits - 1
@@ -86,18 +88,21 @@ def _within(shape: tuple[int, ...], field_mm: tuple[float, float], pixel_mm: flo
     return slices[0], slices[1]
 
 
-def _shown(signal: NDArray[np.float32], look: str | Processed | Film, pixel_mm: float) -> NDArray[np.float32]:
-    """(rows, cols)  greys from 0 to 1"""
+def _look_of(look: str | Processed | Film, known: Looks) -> Processed | Film | None:
+    """The parameters that a name stands for; None for "linear", which has none."""
     if isinstance(look, str):
         require_choice("look", look, LOOKS)
-        if look == "linear":
-            return linear(signal)
-        look = looks().processed if look == "processed" else looks().film
-    if isinstance(look, Processed):
-        return processed(signal, pixel_mm, look)
-    if isinstance(look, Film):
-        return film(signal, look)
-    raise InputError(f"look = {look!r}; allowed: {', '.join(LOOKS)}, a Processed or a Film")
+        return {"linear": None, "processed": known.processed, "film": known.film}[look]
+    if not isinstance(look, Processed | Film):
+        raise InputError(f"look = {look!r}; allowed: {', '.join(LOOKS)}, a Processed or a Film")
+    return look
+
+
+def _shown(signal: NDArray[np.float32], look: Processed | Film | None, pixel_mm: float) -> NDArray[np.float32]:
+    """(rows, cols)  greys from 0 to 1"""
+    if look is None:
+        return linear(signal)
+    return processed(signal, pixel_mm, look) if isinstance(look, Processed) else film(signal, look)
 
 
 def _marked(shown: NDArray[np.float32], side: str) -> NDArray[np.float32]:

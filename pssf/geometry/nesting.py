@@ -67,7 +67,7 @@ def inside_out(points: Array, faces: Faces, body: NDArray[np.int32], volumes: Ar
     points   (n, 3)  of any unit in which sizes are not extreme
     faces    (m, 3)  vertex numbers
     body     (n,)    number of the body of each vertex
-    volumes  (k,)    of the bodies; negative where one is wound inwards
+    volumes  (k,)    of the bodies, mm3; negative where one is wound inwards
     returns  (j,)    those to be turned; neither the order of the faces nor that of the vertices matters
     """
     seen, side = points @ _AXES, np.sign(volumes)

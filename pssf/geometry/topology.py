@@ -59,7 +59,7 @@ def edge_sum(faces: Faces) -> np.uint64:
 def distinct(rows: Array) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """Which rows are one, bit for bit: -0.0 is not 0.0, and NaN is NaN.
 
-    rows     (n, 3)
+    rows     (n, 3)  any unit
     returns  (k,) where each distinct row stands first, in order; and (n,) for every row the number of its like
     """
     size = 1

@@ -67,8 +67,8 @@ def _meshes(points: NDArray[np.generic], faces: NDArray[np.generic], what: str) 
 def _from_folders(path: Path) -> dict[str, tuple[Mesh, ...]]:
     bones = {}
     for kind in KINDS:
-        found = path / kind
-        files = sorted(file for file in found.glob("*") if file.suffix.lower() in _SUFFIXES)
+        folder = path / kind
+        files = sorted(file for file in folder.glob("*") if file.suffix.lower() in _SUFFIXES)
         if files:
             meshes = [read_mesh(file) for file in files]
             bones[kind] = tuple(Mesh(np.asarray(m.vertices), np.asarray(m.faces)) for m in meshes)

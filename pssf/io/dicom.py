@@ -15,8 +15,8 @@ from pydicom.uid import UID, ExplicitVRLittleEndian
 from pydicom.valuerep import DSfloat
 
 from ..core.checks import InputError, require_choice
-from ..data.detectors import detectors
-from ..data.dicom import dicom_tables
+from ..data.detectors import Detector, detectors
+from ..data.dicom import DicomTables, dicom_tables
 from ..detector import for_eyes
 from ..geometry.view import magnification, view_of
 from ..model.knee import Knee, knee_table
@@ -33,24 +33,25 @@ def write(radiograph: Radiograph, description: str, path: Path, intent: str, sid
     intent  "processing": 16 bit, the pixels as they are; "presentation": 12 bit, as `present` renders them
     side    of which a presentation bears the marker, with the collimator's edge; None for neither
     """
-    protocol = radiograph.protocol
+    protocol, tables = radiograph.protocol, dicom_tables()
+    detector = detectors()[protocol.detector]
     shown: NDArray[np.generic] = radiograph.pixels
     if intent == "presentation":
         shown = for_eyes(radiograph, 12, side)
     pixels = shown.astype("<u2", copy=False)
     uids = uids_of(radiograph, description)
-    item = start(radiograph, uids, ("radiograph", intent))
+    item = start(radiograph, uids, ("radiograph", intent), tables)
     item.update(dataset({"SeriesInstanceUID": uids[f"{intent} series"], "SOPInstanceUID": uids[intent]}))
     item.SeriesDescription = f"{name_of(radiograph.protocol)[:40]}, for {intent}"
-    text = {"ValueType": "TEXT", "ConceptNameCodeSequence": [code("parameters")], "TextValue": description}
+    text = {"ValueType": "TEXT", "ConceptNameCodeSequence": [code("parameters", tables)], "TextValue": description}
     item.AcquisitionContextSequence = [dataset(text)]
-    item.update(_anatomy((radiograph.knee, *radiograph.knees), radiograph.protocol))
-    item.update(_technique(radiograph.protocol))
+    item.update(_anatomy((radiograph.knee, *radiograph.knees), protocol, tables))
+    item.update(_technique(protocol, detector, tables))
     item.update(_geometry(radiograph.protocol))
-    remark = f"linear in absorbed energy, offset {detectors()[protocol.detector].offset_dn:g}"
+    remark = f"linear in absorbed energy, offset {detector.offset_dn:g}"
     if intent == "presentation":
         remark = "for eyes: log signal by a flat panel's processing, a curve to grey; not for measurement of intensity"
-        item.SourceImageSequence = [reference(uids, "source_of_processing")]
+        item.SourceImageSequence = [reference(uids, tables, "source_of_processing")]
     item.ImageComments = f"SYNTHETIC, no patient. Pixels {remark}.{_beam(radiograph.protocol)}"
     finish(item, pixels, path)
 
@@ -85,16 +86,17 @@ def ours(path: Path, kind: str) -> Dataset:
     raises  InputError for another's DICOM, or one of another modality; whatever its reader has for damage
     """
     item = pydicom.dcmread(path)
+    tables = dicom_tables()
     for keyword, among in (("Manufacturer", "every"), ("Modality", kind)):
-        require_choice(f"file {path}: {keyword}", str(item.get(keyword, "")), [getattr(dicom_tables(), among)[keyword]])
+        require_choice(f"file {path}: {keyword}", str(item.get(keyword, "")), [getattr(tables, among)[keyword]])
     return item
 
 
-def start(radiograph: Radiograph, uids: Mapping[str, UID], kinds: Iterable[str]) -> Dataset:
+def start(radiograph: Radiograph, uids: Mapping[str, UID], kinds: Iterable[str], tables: DicomTables) -> Dataset:
     """What every object of a radiograph has: the constants of its kinds (`data/dicom.toml`), subject and maker."""
     item = Dataset()
     for kind in ("every", *kinds):
-        item.update(dataset(getattr(dicom_tables(), kind)))
+        item.update(dataset(getattr(tables, kind)))
     knee, version = radiograph.knee, radiograph.versions.get("pssf", "")
     item.StudyInstanceUID = uids["study"]
     item.PatientID = f"PSSF-{uids['study'][5:21]}"
@@ -138,37 +140,37 @@ def uids_of(radiograph: Radiograph, description: str) -> dict[str, UID]:
     return uids
 
 
-def reference(uids: Mapping[str, UID], purpose: str | None = None) -> Dataset:
+def reference(uids: Mapping[str, UID], tables: DicomTables, purpose: str | None = None) -> Dataset:
     """A reference to the For Processing object of a radiograph, if need be with its purpose."""
     item = dataset({
-        "ReferencedSOPClassUID": dicom_tables().processing["SOPClassUID"],
+        "ReferencedSOPClassUID": tables.processing["SOPClassUID"],
         "ReferencedSOPInstanceUID": uids["processing"],
     })  # fmt: skip
     if purpose:
-        item.PurposeOfReferenceCodeSequence = [code(purpose)]
+        item.PurposeOfReferenceCodeSequence = [code(purpose, tables)]
     return item
 
 
-def code(name: str) -> Dataset:
+def code(name: str, tables: DicomTables) -> Dataset:
     """A code of `data/dicom.toml` as the item of a code sequence."""
-    scheme, value, meaning = dicom_tables().codes[name]
+    scheme, value, meaning = tables.codes[name]
     return dataset({"CodeValue": value, "CodingSchemeDesignator": scheme, "CodeMeaning": meaning})
 
 
-def _anatomy(taken: tuple[Knee | None, ...], protocol: Protocol) -> Dataset:
+def _anatomy(taken: tuple[Knee | None, ...], protocol: Protocol, tables: DicomTables) -> Dataset:
     """Which knee, or both, seen from where; of a scene of one's own neither is known."""
     knees = [knee for knee in taken if knee is not None]
     if not knees:
         return dataset({"ImageLaterality": "U", "AnatomicRegionSequence": []})
-    item = dataset(dicom_tables().knee)
+    item = dataset(tables.knee)
     item.ImageLaterality = "B" if len(knees) > 1 else {"right": "R", "left": "L"}[knees[0].side]
-    item.AnatomicRegionSequence = [code("knee")]
+    item.AnatomicRegionSequence = [code("knee", tables)]
     # DICOM has no word for the others, and a code for all.
     if protocol.projection in ("AP", "PA"):
         item.ViewPosition = protocol.projection
     else:
         item.PatientOrientation = _orientation(knees[0].side, protocol.projection)
-    item.ViewCodeSequence = [code(protocol.projection)]
+    item.ViewCodeSequence = [code(protocol.projection, tables)]
     return item
 
 
@@ -179,20 +181,19 @@ def _orientation(side: str, projection: str) -> list[str]:
     return ["P" if side == "right" else "A", "F"]
 
 
-def _technique(protocol: Protocol) -> Dataset:
-    layer = detectors()[protocol.detector]
+def _technique(protocol: Protocol, detector: Detector, tables: DicomTables) -> Dataset:
     item = dataset({
         "ProtocolName": name_of(protocol),
         "FocalSpots": _ds(protocol.focal_spot_mm),
         "DetectorID": f"PSSF-{protocol.detector}".upper(),
-        "DetectorDescription": f"{layer.formula}, {layer.thickness_mm:g} mm, packing {layer.packing:g}",
+        "DetectorDescription": f"{detector.formula}, {detector.thickness_mm:g} mm, packing {detector.packing:g}",
     })  # fmt: skip
     if protocol.mas > 0:
         item.ExposureInuAs = round(1000 * protocol.mas)
         if float(protocol.mas).is_integer():  # an integer in DICOM; a rounded one would contradict the line above
             item.Exposure = int(protocol.mas)
     if protocol.mono_kev is None:
-        item.update(dataset(dicom_tables().tube))
+        item.update(dataset(tables.tube))
         item.KVP = _ds(protocol.tube_kv)
         item.FilterThicknessMinimum = item.FilterThicknessMaximum = _ds(protocol.filtration_mm_al)
     return item

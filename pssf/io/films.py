@@ -103,10 +103,10 @@ def _of_folders(folder: Path) -> Iterator[Film]:
 
 def subject_and_side(stem: str) -> tuple[str, str | None]:
     """What the name of a film says, by the rule of `list_films`."""
-    told = _SIDED.fullmatch(stem)
-    if told is None:
+    match = _SIDED.fullmatch(stem)
+    if match is None:
         return stem, None
-    return told["subject"], {"R": "right", "L": "left"}[told["side"]]
+    return match["subject"], {"R": "right", "L": "left"}[match["side"]]
 
 
 def _of_table(path: Path) -> Iterator[Film]:
@@ -135,12 +135,12 @@ def _of_row(folder: Path, row: dict[str, str], where: str) -> Film:
         require_choice(f"{where}: grade", grade, [str(value) for value in GRADES])
     if side:
         require_choice(f"{where}: side", side, SIDES)
-    told = subject_and_side(Path(file).stem)
+    named = subject_and_side(Path(file).stem)
     return Film(
         file=file,
         grade=int(grade) if grade else None,
-        subject=subject or told[0],
-        side=side or told[1],
+        subject=subject or named[0],
+        side=side or named[1],
         pixel_mm=_pixel_mm(f"{where}: pixel_mm", pixel) if pixel else None,
         sha256=_sha256(folder / file),
     )

@@ -19,7 +19,7 @@ from typing import Any
 
 from ..core.checks import InputError, require_choice
 from ..core.parallel import cores
-from ..data.readmes import Layout, readmes
+from ..data.readmes import Layout, Readmes, readmes
 from .atomic import write_bytes
 
 Row = Mapping[str, Any]
@@ -75,8 +75,9 @@ class Checkout:
         if measured_with is not None:
             origin = replace(origin, day=date.fromtimestamp(measured_with.stat().st_mtime).isoformat())
         written = write_tables(self.folder, measured, origin)
+        tables = readmes()
         for picture in pictures:
-            place = readmes().picture.get(picture.stem) if picture.suffix == ".png" else None
+            place = tables.picture.get(picture.stem) if picture.suffix == ".png" else None
             if place is not None:
                 written.append(self.folder / place)
                 write_bytes(written[-1], picture.read_bytes())
@@ -106,15 +107,16 @@ def require_checkout(checkout: Path, measured: Collection[str]) -> None:
     measured  names of what is measured
     raises    InputError for a folder with none of the READMEs, a name that no table shows, or a table without markers
     """
-    texts = _read(checkout).values()
+    tables = readmes()
+    texts = _read(checkout, tables.files).values()
     for source in measured:
-        known = sorted({layout.rows or name for name, layout in readmes().table.items()})
+        known = sorted({layout.rows or name for name, layout in tables.table.items()})
         require_choice("table of the READMEs", source, known)
-        for name in readmes().shown(source):
+        for name in tables.shown(source):
             if not any(_pattern(name).search(text) for text in texts):
                 raise InputError(
                     f"READMEs of {checkout} have no table {name!r}; allowed: one between the lines <!-- table: {name} "
-                    f"--> and <!-- /table -->, in {' or '.join(readmes().files)}"
+                    f"--> and <!-- /table -->, in {' or '.join(tables.files)}"
                 )
 
 
@@ -126,11 +128,14 @@ def write_tables(checkout: Path, measured: Mapping[str, Sequence[Row]], origin: 
     raises    InputError as `require_checkout`, for a row without a column that is to be shown, for an unwritable file
     """
     require_checkout(checkout, measured.keys())
+    tables = readmes()
     bodies = {
-        name: table_text(name, rows, origin) for source, rows in measured.items() for name in readmes().shown(source)
+        name: table_text(name, rows, origin, tables)
+        for source, rows in measured.items()
+        for name in tables.shown(source)
     }
     written = []
-    for path, before in _read(checkout).items():
+    for path, before in _read(checkout, tables.files).items():
         after = before
         for name, body in bodies.items():
             after = _replaced(after, name, body)
@@ -141,27 +146,26 @@ def write_tables(checkout: Path, measured: Mapping[str, Sequence[Row]], origin: 
     return written
 
 
-def table_text(name: str, rows: Sequence[Row], origin: Origin) -> str:
+def table_text(name: str, rows: Sequence[Row], origin: Origin, tables: Readmes) -> str:
     """Caption and Markdown table, with an empty line at the end.
 
     raises  InputError for rows without a column that is to be shown
     """
-    layout = readmes().table[name]
+    layout = tables.table[name]
     command = layout.command.format_map(dict(origin.options))
     try:
         lines = _grid(layout, rows)
     except KeyError as error:
         raise InputError(f"table {name}: rows have no column {error}; allowed: {', '.join(rows[0])}") from None
-    headings = headings_of(name)
+    headings = headings_of(layout)
     parts = [headings, ["---"] * len(headings), *lines]
     text = "\n".join(f"| {' | '.join(cell.strip().replace('|', chr(92) + '|') for cell in line)} |" for line in parts)
     caption = ", ".join(part for part in (origin.day, origin.machine, f"`uv run {command}`", origin.note) if part)
     return f"*{caption}*\n\n{text}\n\n"
 
 
-def headings_of(name: str) -> list[str]:
+def headings_of(layout: Layout) -> list[str]:
     """The headings of a table, in their order."""
-    layout = readmes().table[name]
     return [*layout.columns, *layout.headings]
 
 
@@ -228,16 +232,16 @@ def _replaced(text: str, name: str, body: str) -> str:
     return _pattern(name).sub(lambda match: f"{match[1]}{body}{match[3]}", text)
 
 
-def _read(checkout: Path) -> dict[Path, str]:
+def _read(checkout: Path, files: Sequence[str]) -> dict[Path, str]:
     """The READMEs of a checkout that are there.
 
     raises  InputError where there is none, or one cannot be read
     """
     try:
-        paths = [path for path in (checkout / name for name in readmes().files) if path.exists()]
+        paths = [path for path in (checkout / name for name in files) if path.exists()]
         texts = {path: path.read_bytes().decode() for path in paths}
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"READMEs of {checkout} cannot be read ({error}); allowed: a source checkout") from None
     if not texts:
-        raise InputError(f"folder {checkout} has no README; allowed: a source checkout, with {readmes().files[0]}")
+        raise InputError(f"folder {checkout} has no README; allowed: a source checkout, with {files[0]}")
     return texts

@@ -1,7 +1,8 @@
 """Masks as a DICOM Segmentation: one binary segment a mask, which may overlap, on the radiograph's own pixels."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,13 @@ from numpy.typing import NDArray
 from pydicom.dataset import Dataset
 from pydicom.tag import Tag
 
+from ..data.dicom import dicom_tables
 from ..model.radiograph import Radiograph
 from . import dicom
 
 Masks = Mapping[str, NDArray[np.bool_]]
+# A code by its name in the table.
+Code = Callable[[str], Dataset]
 _BONES = ("femur", "tibia", "fibula", "patella")
 _OSTEOPHYTE, _CYST = "_osteophyte", "_cyst"
 
@@ -23,8 +27,9 @@ def write(radiograph: Radiograph, description: str, masks: Masks, path: Path) ->
     description   JSON of all the radiograph was made from, which its UIDs are made of
     masks  name -> (rows, cols) bool
     """
-    uids = dicom.uids_of(radiograph, description)
-    item = dicom.start(radiograph, uids, ("segmentation",))
+    uids, tables = dicom.uids_of(radiograph, description), dicom_tables()
+    code = partial(dicom.code, tables=tables)
+    item = dicom.start(radiograph, uids, ("segmentation",), tables)
     # Bits run on from frame to frame, the first in the lowest bit of its byte (PS3.5, 8.1.1).
     bits = np.packbits(np.concatenate([np.ravel(mask) for mask in masks.values()]).astype(np.bool_), bitorder="little")
     content = hashlib.sha256(" ".join(masks).encode() + bits.tobytes()).hexdigest()
@@ -32,17 +37,19 @@ def write(radiograph: Radiograph, description: str, masks: Masks, path: Path) ->
     item.SeriesDescription = f"{dicom.name_of(radiograph.protocol)[:40]}, masks"
     item.NumberOfFrames = len(masks)
     side = None if radiograph.knee is None else radiograph.knee.side
-    item.SegmentSequence = [_segment(k, name, side, item.SoftwareVersions) for k, name in enumerate(masks, start=1)]
+    item.SegmentSequence = [
+        _segment(k, name, side, item.SoftwareVersions, code) for k, name in enumerate(masks, start=1)
+    ]
     series = {
         "SeriesInstanceUID": uids["processing series"],
-        "ReferencedInstanceSequence": [dicom.reference(uids)],
+        "ReferencedInstanceSequence": [dicom.reference(uids, tables)],
     }
     item.ReferencedSeriesSequence = [dicom.dataset(series)]
     item.update(_dimensions(dicom.uid("dimensions", item.SOPInstanceUID)))
-    source = dicom.reference(uids, "source_of_segmentation")
+    source = dicom.reference(uids, tables, "source_of_segmentation")
     source.SpatialLocationsPreserved = "YES"
     item.SharedFunctionalGroupsSequence = [dicom.dataset({})]
-    item.PerFrameFunctionalGroupsSequence = [_frame(k, source) for k in range(1, len(masks) + 1)]
+    item.PerFrameFunctionalGroupsSequence = [_frame(k, source, code) for k in range(1, len(masks) + 1)]
     dicom.finish(item, bits, path)
 
 
@@ -57,31 +64,33 @@ def read(path: Path) -> dict[str, NDArray[np.bool_]]:
     return dict(zip(names, item.pixel_array.reshape(shape).astype(np.bool_), strict=True))
 
 
-def _segment(number: int, name: str, side: str | None, version: str) -> Dataset:
+def _segment(number: int, name: str, side: str | None, version: str, code: Code) -> Dataset:
     """What a mask is, by its name: a bone, or an osteophyte or the cysts of a bone."""
-    beak, cyst = name.endswith(_OSTEOPHYTE), name.endswith(_CYST)
-    of_bone = beak or cyst
+    osteophyte, cyst = name.endswith(_OSTEOPHYTE), name.endswith(_CYST)
+    of_bone = osteophyte or cyst
     category = "abnormal_structure" if of_bone else "anatomical_structure"
-    what = "osteophyte" if beak else "abnormal_structure" if cyst else name if name in _BONES else "body_structure"
+    what = (
+        "osteophyte" if osteophyte else "abnormal_structure" if cyst else name if name in _BONES else "body_structure"
+    )
     item = dicom.dataset({
         "SegmentNumber": number,
         "SegmentLabel": name,
         "SegmentAlgorithmType": "AUTOMATIC",
         "SegmentAlgorithmName": version,
-        "SegmentedPropertyCategoryCodeSequence": [dicom.code(category)],
-        "SegmentedPropertyTypeCodeSequence": [dicom.code(what)],
+        "SegmentedPropertyCategoryCodeSequence": [code(category)],
+        "SegmentedPropertyTypeCodeSequence": [code(what)],
     })  # fmt: skip
     # An osteophyte of a tibial spine is the tibia's; the other sites name their bone.
     bone = ("femur" if name.rsplit("_", 1)[0].endswith("femur") else "tibia") if of_bone else "knee"
     if side is None:
         return item
-    item.AnatomicRegionSequence = [dicom.code(bone)]
-    item.AnatomicRegionSequence[0].AnatomicRegionModifierSequence = [dicom.code(side)]
+    item.AnatomicRegionSequence = [code(bone)]
+    item.AnatomicRegionSequence[0].AnatomicRegionModifierSequence = [code(side)]
     return item
 
 
-def _frame(number: int, source: Dataset) -> Dataset:
-    derived = {"DerivationCodeSequence": [dicom.code("segmentation")], "SourceImageSequence": [source]}
+def _frame(number: int, source: Dataset, code: Code) -> Dataset:
+    derived = {"DerivationCodeSequence": [code("segmentation")], "SourceImageSequence": [source]}
     # Once a frame though the same for all: readers look for it here (highdicom).
     return dicom.dataset({
         "DerivationImageSequence": [dicom.dataset(derived)],

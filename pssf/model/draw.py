@@ -7,7 +7,7 @@ import numpy as np
 from ..core.checks import from_table, require_choice, require_generator, require_whole
 from ..data.fields import field_laws
 from ..data.grades import RangeGrades, SeverityGrades, grade_table
-from ..data.limbs import limbs
+from ..data.limbs import Limbs, limbs
 from ..data.records import Pair
 from ..data.shapes import shape_table
 from .knee import MOST_SD, SITES, Knee, Osteophyte
@@ -49,7 +49,7 @@ def draw_knee(*, grade: int, rng: np.random.Generator, table: str = "paper", **f
         drawn[name] = _uniform(rng, bounds)
     drawn["texture_seed"] = int(rng.spawn(1)[0].integers(2**63))
     # From children of their own, so that all else is drawn as it would be without.
-    drawn |= _draw_form(rng.spawn(1)[0], law, sex)
+    drawn |= _draw_form(rng.spawn(1)[0], law, sex, len(shape_table().modes))
     if isinstance(law, SeverityGrades):
         drawn |= severity_fields(law, int(grade), sex, drawn["bone_scale"], rng.spawn(1)[0])
         # A leg in varus leans as much more, which keeps its joint line level.
@@ -58,8 +58,10 @@ def draw_knee(*, grade: int, rng: np.random.Generator, table: str = "paper", **f
     elif ranges is not None:
         drawn["osteophytes"] = _draw_osteophytes(rng, ranges.osteophyte_count, ranges.largest_osteophyte_mm)
     more = law.rest.bmi_more[grade] if isinstance(law, SeverityGrades) else 0.0
-    bmi = fixed.get("bmi", round(_normal(rng.spawn(1)[0], limbs().bmi, sex) + more, 4))
-    drawn |= _limb(bmi, sex, drawn)
+    of_limbs = limbs()
+    bmi = fixed.get("bmi", round(_normal(rng.spawn(1)[0], of_limbs.bmi, sex) + more, 4))
+    field_laws("knee")["bmi"].check("bmi", bmi)
+    drawn |= _limb(bmi, sex, drawn, of_limbs)
     return from_table(Knee, {**drawn, **fixed}, "draw_knee")
 
 
@@ -97,16 +99,15 @@ def draw_body(*, grade: int, rng: np.random.Generator, table: str, **fixed: Any)
     return {name: getattr(body, name) for name in _BODY_FIELDS}
 
 
-def _limb(bmi: float, sex: str, drawn: dict[str, Any]) -> dict[str, float]:
+def _limb(bmi: float, sex: str, drawn: dict[str, Any], law: Limbs) -> dict[str, float]:
     """BMI and what a limb measures: the mean at that BMI and what was drawn about it."""
-    field_laws("knee")["bmi"].check("bmi", bmi)
-    about = {name: law.held(law.mean(bmi, sex) + drawn[name]) for name, law in limbs().limb.items()}
+    about = {name: limb.held(limb.mean(bmi, sex) + drawn[name]) for name, limb in law.limb.items()}
     return {"bmi": bmi, **about}
 
 
-def _draw_form(rng: np.random.Generator, table: RangeGrades | SeverityGrades, sex: str) -> dict[str, Any]:
-    """Scores of the shape, and how the small bones lie."""
-    scores = rng.standard_normal(len(shape_table().modes)).clip(-MOST_SD, MOST_SD)
+def _draw_form(rng: np.random.Generator, table: RangeGrades | SeverityGrades, sex: str, modes: int) -> dict[str, Any]:
+    """Scores of so many modes of the shape, and how the small bones lie."""
+    scores = rng.standard_normal(modes).clip(-MOST_SD, MOST_SD)
     form: dict[str, Any] = {"shape": tuple(round(float(score), 4) for score in scores)}
     form |= {name: _normal(rng, law, sex) for name, law in table.form.items()}
     has, size_mm = rng.random() < table.fabella.share, _uniform(rng, table.fabella.size_mm)
@@ -126,9 +127,9 @@ def _draw_osteophytes(
     sites = rng.permutation(len(SITES))
     shares = rng.uniform(0.3, 1.0, len(SITES))
     shares[0] = 1.0
-    beaks = [(SITES[sites[i]], round(largest * float(shares[i]), 4)) for i in range(count)]
-    # Below 0.2 mm a beak cannot be told from the margin's own rounding, nor seen in a 0.15 mm pixel.
-    return tuple(Osteophyte(site=site, size_mm=size) for site, size in beaks if size >= 0.2)
+    sized = [(SITES[sites[i]], round(largest * float(shares[i]), 4)) for i in range(count)]
+    # Below 0.2 mm an osteophyte cannot be told from the margin's own rounding, nor seen in a 0.15 mm pixel.
+    return tuple(Osteophyte(site=site, size_mm=size) for site, size in sized if size >= 0.2)
 
 
 def _uniform(rng: np.random.Generator, bounds: Pair) -> float:

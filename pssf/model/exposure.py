@@ -7,7 +7,7 @@ import numpy as np
 
 from ..core.checks import InputError, require_choice, require_generator
 from ..data.exposures import exposures
-from ..data.fields import field_laws
+from ..data.fields import FieldLaw, field_laws
 from .protocol import Protocol
 
 _CUT_SD = 2.0
@@ -41,7 +41,8 @@ def draw_exposure(protocol: Protocol, *, rng: np.random.Generator, side: str | N
     if protocol.flexion_deg == 0:
         values |= {name: getattr(protocol, name) for name in _OF_BENT}
     values["sod_mm"] = values["sdd_mm"] - (protocol.sdd_mm - protocol.sod_mm)
-    within = {name: _within(name, value) for name, value in values.items()}
+    laws = field_laws("protocol")
+    within = {name: _within(value, laws[name]) for name, value in values.items()}
     letter = MARKERS[side] if marked and side is not None else "none"
     field: dict[str, Any] = {"field_width_mm": round(width, 1), "field_height_mm": round(height, 1), "marker": letter}
     if protocol.apart_mm:  # what is drawn is the field of one knee
@@ -55,8 +56,7 @@ def _normal(rng: np.random.Generator) -> float:
     return float(value)
 
 
-def _within(name: str, value: float) -> float:
+def _within(value: float, law: FieldLaw) -> float:
     """A field's value, in its range, without digits that nobody could measure."""
-    law = field_laws("protocol")[name]
     assert law.range is not None
     return round(float(np.clip(value, *law.range)), 3)

@@ -8,7 +8,7 @@ from typing import Any, cast
 from ..core.checks import InputError, from_table, require, require_whole
 from ..data.fields import check_fields
 from ..data.limbs import limbs
-from ..data.shapes import shape_table
+from ..data.shapes import Mode, shape_table
 
 # No score of a shape is farther from the mean.
 MOST_SD = 3.0
@@ -142,7 +142,7 @@ class Knee:
             object.__setattr__(self, name, tuple(given))
             _require_apart(name, given)
         require_whole("number of cysts", len(self.cysts), 0, MOST_CYSTS, "")
-        object.__setattr__(self, "shape", require_scores(self.shape))
+        object.__setattr__(self, "shape", require_scores(self.shape, shape_table().modes))
 
 
 # What a knee may have several of.
@@ -159,12 +159,11 @@ def _require_apart(name: str, items: Sequence[Osteophyte | Cyst]) -> None:
             )
 
 
-def require_scores(scores: Any) -> tuple[float, ...]:
+def require_scores(scores: Any, modes: Sequence[Mode]) -> tuple[float, ...]:
     """Scores of a shape as floats, without the zeros at its end.
 
     raises  InputError for what is no sequence of numbers, too many of them, or one out of range
     """
-    modes = shape_table().modes
     if not isinstance(scores, tuple | list) or len(scores) > len(modes):
         raise InputError(f"shape = {scores!r}; allowed: up to {len(modes)} numbers, one a mode")
     for mode, score in zip(modes, scores, strict=False):

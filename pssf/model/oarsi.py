@@ -2,24 +2,24 @@
 
 from collections.abc import Mapping
 
-from ..data.oarsi import oarsi_cuts
+from ..data.oarsi import OarsiCuts
 from ..data.records import Triple
-from ..data.spongy import trabecular_bone
+from ..data.spongy import TrabecularBone
 from .knee import Knee
 
 _BONES, _SIDES = {"femur": "F", "tibia": "T"}, {"medial": "M", "lateral": "L"}
 
 
-def oarsi(knee: Knee, attrition_mm: Mapping[str, float]) -> dict[str, int]:
+def oarsi(knee: Knee, attrition_mm: Mapping[str, float], cuts: OarsiCuts, spongy: TrabecularBone) -> dict[str, int]:
     """Name -> grade 0 to 3: XROS.. osteophytes, XRJS. narrowing, XRSC.. sclerosis, XRCY.. cysts, XRATT. attrition.
 
     F or T is the bone, M or L the side.
     attrition_mm  medial and lateral -> depth worn off the plateau, as `Truth` tells it; without, it is not graded
+    spongy        how much of the plate's sclerosis each bone and side has
 
     Grades are of what the knee is built with, not of what can be seen of it under a protocol; their cuts are in
     `data/oarsi.toml` (Altman and Gold 2007; judgement). XRKL is the KL grade that it was drawn for, if any.
     """
-    cuts, table = oarsi_cuts(), trabecular_bone()
     grades = {} if knee.grade is None else {"XRKL": knee.grade}
     for bone, letter in _BONES.items():
         for side, of_side in _SIDES.items():
@@ -30,7 +30,7 @@ def oarsi(knee: Knee, attrition_mm: Mapping[str, float]) -> dict[str, int]:
         grades[f"XRJS{of_side}"] = _grade(1 - getattr(knee, f"jsw_{side}_mm") / healthy, cuts.narrowing)
     for bone, letter in _BONES.items():
         for side, of_side in _SIDES.items():
-            share = getattr(table, bone).sclerosis * (1.0 if side == "medial" else table.sclerosis.lateral_share)
+            share = getattr(spongy, bone).sclerosis * (1.0 if side == "medial" else spongy.sclerosis.lateral_share)
             grades[f"XRSC{letter}{of_side}"] = _grade(1 + share * (knee.subchondral_plate - 1), cuts.plate)
     for bone, letter in _BONES.items():
         for side, of_side in _SIDES.items():

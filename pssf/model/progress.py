@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from ..core.checks import Array, InputError, require, require_generator
-from ..data.fields import field_laws
-from ..data.oarsi import oarsi_cuts
-from ..data.progress import Progress, progress_law
+from ..data.fields import FieldLaw, field_laws
+from ..data.oarsi import OarsiCuts, oarsi_cuts
+from ..data.progress import Progress, Step, progress_law
 from ..data.records import Pair
 from .knee import Knee, Osteophyte
 
@@ -33,8 +33,10 @@ def progress(knee: Knee, years: float, rng: np.random.Generator) -> Knee:
         raise InputError(f"knee = {knee!r}; allowed: a Knee")
     require_generator(rng)
     require("years", years, 0, _MOST_YEARS, "years")
-    law = progress_law()
-    course = _draw_course(law, knee, _stage(knee) if knee.grade is None else knee.grade, rng)
+    law, cuts = progress_law(), oarsi_cuts()
+    stage = _stage(knee, law.step, cuts)
+    lost_already = {side: _lost(knee, side, cuts) for side in _SIDES}
+    course = _draw_course(law, knee, stage if knee.grade is None else knee.grade, lost_already, rng)
     other = "lateral" if course.narrows == "medial" else "medial"
     lost = {course.narrows: years * course.loss_mm, other: years * course.loss_mm * law.other}
     spaces: dict[str, Any] = {
@@ -47,12 +49,12 @@ def progress(knee: Knee, years: float, rng: np.random.Generator) -> Knee:
         **spaces,
         osteophytes=_grown(knee, years, course, law),
         subchondral_plate=round(max(knee.subchondral_plate, min(law.most_plate, _plate(knee, years, course))), 4),
-        varus_deg=_held("varus_deg", varus_deg),
+        varus_deg=_held(varus_deg, field_laws("knee")["varus_deg"]),
         age_years=round(knee.age_years + years, 4),
     )
     if knee.grade is None:
         return later
-    steps = _stage(later) - _stage(knee)
+    steps = _stage(later, law.step, cuts) - stage
     read = None if knee.grade_read is None else min(_MOST_GRADE, knee.grade_read + steps)
     return replace(later, grade=min(_MOST_GRADE, knee.grade + steps), grade_read=read)
 
@@ -86,12 +88,13 @@ class _Course:
     factors: Array
 
 
-def _draw_course(law: Progress, knee: Knee, grade: int, rng: np.random.Generator) -> _Course:
+def _draw_course(law: Progress, knee: Knee, grade: int, lost: dict[str, float], rng: np.random.Generator) -> _Course:
+    """lost: side -> share of a healthy space that it has lost already."""
     drawn = "medial" if rng.random() < law.medial else "lateral"
-    told = max(_SIDES, key=lambda side: _lost(knee, side))
+    narrower = max(_SIDES, key=lambda side: lost[side])
     loss, growth, plate = (_gamma(of[grade], rng) for of in (law.loss_mm, law.osteophyte_mm, law.plate))
     return _Course(
-        narrows=told if grade >= law.side_is_told else drawn,
+        narrows=narrower if grade >= law.side_is_told else drawn,
         loss_mm=loss,
         growth_mm=growth,
         plate=plate,
@@ -123,19 +126,18 @@ def _plate(knee: Knee, years: float, course: _Course) -> float:
     return knee.subchondral_plate + years * course.plate
 
 
-def _stage(knee: Knee) -> int:
+def _stage(knee: Knee, step: Step, cuts: OarsiCuts) -> int:
     """The KL grade of what a knee is built with."""
-    step = progress_law().step
     largest = max((one.size_mm for one in knee.osteophytes if one.site in _MARGINS), default=0.0)
     if largest < step.definite_mm:
         return int(largest >= step.doubtful_mm)
-    lost = max(_lost(knee, side) for side in _SIDES)
+    lost = max(_lost(knee, side, cuts) for side in _SIDES)
     return 2 + sum(lost >= cut for cut in step.lost)
 
 
-def _lost(knee: Knee, side: str) -> float:
+def _lost(knee: Knee, side: str, cuts: OarsiCuts) -> float:
     """Share of a healthy space that a compartment has lost."""
-    healthy = oarsi_cuts().healthy_mm[knee.jsw_as][_SIDES.index(side)]
+    healthy = cuts.healthy_mm[knee.jsw_as][_SIDES.index(side)]
     return 1 - _space_mm(knee, side) / healthy
 
 
@@ -143,8 +145,8 @@ def _space_mm(knee: Knee, side: str) -> float:
     return float(getattr(knee, f"jsw_{side}_mm"))
 
 
-def _held(name: str, value: float) -> float:
+def _held(value: float, law: FieldLaw) -> float:
     """A value, or the end of its field's range that it is beyond."""
-    bounds = field_laws("knee")[name].range
+    bounds = law.range
     assert bounds is not None
     return round(min(max(value, bounds[0]), bounds[1]), 4)

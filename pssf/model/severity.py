@@ -76,7 +76,7 @@ def _osteophytes(
     spiked, size_mm = rng.random() < law.spine[grade], float(rng.uniform(*law.spine_mm))
     if spiked:
         sizes[f"{narrowed}_spine"] = size_mm
-    # Below this a beak cannot be told from the margin's own rounding, nor seen in a 0.15 mm pixel.
+    # Below this an osteophyte cannot be told from the margin's own rounding, nor seen in a 0.15 mm pixel.
     return tuple(
         Osteophyte(site=site, size_mm=round(mm, 4), curve_deg=law.curve_deg.get(site, 0.0))
         for site, mm in sizes.items()

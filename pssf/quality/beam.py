@@ -5,9 +5,9 @@ import xraylib
 from scipy.optimize import brentq
 
 from ..core.checks import Array
-from ..data.tissues import tissues
 from ..geometry.view import magnification, view_of
 from ..model.protocol import Protocol
+from ..xray.materials import Material
 from ..xray.spectrum import beam_of, tube_spectrum
 from ..xray.technique import technique_of
 
@@ -15,18 +15,15 @@ _JOULE_PER_KEV = 1.602176634e-16
 _ELECTRON_KEV = 510.99895
 
 
-def energy_transfer_cm2_per_g(energies_kev: Array) -> Array:
-    """(energies,)  mass energy-transfer coefficient of dry air: photoelectric, and Compton by Klein and Nishina's mean
+def energy_transfer_cm2_per_g(air: Material, energies_kev: Array) -> Array:
+    """(energies,)  mass energy-transfer coefficient of air: photoelectric, and Compton by Klein and Nishina's mean
 
     Fluorescence and bremsstrahlung, which air of this energy hardly makes, count as absorbed; xraylib's own energy-
     absorption coefficients are interpolated too coarsely (20 keV: a third too low).
     energies_kev  (energies,)
     """
-    air = tissues()["air"].composition
-    assert air is not None
-    parts = [(xraylib.SymbolToAtomicNumber(name), share / 100) for name, share in air.items()]
     photo, compton = (
-        np.array([sum(share * one(z, float(energy)) for z, share in parts) for energy in energies_kev])
+        np.array([sum(share * one(z, float(energy)) for z, share in air.elements) for energy in energies_kev])
         for one in (xraylib.CS_Photo, xraylib.CS_Compt)
     )
     return np.asarray(photo + compton * _transferred(energies_kev))
@@ -40,26 +37,26 @@ def _transferred(energies_kev: Array) -> Array:
     return np.asarray((section * (1 - left)).sum(axis=1) / section.sum(axis=1))
 
 
-def air_kerma_ugy(energies_kev: Array, photons_per_mm2: Array) -> float:
+def air_kerma_ugy(air: Material, energies_kev: Array, photons_per_mm2: Array) -> float:
     """Air kerma of a fluence, uGy: photons x energy x mass energy transfer to dry air.
 
     energies_kev, photons_per_mm2  (energies,)
     """
-    per_g = energy_transfer_cm2_per_g(energies_kev)
+    per_g = energy_transfer_cm2_per_g(air, energies_kev)
     # keV/mm2 x cm2/g = 100 keV/g = 1e5 keV/kg; a gray is a joule a kilogram.
     return float((photons_per_mm2 * energies_kev * per_g).sum() * 1e5 * _JOULE_PER_KEV * 1e6)
 
 
-def half_value_layers_mm_al(energies_kev: Array, photons_per_mm2: Array) -> tuple[float, float]:
+def half_value_layers_mm_al(air: Material, energies_kev: Array, photons_per_mm2: Array) -> tuple[float, float]:
     """First and second half-value layer in aluminium of the air kerma, narrow beam.
 
     energies_kev, photons_per_mm2  (energies,)
     """
     mu = np.array([xraylib.CS_Total(13, float(energy)) * 2.699 / 10 for energy in energies_kev])
-    whole = air_kerma_ugy(energies_kev, photons_per_mm2)
+    whole = air_kerma_ugy(air, energies_kev, photons_per_mm2)
 
     def excess(depth_mm: float, share: float) -> float:
-        return air_kerma_ugy(energies_kev, photons_per_mm2 * np.exp(-mu * depth_mm)) / whole - share
+        return air_kerma_ugy(air, energies_kev, photons_per_mm2 * np.exp(-mu * depth_mm)) / whole - share
 
     def layer(share: float) -> float:
         return float(brentq(excess, 0.0, 100.0, args=(share,), xtol=1e-12))
@@ -70,13 +67,15 @@ def half_value_layers_mm_al(energies_kev: Array, photons_per_mm2: Array) -> tupl
 
 def beam_quantities(protocol: Protocol) -> dict[str, float]:
     """Figures of a protocol's open beam; distances are in vacuum, 1 m of air takes 4 % of the kerma (SpekPy, 70 kV)."""
+    technique = technique_of(protocol)
+    air = technique.material("air")
     if protocol.mono_kev is not None:
-        beam = beam_of(technique_of(protocol))
+        beam = beam_of(technique)
         energies, photons = beam.energies_kev, beam.photons_per_mm2 / max(protocol.mas, 1e-12)
     else:
         energies, photons = tube_spectrum(protocol.tube_kv, protocol.anode_angle_deg, protocol.filtration_mm_al)
-    first, second = half_value_layers_mm_al(energies, photons)
-    kerma = air_kerma_ugy(energies, photons)
+    first, second = half_value_layers_mm_al(air, energies, photons)
+    kerma = air_kerma_ugy(air, energies, photons)
     at_detector = (1000.0 / protocol.sdd_mm) ** 2
     skin_mm = protocol.sod_mm - 60.0
     return {

@@ -11,7 +11,7 @@ from ..detector.blur import transfer
 from ..detector.noise import GAUSSIAN_FROM
 from ..model.protocol import Protocol
 from ..stages import Chain, LatentImage, expose
-from ..xray.materials import attenuation_per_mm
+from ..xray.materials import attenuation_per_mm, compound_of
 from ..xray.spectrum import beam_of
 from ..xray.technique import technique_of
 
@@ -71,7 +71,7 @@ def mtf(protocol: Protocol) -> Curve:
     rows, cols = np.mgrid[:_EDGE_PX, :_EDGE_PX] - (_EDGE_PX - 1) / 2
     across = cols * np.cos(np.deg2rad(_EDGE_DEG)) + rows * np.sin(np.deg2rad(_EDGE_DEG))
     # The path in lead that lets as much pass as the open part of a pixel.
-    per_mm = float(attenuation_per_mm("Pb@11.35", np.array([60.0]))[0])
+    per_mm = float(attenuation_per_mm(compound_of("Pb@11.35"), np.array([60.0]))[0])
     path = -np.log(np.clip(0.5 - across, 1e-6, 1.0)) / per_mm
     pixels = _pixels(_exposed({"Pb@11.35": path.astype(np.float32)}, quiet))
     middle = slice(_EDGE_PX // 8, -_EDGE_PX // 8)

@@ -56,7 +56,8 @@ def exposure_quantities(protocol: Protocol) -> tuple[dict[str, float], Array]:
 def _kev_per_ugy(protocol: Protocol) -> float:
     """Energy absorbed in a pixel per uGy of an RQA5 beam, 70 kV behind 23.5 mm of aluminium (IEC 61267)."""
     rqa5 = replace(protocol, tube_kv=70.0, filtration_mm_al=23.5, anode_angle_deg=12.0, mono_kev=None, mas=1.0)
-    beam = beam_of(technique_of(rqa5))
+    technique = technique_of(rqa5)
+    beam = beam_of(technique)
     energies, photons = tube_spectrum(70.0, 12.0, 23.5)
     signal = float((beam.photons_per_mm2 * beam.signal_kev).sum())
-    return signal * protocol.pixel_mm**2 / air_kerma_ugy(energies, photons)
+    return signal * protocol.pixel_mm**2 / air_kerma_ugy(technique.material("air"), energies, photons)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..core.checks import Array
-from ..data.references import references
+from ..data.references import References, references
 from ..model.protocol import Protocol
 from .beam import beam_quantities
 from .detector import Curve, dqe, mtf, nnps, noise_moments, photon_transfer
@@ -60,7 +60,8 @@ def measure_quality(protocol: Protocol, progress: Callable[[str], None] = lambda
         "nps_over_model_mean": float(np.mean(noise.measured / noise.model)),
         "variance_over_model_mean": float(np.mean([measured / meant for _, measured, meant in transfer])),
     }
-    rows = [_row(name, value, protocol) for name, value in values.items()]
+    held_against = references()
+    rows = [_row(name, value, protocol, held_against) for name, value in values.items()]
     for name, (value, low, high) in noise_moments(protocol).items():
         bounds = {"reference": "", "low": f"{low:.5g}", "high": f"{high:.5g}", "source": "normal, by the sample count"}
         rows.append({"quantity": name, "value": f"{value:.5g}", **bounds})
@@ -73,12 +74,12 @@ def _worst(curve: Curve, up_to_per_mm: float) -> float:
     return float(ratio[np.abs(ratio - 1).argmax()])
 
 
-def _row(name: str, value: float, protocol: Protocol) -> Row:
+def _row(name: str, value: float, protocol: Protocol, known_values: References) -> Row:
     row: Row = {"quantity": name, "value": f"{value:.5g}", "reference": "", "low": "", "high": "", "source": ""}
-    beam = references().beam.get(f"{protocol.tube_kv:g}_{protocol.filtration_mm_al:g}")
+    beam = known_values.beam.get(f"{protocol.tube_kv:g}_{protocol.filtration_mm_al:g}")
     if name in _BEAM and beam and protocol.anode_angle_deg == 12.0 and protocol.mono_kev is None:
         return row | {"reference": beam[_BEAM.index(name)], "source": "SpekPy 2.5.4"}
-    known = references().quality.get(name)
+    known = known_values.quality.get(name)
     if known is None or ("csi" in known.source and protocol.detector != "csi"):
         return row
     low, high = known.range or ("", "")

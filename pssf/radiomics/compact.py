@@ -5,21 +5,21 @@ from dataclasses import replace
 import numpy as np
 
 from ..core.blocks import block_mean
-from ..data.localisation import localisation
+from ..data.localisation import Localisation
 from .patches import LINEAR_MM, Template
 
 # What blur and turns need beyond a patch and its margin of tiles.
 _TILES, _MORE = 2.0, 1.15
 
 
-def compact(template: Template, region_mm: float) -> Template:
+def compact(template: Template, region_mm: float, table: Localisation) -> Template:
     """The template averaged to the pitch that it is looked at, and cut to what a patch or a region can reach.
 
     Joints are found with it as with the whole, to rounding.
 
     region_mm  side of the region about the joint line that must be in it as well, as far as the whole has it
+    table      by which joints are looked for
     """
-    table = localisation()
     laws = (table.wide, table.narrow)
     half = region_mm / 2
     up, down, side = (

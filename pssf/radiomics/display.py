@@ -92,15 +92,15 @@ def measure_display(
     try:
         film = load_pixels(job.file)
         refused = "no knee"  # in what is so small that no knee can be looked for
-        found = find_in_display(film.pixels, templates, job.side or film.side, job.pixel_mm or film.pixel_mm)
+        joint = find_in_display(film.pixels, templates, job.side or film.side, job.pixel_mm or film.pixel_mm)
     except InputError:
         nothing: Record = {"radiograph": job.radiograph, "sha256": job.sha256, "status": refused}
         return nothing | dict.fromkeys(FOUND, ""), {"localisation": perf_counter() - began, "features": 0.0}
     located = perf_counter()
-    region = cut_display(film.pixels, found, how.pixel_mm, how.region_px) if found.status == "found" else None
-    record = _record(job, found, region)
+    region = cut_display(film.pixels, joint, how.pixel_mm, how.region_px) if joint.status == "found" else None
+    record = _record(job, joint, region)
     if region is not None:
-        bright = region if found.polarity == "bone bright" else -region
+        bright = region if joint.polarity == "bone bright" else -region
         signal = as_signal(bright, templates[0], how.pixel_mm)
         record |= extract(signal, how.pixel_mm, how.bins, how.families)
     return record, {"localisation": located - began, "features": perf_counter() - located}
@@ -128,10 +128,10 @@ def measure_linear(
         return record | _said(job), seconds
     began = perf_counter()
     pixels = load_pixels(job.file)
-    found = find_joint(pixels, templates, side=job.side, pixel_mm=job.pixel_mm, region_px=1)
+    joint = find_joint(pixels, templates, side=job.side, pixel_mm=job.pixel_mm, region_px=1)
     located = perf_counter()
-    region = cut_display(pixels, found, how.pixel_mm, how.region_px) if found.status == "found" else None
-    record = _record(job, found, region) | _said(job)
+    region = cut_display(pixels, joint, how.pixel_mm, how.region_px) if joint.status == "found" else None
+    record = _record(job, joint, region) | _said(job)
     if region is not None:
         signal = np.clip(np.rint(region), 0, 65535).astype(np.uint16)
         record |= extract(signal, how.pixel_mm, how.bins, how.families)
@@ -143,18 +143,18 @@ def _said(job: Job) -> Record:
     return said | {"film_pixel_from": "given", "film_pixel_mm": job.pixel_mm}
 
 
-def _record(job: Job, found: Located, region: Array | None) -> Record:
-    status = "leaves image" if found.status == "found" and region is None else found.status
+def _record(job: Job, joint: Located, region: Array | None) -> Record:
+    status = "leaves image" if joint.status == "found" and region is None else joint.status
     record: Record = {"radiograph": job.radiograph, "sha256": job.sha256, "status": status}
-    record |= {"film_side": found.side, "film_polarity": found.polarity}
-    record |= {"film_pixel_from": found.pixel_from, "film_pixel_mm": found.pixel_mm}
-    return record | {"row_px": found.row, "col_px": found.col, **{name: getattr(found, name) for name in SCORES}}
+    record |= {"film_side": joint.side, "film_polarity": joint.polarity}
+    record |= {"film_pixel_from": joint.pixel_from, "film_pixel_mm": joint.pixel_mm}
+    return record | {"row_px": joint.row, "col_px": joint.col, **{name: getattr(joint, name) for name in SCORES}}
 
 
 def find_in_display(pixels: Array, templates: Sequence[Template], side: str | None, pixel_mm: float | None) -> Located:
     """`locate` on a display; row, column and pitch are those of its own pixels.
 
-    pixels    (rows, cols) 0 to 1, of either polarity
+    pixels    (rows, cols) share of white, 0 to 1, of either polarity
     pixel_mm  pitch; None where it is not known
     raises    InputError as `locate`
     """
@@ -162,26 +162,26 @@ def find_in_display(pixels: Array, templates: Sequence[Template], side: str | No
     if step == 1:
         return locate(pixels, templates, side=side, pixel_mm=pixel_mm)
     assert pixel_mm is not None
-    found = locate(block_mean(pixels, step), templates, side=side, pixel_mm=pixel_mm * step)
-    values = {name: getattr(found, name) for name in Located.__dataclass_fields__}
+    joint = locate(block_mean(pixels, step), templates, side=side, pixel_mm=pixel_mm * step)
+    values = {name: getattr(joint, name) for name in Located.__dataclass_fields__}
     place = {name: values[name] * step + (step - 1) / 2 for name in ("row", "col")}
     return Located(**values | place | {"pixel_mm": pixel_mm})
 
 
 def cut_display(
-    pixels: NDArray[np.integer | np.floating], found: Located, pixel_mm: float, region_px: int
+    pixels: NDArray[np.integer | np.floating], joint: Located, pixel_mm: float, region_px: int
 ) -> Array | None:
     """The square about the joint line at another pitch, without aliases; None where it leaves the film.
 
     A Gaussian takes away what the new pitch cannot hold; cubic splines lie between the pixels.
 
-    pixels    (rows, cols) as displayed, or linear
+    pixels    (rows, cols) as displayed or linear, any unit
     pixel_mm  pitch to bring it to
     returns   (region_px, region_px) of whose pixel region_px // 2 the joint line is the centre
     """
-    ratio = pixel_mm / found.pixel_mm
+    ratio = pixel_mm / joint.pixel_mm
     offsets = (np.arange(region_px) - region_px // 2) * ratio
-    rows, cols = found.row + offsets, found.col + offsets
+    rows, cols = joint.row + offsets, joint.col + offsets
     for places, length in ((rows, pixels.shape[0]), (cols, pixels.shape[1])):
         if places[0] < -0.5 or places[-1] > length - 0.5:
             return None
@@ -201,7 +201,7 @@ def as_signal(region: Array, template: Template, pixel_mm: float) -> NDArray[np.
     3.3). What is left does not depend on the tone curve, but where that is flat, and says nothing by its first-order
     statistics, which are those of the template.
 
-    region    (size, size) bone bright
+    region    (size, size) grey, bone bright
     pixel_mm  its pitch
     """
     half_mm = region.shape[0] * pixel_mm / 2

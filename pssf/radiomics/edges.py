@@ -16,7 +16,7 @@ def edge_field(density: Array, tile_px: float) -> NDArray[np.float32]:
     Any monotone curve leaves directions alone and changes strengths by little within a tile, so that a film as
     displayed compares with the logarithm of a signal.
 
-    density  (rows, cols)     bone bright
+    density  (rows, cols)     any unit, bone bright
     tile_px  standard deviation of the window in which edges are compared
     returns  (2, rows, cols)  down, right
     """

@@ -38,7 +38,7 @@ def extract(
     (`firstorder_z_*`). Shape is that of the bone in the region. Texture is of the raw integers in `bins` equal bins
     from their minimum to their maximum, which no gain or offset changes.
 
-    region   (size, size) whole numbers, linear
+    region   (size, size) whole numbers, linear, DN
     bins     a power of two keeps the edges of the bins exact
     families of FAMILIES; one that is not asked for costs nothing
     raises   InputError for grey values that are not integers, or an unknown family
@@ -68,7 +68,7 @@ def measure(
     """All features of one family of pyradiomics, of one slice: `<prefix>_<name>`.
 
     kind    class of the family, such as `radiomics.glcm.RadiomicsGLCM`
-    values  (rows, cols)
+    values  (rows, cols) any unit
     mask    (rows, cols) 1 where the region is
     """
     logging.getLogger("radiomics").setLevel(logging.CRITICAL)  # it reports each family on stderr

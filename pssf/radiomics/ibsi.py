@@ -1,20 +1,24 @@
 """Which feature of the Image Biomarker Standardisation Initiative a feature is, and where it departs from it."""
 
-from ..data.ibsi import ibsi_tags
+from collections.abc import Mapping
+
 from .families import family
 
+Tags = Mapping[str, Mapping[str, str]]
 
-def tag_of(name: str) -> str:
+
+def tag_of(name: str, tags: Tags) -> str:
     """The tag of the same feature in the initiative's table of reference values; "" for one that is not theirs.
 
     name  as `features.extract` gives it
+    tags  of `data.ibsi.ibsi_tags`
     """
-    return ibsi_tags().get(family(name), {}).get(_short(name), "")
+    return tags.get(family(name), {}).get(_short(name), "")
 
 
-def departure_of(name: str) -> str:
+def departure_of(name: str, tags: Tags) -> str:
     """How a feature departs from the initiative's definition, or that it is not theirs; "" where it does not."""
-    departures = ibsi_tags()["departures"]
+    departures = tags["departures"]
     return departures.get(f"{family(name)}_{_short(name)}", departures.get(family(name), ""))
 
 

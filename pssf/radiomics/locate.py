@@ -77,16 +77,16 @@ def find_joint(
 ) -> Located:
     """`locate` on linear pixels of a radiograph of known side and pitch.
 
-    pixels  (rows, cols) linear; columns run to world +x, so medial is right in a right knee and left in a left one
+    pixels  (rows, cols) linear, DN; columns run to world +x, so medial is right in a right knee and left in a left one
     raises  InputError as `locate`
     """
     step = max(1, int(LINEAR_MM / pixel_mm))
-    found = locate(density_of(block_mean(pixels, step)), templates, side=side, pixel_mm=pixel_mm * step)
-    row, col = (at * step + (step - 1) / 2 for at in (found.row, found.col))
-    status = found.status
+    joint = locate(density_of(block_mean(pixels, step)), templates, side=side, pixel_mm=pixel_mm * step)
+    row, col = (at * step + (step - 1) / 2 for at in (joint.row, joint.col))
+    status = joint.status
     if status == "found" and not region_fits(pixels.shape, row, col, region_px):
         status = "leaves image"
-    return replace(found, row=row, col=col, pixel_mm=pixel_mm, status=status)
+    return replace(joint, row=row, col=col, pixel_mm=pixel_mm, status=status)
 
 
 def locate(
@@ -105,8 +105,8 @@ def locate(
     Then the medial compartment near that place: over templates, turns and sizes, to a fraction of a pixel. What is
     given is checked against what is found.
 
-    density    (rows, cols) bone bright in any monotone scale: minus the logarithm of a signal, or a film as displayed;
-               row 0 proximal, and a right knee's fibula on the left
+    density    (rows, cols) bone bright, any unit that is monotone: minus the logarithm of a signal, or a film as
+               displayed; row 0 proximal, and a right knee's fibula on the left
     templates  standard knees: the first and the last are looked for whole, all in the medial compartment
     side       right | left; None where it is not known
     pixel_mm   pitch at the film; None where it is not known, and it is estimated
@@ -121,19 +121,19 @@ def locate(
     table, image = localisation(), Pyramid(density)
     whole = poses(tuple(dict.fromkeys((templates[0], templates[-1]))), table.wide)
     units = _units(density.shape, templates[0], pixel_mm, table)
-    found = list(matches(image, units, whole, table.wide, table.search.least_seen))
+    candidates = list(matches(image, units, whole, table.wide, table.search.least_seen))
     if pixel_mm is None:
-        found = [replace(match, chance=_chance(density.shape, match.unit_mm, table)) for match in found]
-    if not found:
+        candidates = [replace(match, chance=_chance(density.shape, match.unit_mm, table)) for match in candidates]
+    if not candidates:
         raise InputError(f"image of {density.shape} pixels of {pixel_mm} mm; allowed: one that holds a knee joint")
-    best = _best(found, table)
+    best = _best(candidates, table)
     if pixel_mm is not None and best.score < table.thresholds.score:
-        found += matches(image, _smaller(pixel_mm, table), whole, table.wide, table.search.least_seen)
-        best = _best(found, table)
-    mirrored = _best_of(found, way=best.way, side=SIDES[1 - SIDES.index(best.side)])
+        candidates += matches(image, _smaller(pixel_mm, table), whole, table.wide, table.search.least_seen)
+        best = _best(candidates, table)
+    mirrored = _best_of(candidates, way=best.way, side=SIDES[1 - SIDES.index(best.side)])
     if side is not None and best.side != side:
         best, mirrored = mirrored, best
-    best, flipped = _between_sizes(best, found), max(match.score for match in found if match.way != best.way)
+    best, flipped = _between_sizes(best, candidates), max(match.score for match in candidates if match.way != best.way)
     pitch_mm, pixel_from, scale = _size(best, templates[0], pixel_mm, table)
     narrow = _refined(image, tuple(templates), best, table)
     located = Located(
@@ -205,21 +205,21 @@ def _evidence(score: float, other: float) -> float:
     return (score - other) / max(1.0 - max(score, other), 1e-6)
 
 
-def _best(found: Sequence[Match], table: Localisation) -> Match:
+def _best(candidates: Sequence[Match], table: Localisation) -> Match:
     """The best upright match, unless one upside down is better by more than chance."""
     upright, turned = (
-        max((match for match in found if match.way == way), key=lambda match: match.excess) for way in WAYS
+        max((match for match in candidates if match.way == way), key=lambda match: match.excess) for way in WAYS
     )
     return turned if _evidence(turned.score, upright.score) > table.thresholds.way else upright
 
 
-def _best_of(found: Sequence[Match], *, way: str, side: str) -> Match:
-    return max((m for m in found if m.way == way and m.side == side), key=lambda match: match.excess)
+def _best_of(candidates: Sequence[Match], *, way: str, side: str) -> Match:
+    return max((m for m in candidates if m.way == way and m.side == side), key=lambda match: match.excess)
 
 
-def _between_sizes(best: Match, found: Sequence[Match]) -> Match:
+def _between_sizes(best: Match, candidates: Sequence[Match]) -> Match:
     """The match with the size at the vertex of the scores of its own and its neighbours'."""
-    alike = [m for m in found if (m.side, m.way, m.polarity) == (best.side, best.way, best.polarity)]
+    alike = [m for m in candidates if (m.side, m.way, m.polarity) == (best.side, best.way, best.polarity)]
     sizes = sorted(alike, key=lambda match: match.unit_mm)
     at = sizes.index(best)
     offset = float(np.clip(vertex(np.array([match.score for match in sizes]), at), -1.0, 1.0))
@@ -260,15 +260,15 @@ def _refined(image: Pyramid, templates: tuple[Template, ...], wide: Match, table
     return best
 
 
-def _status(found: Located, shape: tuple[int, ...], region_px: int | None, table: Localisation) -> str:
+def _status(joint: Located, shape: tuple[int, ...], region_px: int | None, table: Localisation) -> str:
     """The first reason to refuse, or found."""
     limit = table.thresholds
     reasons = {
-        "no knee": found.score < limit.score,
-        "upside down": found.way != WAYS[0],
-        "wrong side": found.side_evidence < -limit.side,
-        "wrong scale": found.pixel_from == "given" and not limit.scale[0] <= found.scale <= limit.scale[1],
-        "low score": found.narrow < limit.narrow or found.apart_mm > limit.apart_mm,
-        "leaves image": not region_fits(shape, found.row, found.col, 1 if region_px is None else region_px),
+        "no knee": joint.score < limit.score,
+        "upside down": joint.way != WAYS[0],
+        "wrong side": joint.side_evidence < -limit.side,
+        "wrong scale": joint.pixel_from == "given" and not limit.scale[0] <= joint.scale <= limit.scale[1],
+        "low score": joint.narrow < limit.narrow or joint.apart_mm > limit.apart_mm,
+        "leaves image": not region_fits(shape, joint.row, joint.col, 1 if region_px is None else region_px),
     }
     return next((reason for reason, holds in reasons.items() if holds), "found")

@@ -77,7 +77,7 @@ class Spectra:
 def density_of(pixels: NDArray[np.generic]) -> Array:
     """(rows, cols)  minus the logarithm of a linear signal: bone bright
 
-    pixels  (rows, cols)
+    pixels  (rows, cols)  any unit
     """
     return np.asarray(-np.log(np.maximum(pixels, 1.0)), np.float64)
 
@@ -93,7 +93,7 @@ def poses(templates: tuple[Template, ...], law: PatchLaw) -> tuple[Pose, ...]:
     ]
     height = np.exp(-0.5 * (np.arange(-up, down + 1) * law.pitch_mm / law.height_mm) ** 2)
     weight = np.repeat(height[:, None], lateral + medial + 1, axis=1).astype(np.float32)
-    found = []
+    patches = []
     for side in SIDES:
         for way in WAYS:
             col = lateral if side == "right" else medial
@@ -102,8 +102,8 @@ def poses(templates: tuple[Template, ...], law: PatchLaw) -> tuple[Pose, ...]:
             heavy = weight if way == "upright" else weight[::-1]
             power = tuple(float((heavy * (one**2).sum(axis=0)).sum()) for one in turned)
             weighted = tuple(one * heavy for one in turned)
-            found.append(Pose(side=side, way=way, fields=weighted, power=power, weight=heavy, anchor=(row, col)))
-    return tuple(found)
+            patches.append(Pose(side=side, way=way, fields=weighted, power=power, weight=heavy, anchor=(row, col)))
+    return tuple(patches)
 
 
 @lru_cache(maxsize=128)  # of all sizes of one image

@@ -9,7 +9,8 @@ from ..core.checks import InputError
 def cut_region(pixels: NDArray[np.generic], row: float, col: float, size: int = 512) -> NDArray[np.generic]:
     """The square of `size` pixels about (row, col), rounded to whole pixels.
 
-    returns  (size, size), a view of `pixels`
+    pixels   (rows, cols)  any unit
+    returns  (size, size), a view of them
     raises   InputError where it leaves the image
     """
     if not region_fits(pixels.shape, row, col, size):

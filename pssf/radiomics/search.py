@@ -69,7 +69,7 @@ def score_maps(
 
     The denominator is the patch's own power where the image has less: air and plain muscle match nothing well.
 
-    at_pitch  (rows, cols)  density at the pitch of the patches
+    at_pitch  (rows, cols)  density at the pitch of the patches, any unit
     """
     field = edge_field(at_pitch, law.tile_mm / law.pitch_mm)
     cached = None
@@ -124,7 +124,7 @@ def _best(
 def vertex(score: NDArray[np.floating], at: int) -> float:
     """Offset from `at` of the vertex of the parabola through the peak and its neighbours; 0 at an edge.
 
-    score  (n,)
+    score  (n,)  dimensionless
     """
     if not 0 < at < len(score) - 1:
         return 0.0

@@ -17,7 +17,7 @@ def clip(
 
     points   (n, 3)  mm
     faces    (m, 3)  vertex numbers
-    depth    (n,)    fraction of the way from the source to the detector
+    depth    (n,)    share of the way from the source to the detector
     returns  points, faces and depths of what is left, and for every face of it the one it was cut from
     """
     ahead = depth >= NEAREST

@@ -98,7 +98,7 @@ def integrals(crossings: Crossings, frame: Frame, density: Density) -> Array:
 def order(starts: NDArray[np.int64], depth: Array, sign: NDArray[np.int8]) -> None:
     """Order the crossings of each ray by depth, in place; rays have few.
 
-    starts, depth, sign  (pixels + 1,), (n,), (n,)  as in Crossings
+    starts, depth, sign  (pixels + 1,), (n,), (n,)  as in Crossings; depth a share of the way
     """
     for pixel in range(len(starts) - 1):
         for k in range(starts[pixel] + 1, starts[pixel + 1]):

@@ -22,7 +22,7 @@ def add_box(frame: Frame, bounds: Array, first: int, fraction: Array) -> None:
     """Add the part of each ray inside an axis-parallel box, over its length.
 
     bounds    (2, 3)        mm
-    fraction  (rows, cols)  added to in place; its rows begin at row `first`
+    fraction  (rows, cols)  share of the way, added to in place; its rows begin at row `first`
     """
     x, y, z = ways_mm(frame, first + np.arange(fraction.shape[0]), np.arange(fraction.shape[1]))
     ways = x, np.array([y]), z[:, None]
@@ -34,7 +34,7 @@ def add_box(frame: Frame, bounds: Array, first: int, fraction: Array) -> None:
 def to_mm(fraction: Array, frame: Frame, first: int, path_mm: NDArray[np.floating]) -> None:
     """Lengths from fractions of the way from source to pixel.
 
-    fraction  (rows, cols)  its rows begin at row `first`
+    fraction  (rows, cols)  share of the way; its rows begin at row `first`
     path_mm   (rows, cols)  written to
     """
     path_mm[:] = fraction * _lengths_mm(frame, first, *fraction.shape)

@@ -48,7 +48,7 @@ def seen(mesh: Mesh, off_mm: Array, axes: Array, colours: ScalarMappable) -> Pol
     """The triangles of a mesh that face the eye, far ones first, a little darker where they turn away.
 
     off_mm  (n,)    of its vertices, shown as colour
-    axes    (3, 3)  to the right, up, and towards the eye
+    axes    (3, 3)  unit vectors to the right, up, and towards the eye
     """
     corners = (mesh.vertices @ axes.T)[mesh.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -8,13 +8,11 @@ import numpy as np
 import trimesh
 
 from ..anatomy.bone_build import build_of, stand_femur, stand_tibia
-from ..anatomy.femur import mean_femur
 from ..anatomy.small_bones import patella
 from ..anatomy.solids import mesh_of
-from ..anatomy.tibia import mean_tibia
 from ..core.checks import Array, InputError, require_whole
 from ..core.parallel import ordered_map
-from ..data.bones import mean_shape
+from ..data.anatomy import anatomy_tables
 from ..geometry.mesh import Mesh
 from ..model.draw import draw_knees
 from ..model.knee import Knee
@@ -78,8 +76,8 @@ class BoneComparison:
 
 def built_bones(knee: Knee) -> dict[str, Mesh]:
     """Femur, tibia and patella of a right knee, each in its own frame (mm), osteophytes aside."""
-    build = build_of(replace(knee, osteophytes=()), mean_shape())
-    femur, tibia = (mesh_of(bone.outer) for bone in (mean_femur(build.shape.femur), mean_tibia(build.shape.tibia)))
+    build = build_of(replace(knee, osteophytes=()), anatomy_tables())
+    femur, tibia = (mesh_of(bone.outer) for bone in (build.mean_femur, build.mean_tibia))
     return {
         "femur": Mesh(stand_femur(femur.vertices, build), femur.faces),
         "tibia": Mesh(stand_tibia(tibia.vertices, build), tibia.faces),
@@ -133,12 +131,12 @@ def compare(given: Bones, built: Mapping[str, Mesh], drawn: Bones, workers: int 
     }
     tasks = [(what, name, bone) for what, of in spreads.items() for name in names for bone in of.bones[name]]
     centres = {(what, name): of.centres[name] for what, of in spreads.items() for name in names}
-    found = ordered_map(_about, tasks, shared={"centres": centres}, workers=workers)
+    distances = ordered_map(_about, tasks, shared={"centres": centres}, workers=workers)
     rows = list[Row]()
     for name in names:
         rows.append(_mean_row(name, len(given[name]), sized[name], means[name], fits[name]))
         for what in spreads:
-            about = [one for one, task in zip(found, tasks, strict=True) if task[:2] == (what, name)]
+            about = [one for one, task in zip(distances, tasks, strict=True) if task[:2] == (what, name)]
             rows += [{"bone": name, "what": what} | _spread_row(np.array(about))] if len(about) > 1 else []
     figure = bone_figure.draw({name: (fit.placed, fit.off_mm) for name, fit in fits.items()}, _MOST_MM)
     return BoneComparison(rows=[dict.fromkeys(_COLUMNS, "") | row for row in rows], fits=fits, figure=figure)

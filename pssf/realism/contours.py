@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from ..anatomy.joint import assemble
+from ..anatomy.joint import assemble, defining_protocol
 from ..anatomy.landmarks import CONTOUR_LANDMARKS, contour_landmarks
 from ..anatomy.wear import outer_bones
 from ..core.checks import Array, InputError, require_whole
 from ..core.parallel import ordered_map
-from ..data.bones import mean_shape
+from ..data.anatomy import AnatomyTables, anatomy_tables
 from ..data.landmarks import GradeContours, LandmarkReference
 from ..data.records import Pair
 from ..geometry.view import view_of
@@ -79,14 +79,15 @@ def drawn_landmarks(
     require_whole("knees", count, 1, 100_000, "")
     # Labels of a left knee mirror those of a right one. Readers took people's joint spaces.
     knees = draw_knees(count, seed, table, side="right", jsw_as="read")
-    shared = {"protocol": protocol or load_protocol("reference")}
+    shared = {"protocol": protocol or load_protocol("reference"), "tables": anatomy_tables()}
+    shared["defined_under"] = defining_protocol(knees[0])
     places = ordered_map(_landmarks_of, knees, shared=shared, workers=workers)
     return LandmarkSample(places_mm=np.array(places), grades=np.array([knee.grade for knee in knees]))
 
 
-def _landmarks_of(knee: Knee, protocol: Protocol) -> Array:
+def _landmarks_of(knee: Knee, protocol: Protocol, tables: AnatomyTables, defined_under: Protocol) -> Array:
     """(16, 2)  the labels of a right knee, without building what they do not need"""
-    assembly = assemble(knee, mean_shape(), protocol.posture)
+    assembly = assemble(knee, tables, protocol.posture, defined_under)
     femur, tibia = (assembly.mirrored(mesh) for mesh in outer_bones(assembly))
     view = view_of(protocol)
     return film_mm(contour_landmarks(femur, tibia, view, 1, assembly.pose.lean_deg), "right", view.pixel_mm)
@@ -146,8 +147,8 @@ def compare(sample: LandmarkSample, reference: LandmarkReference) -> ContourComp
     sizes = joint_sizes(sample.places_mm)
     grades = [grade for grade in np.unique(sample.grades) if str(grade) in reference.grade]
     if not grades:
-        found = ", ".join(map(str, np.unique(sample.grades))) or "none"
-        raise InputError(f"grades = {found}; allowed: some of {', '.join(reference.grade)}")
+        given = ", ".join(map(str, np.unique(sample.grades))) or "none"
+        raise InputError(f"grades = {given}; allowed: some of {', '.join(reference.grade)}")
     landmark_rows, size_rows, outside = list[Row](), list[Row](), list[Row]()
     panels = []
     for grade in grades:

@@ -151,15 +151,15 @@ def resampled_auc(
 ) -> Array:
     """(replicates,) AUC on subjects drawn with replacement; those where one kind is missing are left out.
 
-    truth, value, subjects  (films,)
+    truth, value, subjects  (films,)  value of any unit
     """
-    rng, found = np.random.default_rng(seed), []
+    rng, aucs = np.random.default_rng(seed), []
     _, of_film = np.unique(subjects, return_inverse=True)
     for _ in range(replicates):
         drawn = drawn_again(of_film, rng)
         if 0 < truth[drawn].sum() < len(drawn):
-            found.append(auc(truth[drawn], value[drawn]))
-    return np.array(found)
+            aucs.append(auc(truth[drawn], value[drawn]))
+    return np.array(aucs)
 
 
 def drawn_again(of_film: NDArray[np.int64], rng: np.random.Generator) -> NDArray[np.int64]:

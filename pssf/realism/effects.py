@@ -31,9 +31,9 @@ def effects(
     summary = []
     for group, columns in groups_of(real.features).items():
         of_group = real.features.columns.isin(columns)
-        told = np.array([_alike(one[of_group], other[of_group]) for one, other in zip(theirs, ours, strict=True)])
+        alike = np.array([_alike(one[of_group], other[of_group]) for one, other in zip(theirs, ours, strict=True)])
         row = label | {"group": group, "features": int(np.isfinite(theirs[0] + ours[0])[of_group].sum())}
-        for name, values in zip(("r", "same_sign"), told.T, strict=True):
+        for name, values in zip(("r", "same_sign"), alike.T, strict=True):
             ends = percentiles(values[1:][np.isfinite(values[1:])]) if np.isfinite(values).sum() > 2 else (np.nan,) * 2
             row |= {name: _told(values[0]), f"{name}_low": _told(ends[0]), f"{name}_high": _told(ends[1])}
         summary.append(row)

@@ -116,27 +116,27 @@ def measure_film(film: Film, *, folder: Path, templates: Sequence[Template], cod
     except InputError as error:
         return {**record, "status": "unreadable", "reason": str(error)}
     side, pixel_mm = film.side or image.side, film.pixel_mm or image.pixel_mm
-    found = locate(image.pixels, templates, side=side, pixel_mm=pixel_mm)
+    joint = locate(image.pixels, templates, side=side, pixel_mm=pixel_mm)
     record |= {
-        "status": found.status, "side": found.side, "polarity": found.polarity, "score": found.score,
-        "row_px": found.row, "col_px": found.col, "pixel_mm": found.pixel_mm, "pixel_from": found.pixel_from,
-        "scale": found.scale,
+        "status": joint.status, "side": joint.side, "polarity": joint.polarity, "score": joint.score,
+        "row_px": joint.row, "col_px": joint.col, "pixel_mm": joint.pixel_mm, "pixel_from": joint.pixel_from,
+        "scale": joint.scale,
     }  # fmt: skip
-    if found.status != "found":
+    if joint.status != "found":
         return record
-    bright = image.pixels if found.polarity == "bone bright" else 1 - image.pixels
-    plateau_mm = _plateau_mm(templates) * found.scale
-    lateral = -1 if found.side == "right" else 1
-    middle = found.col + lateral * _TO_MIDDLE * plateau_mm / found.pixel_mm
-    pitch_mm = found.pixel_mm * PLATEAU_MM / plateau_mm
-    place = Place(row=found.row, col=middle, side=found.side, pitch_mm=pitch_mm)
-    return record | measured(bright, place, found.pixel_mm)
+    bright = image.pixels if joint.polarity == "bone bright" else 1 - image.pixels
+    plateau_mm = _plateau_mm(templates) * joint.scale
+    lateral = -1 if joint.side == "right" else 1
+    middle = joint.col + lateral * _TO_MIDDLE * plateau_mm / joint.pixel_mm
+    pitch_mm = joint.pixel_mm * PLATEAU_MM / plateau_mm
+    place = Place(row=joint.row, col=middle, side=joint.side, pitch_mm=pitch_mm)
+    return record | measured(bright, place, joint.pixel_mm)
 
 
 def measured(film: Array, near: Place, pixel_mm: float) -> Record:
     """group|feature -> value of a film about its joint.
 
-    film      (rows, cols) display value, bone bright
+    film      (rows, cols) grey, a display value, bone bright
     near      about where the joint's middle is
     pixel_mm  pitch of the film
     """
@@ -154,7 +154,7 @@ def centred(film: Array, near: Place) -> Place:
     """The place and pitch that the film's own outline gives: its plateau PLATEAU_MM wide, its joint in the middle.
 
     Sought first in a wider field, in which both edges are sure to lie.
-    film  (rows, cols)  display value, bone bright
+    film  (rows, cols)  grey, a display value, bone bright
     """
     place = near
     for zoom in _ZOOMS:

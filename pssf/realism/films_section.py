@@ -67,10 +67,10 @@ def films_section(
 
     records  source -> one record a film, as `measure_films` gives them
     """
-    compared, found = compare(records, replicates=replicates, seed=seed), found_rows(records)
+    compared, fates = compare(records, replicates=replicates, seed=seed), found_rows(records)
     figures, key = blind_test(records, SIMULATED, lambda name, one: _form(read(name, one["file"]), one), seed)
     tables = (
-        Table(name="films_found", rows=found, caption="Films of each source, and what became of them."),
+        Table(name="films_found", rows=fates, caption="Films of each source, and what became of them."),
         Table(name="films_domains", rows=compared.domains, caption=_CAPTIONS["domains"]),
         Table(name="films_transfer", rows=compared.transfer, caption=_CAPTIONS["transfer"]),
         Table(name="films_effects", rows=compared.groups, caption=_CAPTIONS["effects"]),
@@ -87,7 +87,7 @@ def films_section(
         tables=tuple(table for table in tables if table.rows),
         figures=(*contact_sheets(records, read), *figures),
         facts={
-            "found": found, "domains": compared.domains, "transfer": compared.transfer, "effects": compared.groups,
+            "found": fates, "domains": compared.domains, "transfer": compared.transfer, "effects": compared.groups,
         },
     )  # fmt: skip
 

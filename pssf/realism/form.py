@@ -58,7 +58,7 @@ def field_of(film: Array, place: Place) -> Array:
 
     What lies outside the film repeats its edge.
 
-    film  (rows, cols) display value, bone bright
+    film  (rows, cols) grey, a display value, bone bright
     """
     below: Array = np.arange(round(-ABOVE_MM / PITCH_MM), round(BELOW_MM / PITCH_MM) + 1, dtype=np.float64) * PITCH_MM
     half = round(HALF_MM / PITCH_MM)
@@ -86,7 +86,7 @@ def _about(film: Array, rows: Array, cols: Array, margin: int) -> tuple[Array, i
 def stretched(field: Array) -> Array:
     """(rows, cols) greys between the 1st and 99th percentile spread over 0 to 255, in whole numbers.
 
-    field   (rows, cols)
+    field   (rows, cols)  grey
     raises  InputError for an image without contrast
     """
     low, high = np.percentile(field, _STRETCH)

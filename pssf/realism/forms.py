@@ -28,11 +28,11 @@ def compare_forms(given: Bones, built: Mapping[str, Mesh], drawn: Bones, workers
         (what, name, bone) for what, of in (("given", given), ("drawn", drawn)) for name in names for bone in of[name]
     ]
     onto = {name: measured(near_joint(built[name], name)) for name in names}
-    found = ordered_map(_measures_of, tasks, shared={"onto": onto}, workers=workers)
+    measures = ordered_map(_measures_of, tasks, shared={"onto": onto}, workers=workers)
     rows = list[Row]()
     for name in names:
         people, ours = (
-            [one for one, task in zip(found, tasks, strict=True) if task[:2] == (what, name)]
+            [one for one, task in zip(measures, tasks, strict=True) if task[:2] == (what, name)]
             for what in ("given", "drawn")
         )
         rows += [

@@ -26,7 +26,7 @@ _KEPT = ("slope_0.2_0.8", "vertical_over_horizontal", "sd_over_mean", "skewness"
 def grey_groups(film: Array, outline: Outline) -> dict[str, Features]:
     """Group -> feature -> value.
 
-    film  (rows, cols)  standard form, 0 to 255
+    film  (rows, cols)  standard form, grey 0 to 255
     """
     patches = {name: patch_of(film, outline, *place) for name, place in PATCHES.items()}
     return {
@@ -39,7 +39,10 @@ def grey_groups(film: Array, outline: Outline) -> dict[str, Features]:
 
 
 def patch_of(film: Array, outline: Outline, bone: str, share: float, above_mm: float) -> Array:
-    """(side, side) square about a place told from a bone's contour, moved inwards where it would leave the film."""
+    """(side, side) square about a place told from a bone's contour, moved inwards where it would leave the film.
+
+    film  (rows, cols)  grey, standard form
+    """
     level, col = patch_base(outline, bone, share)
     side = round(PATCH_MM / PITCH_MM)
     top = int(np.clip(round(level - above_mm / PITCH_MM - side / 2), 0, film.shape[0] - side))

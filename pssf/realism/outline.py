@@ -44,7 +44,7 @@ class Outline:
 def trace_outline(film: Array) -> Outline:
     """Contours of the bones of a film.
 
-    film  (rows, cols)  standard form
+    film  (rows, cols)  grey, standard form
     """
     row, col = joint_pixel()
     rise, across = _steepness(film)
@@ -68,7 +68,7 @@ def trace_outline(film: Array) -> Outline:
 def cheapest_path(cost: Array, step: int) -> NDArray[np.int64]:
     """(cols,) row in every column of the path of least cost from the first column to the last.
 
-    cost  (rows, cols)
+    cost  (rows, cols)  dimensionless
     step  rows that a path may move from one column to the next
     """
     rows, cols = cost.shape

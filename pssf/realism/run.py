@@ -13,7 +13,7 @@ from ..cohort import Plan, make_cohort, plan_cohort
 from ..core.checks import Array, InputError, require_whole
 from ..core.execution import Execution
 from ..data.grades import grade_table
-from ..data.landmarks import landmark_reference
+from ..data.landmarks import LandmarkReference, landmark_reference
 from ..experiment import standard_templates
 from ..io import results
 from ..io.atomic import folder
@@ -92,19 +92,20 @@ def measure(
     grades        table that they are drawn by; see `draw_knee`
     raises        InputError for a folder that holds none, a number out of range, a disk that cannot be written
     """
-    require_whole("knees", knees, 2 * len(grade_table(grades).grades), 100_000, "")
+    count = len(grade_table(grades).grades)
+    require_whole("knees", knees, 2 * count, 100_000, "")
     seen_under = load_protocol(protocol)
     given = read_bones(bones_folder) if bones_folder is not None else None
     sources = sources_of(films) if films is not None else ()
     out = folder(Path(out))
     # First, since a folder that holds another cohort is refused then, and not after minutes.
-    of_films = [_films(out, sources, _plan(protocol, knees, grades, seed), execution)] if sources else []
+    of_films = [_films(out, sources, _plan(protocol, knees, grades, count, seed), execution)] if sources else []
     with execution.timer.stage("contours", "knees", knees):
         if cohort is None:
             sample = contours.drawn_landmarks(knees, seed, seen_under, execution.workers, grades)
         else:
             sample = cohort_landmarks(cohort, seen_under.name)
-    sections = [_contours(sample)]
+    sections = [_contours(sample, landmark_reference())]
     if given is not None:
         sections.append(_bones(given, knees, grades, seed, execution))
     sections += of_films
@@ -125,38 +126,39 @@ def sources_of(given: Path) -> tuple[Source, ...]:
         return (Source(name=given.resolve().name, folder=given, films=list_films(given)),)
     except InputError as error:
         nothing = error
-    found = []
+    sources = []
     for below in sorted(path for path in given.iterdir() if path.is_dir()):
         try:
-            found.append(Source(name=below.name, folder=below, films=list_films(below)))
+            sources.append(Source(name=below.name, folder=below, films=list_films(below)))
         except InputError:
             continue
-    if not found:
+    if not sources:
         raise nothing
-    if any(source.name == SIMULATED for source in found):
+    if any(source.name == SIMULATED for source in sources):
         raise InputError(f"films = {given / SIMULATED}; allowed: any other name, which simulated films have here")
-    return tuple(found)
+    return tuple(sources)
 
 
-def _contours(sample: contours.LandmarkSample) -> Section:
-    found = contours.compare(sample, landmark_reference())
-    counts = [f"{row['outside']} of {row['of']} at grade {row['grade']}" for row in found.outside]
-    cosines = ", ".join(f"{row['cosine']:.2f}" for row in found.modes[:3])
+def _contours(sample: contours.LandmarkSample, people: LandmarkReference) -> Section:
+    compared = contours.compare(sample, people)
+    counts = [f"{row['outside']} of {row['of']} at grade {row['grade']}" for row in compared.outside]
+    cosines = ", ".join(f"{row['cosine']:.2f}" for row in compared.modes[:3])
     return Section(
         name="Contours",
         line=f"heights and spreads outside people's: {'; '.join(counts)}; cosines of first modes {cosines or 'none'}",
         text=_CONTOURS,
         tables=(
-            Table(name="contours_outside", rows=found.outside, caption="Heights and their spreads outside."),
-            Table(name="contours_landmarks", rows=found.landmarks, caption="In shares of the width.", shown=32),
-            Table(name="contours_sizes", rows=found.sizes, caption="Plateau, gaps (mm on the film), convergence."),
-            Table(name="contours_modes", rows=found.modes, caption="First modes of variation, grades 0 and 1."),
+            Table(name="contours_outside", rows=compared.outside, caption="Heights and their spreads outside."),
+            Table(name="contours_landmarks", rows=compared.landmarks, caption="In shares of the width.", shown=32),
+            Table(name="contours_sizes", rows=compared.sizes, caption="Plateau, gaps (mm on the film), convergence."),
+            Table(name="contours_modes", rows=compared.modes, caption="First modes of variation, grades 0 and 1."),
         ),
         figures=(Picture(
-            name="contours", png=found.figure, alt="Mean contours of drawn knees and of people with ellipses of one SD",
+            name="contours", png=compared.figure,
+            alt="Mean contours of drawn knees and of people with ellipses of one SD",
             caption="Mean landmarks and ellipses of one standard deviation, drawn knees and people, by grade.",
         ),),
-        facts={"outside": found.outside, "sizes": found.sizes, "modes": found.modes},
+        facts={"outside": compared.outside, "sizes": compared.sizes, "modes": compared.modes},
     )  # fmt: skip
 
 
@@ -164,22 +166,22 @@ def _bones(given: bones.Bones, knees: int, grades: str, seed: int, execution: Ex
     with execution.timer.stage("bones", "knees", knees):
         drawn = bones.drawn_bones(min(knees, 50), seed, grades)
         built = bones.built_bones(Knee())
-        found = bones.compare(given, built, drawn, execution.workers)
+        compared = bones.compare(given, built, drawn, execution.workers)
         forms = compare_forms(given, built, drawn, execution.workers)
-    line = "; ".join(f"{row['bone']} {row['what']} {row['rms_mm']:.2f} mm" for row in found.rows)
+    line = "; ".join(f"{row['bone']} {row['what']} {row['rms_mm']:.2f} mm" for row in compared.rows)
     return Section(
         name="Bones",
         line=line,
         text=_BONES,
         tables=(
-            Table(name="bones", rows=found.rows, caption="Distances, mm."),
+            Table(name="bones", rows=compared.rows, caption="Distances, mm."),
             Table(name="bones_forms", rows=forms, caption="Measures of form, at one size.", shown=30),
         ),
         figures=(Picture(
-            name="bones", png=found.figure, alt="Built mean bones coloured by distance",
+            name="bones", png=compared.figure, alt="Built mean bones coloured by distance",
             caption="The built mean bones; their colour is the distance from the mean of the given ones.",
         ),),
-        facts={"rows": found.rows},
+        facts={"rows": compared.rows},
     )  # fmt: skip
 
 
@@ -201,9 +203,8 @@ def _films(out: Path, sources: Sequence[Source], plan: Plan, execution: Executio
         return films_section(records, partial(_read, {one.name: one for one in (*sources, simulated)}), seed=plan.seed)
 
 
-def _plan(protocol: str, knees: int, grades: str, seed: int) -> Plan:
-    """A cohort of drawn knees, the grades alike: takings of a protocol, as people's films are."""
-    count = len(grade_table(grades).grades)
+def _plan(protocol: str, knees: int, grades: str, count: int, seed: int) -> Plan:
+    """A cohort of drawn knees, so many grades alike: takings of a protocol, as people's films are."""
     each = [knees // count + (index < knees % count) for index in range(count)]
     drawn = {"knees": each, "protocols": [protocol], "exposures": "drawn", "grades": grades}
     return plan_cohort("quick", seed=seed, overrides=drawn)

@@ -8,12 +8,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..anatomy.bone_build import Build, Form, build_of, plateau_fall, stand_femur, stand_tibia
-from ..anatomy.femur import mean_femur
 from ..anatomy.small_bones import patella
 from ..anatomy.solids import mesh_of
-from ..anatomy.tibia import mean_tibia
 from ..core.checks import Array
-from ..data.bones import mean_shape
+from ..data.anatomy import AnatomyTables
 from ..geometry.freeform import Lattice, with_displacements
 from ..geometry.mesh import Mesh
 from ..model.knee import Knee
@@ -26,19 +24,20 @@ _PLATEAU_MM = 25.0
 _ROUNDS = 15
 
 
-def mean_bones() -> dict[str, Mesh]:
-    """Femur, tibia and patella of the mean man, each in its own frame (mm), before they stand."""
-    shape = mean_shape()
+def mean_bones(man: Build) -> dict[str, Mesh]:
+    """Femur, tibia and patella of `mean_man`, each in its own frame (mm), before they stand."""
+    small = mesh_of(patella(man).outer)
     return {
-        "femur": mesh_of(mean_femur(shape.femur).outer),
-        "tibia": mesh_of(mean_tibia(shape.tibia).outer),
-        "patella": _placed(mesh_of(patella(_mean_man()).outer)),
+        "femur": mesh_of(man.mean_femur.outer),
+        "tibia": mesh_of(man.mean_tibia.outer),
+        # In the frame of his femur, where its lattice acts.
+        "patella": Mesh(small.vertices + man.shape.patella.centre_mm, small.faces),
     }
 
 
-def _mean_man() -> Build:
+def mean_man(tables: AnatomyTables) -> Build:
     """The mean man, whose bones no lattice deforms."""
-    build = build_of(Knee(), mean_shape())
+    build = build_of(Knee(), tables)
     none = {
         name: with_displacements(lattice, 0 * lattice.displacements_mm) for name, lattice in _lattices(build).items()
     }
@@ -58,34 +57,33 @@ def _lattices(build: Build) -> dict[str, Lattice]:
     return {"femur": build.femur.lattice, "tibia": build.tibia.lattice, "patella": build.patella}
 
 
-def _placed(patella: Mesh) -> Mesh:
-    """The mean man's patella in the frame of his femur, where its lattice acts."""
-    return Mesh(patella.vertices + mean_shape().patella.centre_mm, patella.faces)
-
-
-def stand(points_mm: Array, name: str) -> Array:
+def stand(points_mm: Array, name: str, man: Build) -> Array:
     """(n, 3)  places of the mean man's bone as it stands, undeformed
 
     points_mm  (n, 3)
+    man        of `mean_man`
     """
-    build = _mean_man()
     how = {"femur": stand_femur, "tibia": stand_tibia}.get(name)
-    return how(points_mm, build) if how else points_mm
+    return how(points_mm, man) if how else points_mm
 
 
-def unstand(places_mm: Array, name: str) -> Array:
+def unstand(places_mm: Array, name: str, man: Build) -> Array:
     """(n, 3)  the points that `stand` takes to places
 
     places_mm  (n, 3)
+    man        of `mean_man`
     """
     points = np.array(places_mm, np.float64)
     for _ in range(_ROUNDS):
-        points += places_mm - stand(points, name)
+        points += places_mm - stand(points, name, man)
     return points
 
 
 def own_frames(
-    built: Mapping[str, Mesh], people: Mapping[str, MeasuredSurface], poses: Mapping[str, Sequence[Similarity]]
+    built: Mapping[str, Mesh],
+    people: Mapping[str, MeasuredSurface],
+    poses: Mapping[str, Sequence[Similarity]],
+    man: Build,
 ) -> dict[str, Frame]:
     """Bone -> what takes places on the mean of people's bones, (n, 3) mm, into the frame of the mean man's.
 
@@ -95,8 +93,9 @@ def own_frames(
     one another, so that people's bones go on fitting. The femur's distal end stays at height 0, the plateau at its own.
     built  as it is before it stands
     poses  what lays each knee's bone onto the mean
+    man    of `mean_man`
     """
-    standing = {name: Mesh(stand(bone.vertices, name), bone.faces) for name, bone in built.items()}
+    standing = {name: Mesh(stand(bone.vertices, name, man), bone.faces) for name, bone in built.items()}
     rest = {name: _mean_rest(poses[name], people[name].mesh) for name in built}
     placed = {name: Mesh(rest[name].apply(people[name].mesh.vertices), people[name].mesh.faces) for name in built}
     plateau, given = _plateau_box(standing["tibia"]), _plateau_box(placed["tibia"])
@@ -114,7 +113,7 @@ def own_frames(
         whole = Similarity(
             rotation=rest[name].rotation, scale=scale * rest[name].scale, shift_mm=scale * rest[name].shift_mm + shift
         )
-        frames[name] = partial(_into, fit=whole, name=name)
+        frames[name] = partial(_into, fit=whole, name=name, man=man)
     return frames
 
 
@@ -128,8 +127,8 @@ def pose_of(bone: Mesh, onto: MeasuredSurface, name: str) -> Similarity:
     return fit_bone(bone, onto, name).fit
 
 
-def _into(places_mm: Array, fit: Similarity, name: str) -> Array:
-    return unstand(fit.apply(places_mm), name)
+def _into(places_mm: Array, fit: Similarity, name: str, man: Build) -> Array:
+    return unstand(fit.apply(places_mm), name, man)
 
 
 def _mean_rest(poses: Sequence[Similarity], mean: Mesh) -> Similarity:

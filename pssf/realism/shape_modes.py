@@ -6,13 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from ..anatomy.bone_build import Build
 from ..core.checks import Array, InputError
 from ..core.parallel import ordered_map
+from ..data.anatomy import anatomy_tables
 from ..geometry.freeform import Lattice, basis_matrix, with_displacements
 from ..geometry.mesh import Mesh
 from .bones import BONES, heights_mm, mean_of
 from .freeform_fit import DeformableBone, deformable, fit_lattice, lattice_around
-from .shape_frames import Frame, in_frame, mean_bones, own_frames, pose_of
+from .shape_frames import Frame, in_frame, mean_bones, mean_man, own_frames, pose_of
 from .surfaces import MeasuredSurface, Similarity, measured
 
 # Chosen by what is left: from 30 to 15 mm the mean femur comes from 1.02 to 0.31 mm RMS to the mean of people's
@@ -28,12 +30,14 @@ class MeanFit:
     """The mean man's bones, the lattices that make them people's mean, and how people's come into their frames.
 
     people  the mean of people's bones, at its own place and size
+    man     the mean man, in whom his bones stand
     """
 
     bones: Mapping[str, DeformableBone]
     lattices: Mapping[str, Lattice]
     frames: Mapping[str, Frame]
     people: Mapping[str, MeasuredSurface]
+    man: Build
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,19 +68,20 @@ def fit_mean(
     """
     if missing := [name for name in BONES if not given.get(name)]:
         raise InputError(f"bones: without = {', '.join(missing)}; allowed: femur, tibia and patella of every knee")
-    built = mean_bones()
+    man = mean_man(anatomy_tables())
+    built = mean_bones(man)
     people = {name: measured(mean_of(given[name], name)) for name in BONES}
     tasks = [(name, bone) for name in BONES for bone in given[name]]
-    found = ordered_map(_pose_one, tasks, shared={"people": people}, workers=workers)
-    poses = {name: [one for one, task in zip(found, tasks, strict=True) if task[0] == name] for name in BONES}
-    frames = own_frames(built, people, poses)
+    fits = ordered_map(_pose_one, tasks, shared={"people": people}, workers=workers)
+    poses = {name: [one for one, task in zip(fits, tasks, strict=True) if task[0] == name] for name in BONES}
+    frames = own_frames(built, people, poses, man)
     bones, lattices = dict[str, DeformableBone](), dict[str, Lattice]()
     for name in BONES:
         target = in_frame(people[name].mesh, frames[name])
         bones[name] = deformable(built[name], heights_mm(target.mesh, name))
         around = lattice_around(bones[name], PITCH_MM[name], SHAFT[name])
         lattices[name] = fit_lattice(bones[name], target, around) if kept is None else kept[name]
-    return MeanFit(bones=bones, lattices=lattices, frames=frames, people=people)
+    return MeanFit(bones=bones, lattices=lattices, frames=frames, people=people, man=man)
 
 
 def fit_knees(given: Mapping[str, Sequence[Mesh]], mean: MeanFit, workers: int = 1) -> dict[str, Array]:
@@ -85,8 +90,9 @@ def fit_knees(given: Mapping[str, Sequence[Mesh]], mean: MeanFit, workers: int =
     Pose and size are taken out of every bone by a similarity fit onto the mean of people's.
     """
     tasks = [(name, bone) for name in BONES for bone in given[name]]
-    found = ordered_map(_fit_one, tasks, shared={"mean": mean}, workers=workers)
-    return {name: np.array([one for one, task in zip(found, tasks, strict=True) if task[0] == name]) for name in BONES}
+    displacements = ordered_map(_fit_one, tasks, shared={"mean": mean}, workers=workers)
+    each = list(zip(displacements, tasks, strict=True))
+    return {name: np.array([one for one, task in each if task[0] == name]) for name in BONES}
 
 
 def modes_of(fitted: Mapping[str, Array], mean: MeanFit, least_share: float = 0.99) -> Modes:

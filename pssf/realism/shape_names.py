@@ -53,20 +53,20 @@ def measured_knees(mean: MeanFit, fitted: Mapping[str, Array]) -> tuple[tuple[st
 def name_modes(modes: Modes, names: tuple[str, ...], values: Array) -> tuple[Modes, tuple[ModeName, ...]]:
     """Modes, turned so that the measure each is named by grows with its score, and their names.
 
-    values  (knees, measures)  of the knees that the modes come from
+    values  (knees, measures)  each in its own unit, of the knees that the modes come from
     """
     off = values - values.mean(axis=0)
     scores = modes.scores - modes.scores.mean(axis=0)
     follow = scores.T @ off / np.outer(np.linalg.norm(scores, axis=0), np.maximum(np.linalg.norm(off, axis=0), 1e-30))
-    signs, found = [], list[ModeName]()
+    signs, named = [], list[ModeName]()
     for row in follow:
         order = np.argsort(-np.abs(row), kind="stable")
-        first = next(i for i in order if names[i] not in [one.name for one in found])
+        first = next(i for i in order if names[i] not in [one.name for one in named])
         sign = 1.0 if row[first] >= 0 else -1.0
         others = [i for i in order if i != first and abs(row[i]) >= _ALSO][:_AT_MOST]
         also = ", ".join(f"{'+' if sign * row[i] > 0 else '-'} {names[i]}" for i in others)
-        found.append(ModeName(name=names[first], correlation=float(abs(row[first])), also=also))
+        named.append(ModeName(name=names[first], correlation=float(abs(row[first])), also=also))
         signs.append(sign)
     turn = np.array(signs)
     turned = {name: values * turn[:, None, None] for name, values in modes.directions.items()}
-    return replace(modes, directions=turned, scores=modes.scores * turn), tuple(found)
+    return replace(modes, directions=turned, scores=modes.scores * turn), tuple(named)

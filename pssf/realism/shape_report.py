@@ -45,7 +45,7 @@ def standing(mean: MeanFit, displacements_mm: Fitted) -> dict[str, Mesh]:
     displacements_mm  bone -> (controls, 3)
     """
     own = formed(mean, displacements_mm)
-    return {name: Mesh(stand(bone.vertices, name), bone.faces) for name, bone in own.items()}
+    return {name: Mesh(stand(bone.vertices, name, mean.man), bone.faces) for name, bone in own.items()}
 
 
 def reached(mean: MeanFit, displacements_mm: Sequence[Fitted], given: Given, workers: int = 1) -> dict[str, Array]:
@@ -58,8 +58,9 @@ def reached(mean: MeanFit, displacements_mm: Sequence[Fitted], given: Given, wor
         for name in BONES
         for k, own in enumerate(displacements_mm)
     ]
-    found = ordered_map(_distance, tasks, shared={}, workers=workers)
-    return {name: np.array([one for one, task in zip(found, tasks, strict=True) if task[0] == name]) for name in BONES}
+    distances = ordered_map(_distance, tasks, shared={}, workers=workers)
+    each = list(zip(distances, tasks, strict=True))
+    return {name: np.array([one for one, task in each if task[0] == name]) for name in BONES}
 
 
 def _distance(task: tuple[str, Mesh, Mesh]) -> tuple[float, float]:
@@ -70,13 +71,13 @@ def _distance(task: tuple[str, Mesh, Mesh]) -> tuple[float, float]:
     return both.rms_mm, both.p99_mm
 
 
-def reach_rows(what: str, found: Mapping[str, Array]) -> list[Row]:
+def reach_rows(what: str, distances_mm: Mapping[str, Array]) -> list[Row]:
     """One row a bone: median, largest and quantiles of RMS.
 
-    found  bone -> (knees, 2)  RMS and 99th percentile, mm
+    distances_mm  bone -> (knees, 2)  RMS and 99th percentile, mm
     """
     rows = []
-    for name, values in found.items():
+    for name, values in distances_mm.items():
         rms, p99 = values.T
         low, middle, high = np.percentile(rms, (10, 50, 90))
         rows.append({"bone": name, "what": what, "knees": len(rms), "rms_median_mm": middle, "rms_p10_mm": low})
@@ -96,7 +97,7 @@ def knees_of(fitted: Fitted) -> list[dict[str, Array]]:
 def by_modes(modes: Modes, scores: Array) -> list[dict[str, Array]]:
     """Displacements of knees with scores, bone -> (controls, 3) each.
 
-    scores  (knees, modes)
+    scores  (knees, modes)  SD
     """
     return [{name: displacements(modes, name, one) for name in BONES} for one in scores]
 

@@ -20,8 +20,8 @@ _FINE_MM = 0.25  # a pitch that resolves 2 cycles/mm
 def tone(film: Array, field: Array, outline: Outline, place: Place) -> Features:
     """Contrasts; where the film holds the shaft, also greys with soft tissue as 0 and the shaft's cortex as 1.
 
-    film   (rows, cols) display value
-    field  (rows, cols) the same in the geometry of the standard form, not stretched
+    film   (rows, cols) grey, a display value
+    field  (rows, cols) grey, the same in the geometry of the standard form, not stretched
     """
     soft, bone = _soft(field, outline), float(patch_of(field, outline, *PATCHES["metaphysis"]).mean())
     values = {"bone_over_soft": bone / soft if soft > 0 else float("nan"), "joint_space": _joint_space(field, outline)}
@@ -36,7 +36,7 @@ def tone(film: Array, field: Array, outline: Outline, place: Place) -> Features:
 def fine_texture(film: Array, outline: Outline, place: Place, pixel_mm: float) -> Features:
     """`texture` of three regions at the film's own pitch; nothing where that does not resolve 2 cycles/mm.
 
-    film      (rows, cols) display value
+    film      (rows, cols) grey, a display value
     pixel_mm  pitch of the film
     """
     if pixel_mm > _FINE_MM:

@@ -6,14 +6,14 @@ import numpy as np
 
 from ..core.checks import Array, InputError, require
 from ..model.protocol import Protocol
-from ..xray.materials import attenuation_per_mm
+from ..xray.materials import Material, attenuation_per_mm, compound_of
 from ..xray.spectrum import Beam
 
 # What a pixel sees of a limb's irradiated exit face, mm to either side across the strips and along them, and how deep
 # below it the scatter comes from (judgement; Sorenson and Floch 1985 find 150 to 200 mm for a trunk).
 _HALF_MM = (80.0, 150.0)
 _BELOW_MM = 40.0
-# What hardens the beam before the grid, of muscle.
+# So much of a limb hardens the beam before the grid.
 _TYPICAL_MM = 100.0
 
 
@@ -54,16 +54,17 @@ def transmit_through_grid(kind: Grid, beam: Beam) -> Beam:
     return replace(beam, photons_per_mm2=beam.photons_per_mm2 * _passed(kind, mu, 0.0, np.ones(1))[0])
 
 
-def scatter_passing(kind: Grid, beam: Beam, gap_mm: float) -> float:
+def scatter_passing(kind: Grid, beam: Beam, gap_mm: float, limb: Material) -> float:
     """Share of the scatter that a grid lets pass.
 
     The average of exp(-path in lead and aluminium) over places across a strip (geometry of Day and Dance 1983), over
     directions, as of even radiance on the exit face, and over the energies of the beam behind a limb; what the grid
     itself scatters, and fluorescence of the lead, are left out.
     gap_mm  from the object's exit to the detector: scatter comes in straighter from further away
+    limb    what hardens the beam before the grid
     """
     weights = beam.photons_per_mm2 * beam.signal_kev
-    weights = weights * np.exp(-attenuation_per_mm("muscle", beam.energies_kev) * _TYPICAL_MM)
+    weights = weights * np.exp(-attenuation_per_mm(limb, beam.energies_kev) * _TYPICAL_MM)
     weights = weights / weights.sum() if weights.any() else np.full(len(weights), 1 / len(weights))
     across, along = (np.linspace(-half, half, 81) for half in _HALF_MM)
     far2 = across[:, None] ** 2 + along**2 + (gap_mm + _BELOW_MM) ** 2
@@ -78,7 +79,7 @@ def scatter_passing(kind: Grid, beam: Beam, gap_mm: float) -> float:
 
 def _attenuation(beam: Beam) -> Array:
     """(2, nodes)  of lead and aluminium, 1/mm"""
-    return np.array([attenuation_per_mm(name, beam.energies_kev) for name in ("Pb@11.35", "Al@2.70")])
+    return np.array([attenuation_per_mm(compound_of(name), beam.energies_kev) for name in ("Pb@11.35", "Al@2.70")])
 
 
 def _passed(kind: Grid, mu: Array, slope: float, lengths: Array) -> Array:

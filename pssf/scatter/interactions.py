@@ -8,7 +8,7 @@ import xraylib
 
 from ..core.checks import Array
 from ..data.detectors import Detector
-from ..xray.materials import absorbed_fraction, elements
+from ..xray.materials import Material, absorbed_fraction
 
 # Below this a photon is absorbed where it is.
 CUT_OFF_KEV = 5.0
@@ -39,13 +39,12 @@ class Interactions(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def interactions_of(materials: tuple[str, ...], most_kev: float, detector: Detector) -> Interactions:
+def interactions_of(materials: tuple[Material, ...], most_kev: float, detector: Detector) -> Interactions:
     """Tables for photons from the cut-off up to an energy, and of the detector that absorbs them.
 
     Compton scattering is on free electrons at rest, its angles weighted with the incoherent scattering function (no
     Doppler broadening); coherent scattering is by free atoms, without interference between molecules. The energy of a
     photoelectric absorption stays where it is: no fluorescence.
-    raises  InputError for an unknown material
     """
     steps = int(np.ceil((most_kev - CUT_OFF_KEV) / STEP_KEV)) + 1
     energies = np.linspace(CUT_OFF_KEV, CUT_OFF_KEV + steps * STEP_KEV, steps + 1)
@@ -53,9 +52,8 @@ def interactions_of(materials: tuple[str, ...], most_kev: float, detector: Detec
     steps = int(np.ceil(most_x / STEP_X)) + 1
     x = np.linspace(0.0, steps * STEP_X, steps + 1)
     nodes = np.concatenate(([0.0], np.geomspace(1e-3, most_x, 400)))
-    recipes = [elements(name) for name in materials]
     photo, compton, rayleigh = (
-        np.array([0.1 * rho * _by_energy(kind, parts, energies) for rho, parts in recipes])
+        np.array([0.1 * rho * _by_energy(kind, parts, energies) for rho, parts in materials])
         for kind in ("Photo", "Compt", "Rayl")
     )
     absorbed = absorbed_fraction(detector.formula, detector.mg_per_cm2, energies)
@@ -63,9 +61,9 @@ def interactions_of(materials: tuple[str, ...], most_kev: float, detector: Detec
         photo=photo,
         compton=compton,
         rayleigh=rayleigh,
-        bound=np.array([_bound(parts, x) for _, parts in recipes]),
+        bound=np.array([_bound(parts, x) for _, parts in materials]),
         x2=nodes**2,
-        coherent=np.array([_coherent(parts, nodes) for _, parts in recipes]),
+        coherent=np.array([_coherent(parts, nodes) for _, parts in materials]),
         # A layer that lets nothing through has an optical depth of 28, which says the same to a double.
         panel=-np.log1p(-np.minimum(absorbed, 1 - 1e-12)),
     )

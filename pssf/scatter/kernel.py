@@ -15,7 +15,6 @@ from ..geometry.view import View
 from ..raycast.scanline import crossings
 from ..raycast.sheets import BAND_ROWS, sheet_of
 from ..xray.collimator import is_collimated, open_shares
-from ..xray.materials import density_g_per_cm3
 from ..xray.spectrum import beam_of, heel_factor
 from ..xray.technique import Technique
 
@@ -61,7 +60,7 @@ def coarse(
     primary = block_mean(primary_kev, step)
     mass = np.zeros_like(primary)
     for name, lengths in path_mm.items():
-        mass += block_mean(lengths, step) * (density_g_per_cm3(name) / 10.0)
+        mass += block_mean(lengths, step) * (technique.material(name).density_g_per_cm3 / 10.0)
     opened = _open_kev(primary.shape, step, technique)
     passed = np.divide(primary, opened, out=np.ones_like(primary), where=opened > 0)
     return opened, np.maximum(mass, 0), np.clip(passed, _LEAST, 1.0), step
@@ -159,7 +158,7 @@ class _Plane:
         self.exponent = -2 * (np.pi / cell_mm) ** 2 * (fy[:, None] ** 2 + fx**2)
 
     def spectrum(self, image: Array) -> NDArray[np.complex128]:
-        """(long rows, long cols / 2 + 1)  transform of an image (rows, cols)"""
+        """(long rows, long cols / 2 + 1)  transform of an image (rows, cols) of any unit"""
         return np.asarray(fft.rfft2(image, self.long))
 
     def gaussian(self, sigma_mm: float) -> Array:
@@ -167,9 +166,9 @@ class _Plane:
         return np.asarray(np.exp(self.exponent * sigma_mm**2))
 
     def back(self, spectrum: NDArray[np.complex128]) -> Array:
-        """(rows, cols)  the image of a spectrum (long rows, long cols / 2 + 1)"""
+        """(rows, cols)  the image, of any unit, of a spectrum (long rows, long cols / 2 + 1)"""
         return np.asarray(fft.irfft2(spectrum, self.long)[: self.shape[0], : self.shape[1]])
 
     def spread(self, spectrum: NDArray[np.complex128], sigma_mm: float) -> Array:
-        """(rows, cols)  the image of a spectrum (long rows, long cols / 2 + 1) under a Gaussian"""
+        """(rows, cols)  the image, of any unit, of a spectrum (long rows, long cols / 2 + 1) under a Gaussian"""
         return self.back(spectrum * self.gaussian(sigma_mm))

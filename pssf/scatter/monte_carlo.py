@@ -92,7 +92,9 @@ def count(
     view, step = technique.view, max(1, round(cell_mm / technique.view.pixel_mm))
     voxels = _before_the_detector(scene, view, voxel_mm)
     where = _setting(voxels, technique, step * view.pixel_mm)
-    what = interactions_of(voxels.names, float(where.energies.max()), technique.detector)
+    what = interactions_of(
+        tuple(technique.material(name) for name in voxels.names), float(where.energies.max()), technique.detector
+    )
     shape = (-(-view.rows // step), -(-view.cols // step))
     counts, energy = np.zeros((_BATCHES, 2, *shape)), np.zeros((_BATCHES, 4))
     each = -(-photons // _BATCHES)
@@ -130,7 +132,7 @@ def _setting(voxels: Voxels, technique: Technique, cell_mm: float) -> Setting:
     kept = beam.energies_kev >= CUT_OFF_KEV
     energies, photons, signal = (v[kept] for v in (beam.energies_kev, beam.photons_per_mm2, beam.signal_kev))
     left = (photons if photons.any() else np.ones_like(photons)) * signal
-    passed = left * np.exp(-attenuation_per_mm("muscle", energies) * _TYPICAL_MM)
+    passed = left * np.exp(-attenuation_per_mm(technique.material("muscle"), energies) * _TYPICAL_MM)
     # The mixture bounds the weights, in thick parts and in thin ones.
     chance = left / left.sum() / 2 + passed / passed.sum() / 2
     chosen = np.cumsum(chance)

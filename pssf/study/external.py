@@ -15,6 +15,7 @@ import pandas as pd
 
 from ..core.checks import InputError, require_choice
 from ..core.execution import Execution
+from ..data.localisation import localisation
 from ..io import results
 from ..io.films import Film
 from ..radiomics.compact import compact
@@ -41,14 +42,14 @@ class External:
     """What films gave.
 
     tables    films: one row a film, with its probabilities; films_scores: of `external.score_films`
-    found     of `external.counted`
+    counts    of `external.counted`
     how       pitch and region that films and cohort were read by
     protocol  that the models have learnt from, by so many radiographs of so many
     models    name -> file
     """
 
     tables: dict[str, pd.DataFrame]
-    found: pd.DataFrame
+    counts: pd.DataFrame
     how: DisplayHow
     protocol: str
     learnt_from: tuple[int, int]
@@ -89,7 +90,8 @@ def tested_on_films(bench: Bench, films: FilmSet, manifest: pd.DataFrame) -> Ext
     cohort = manifest[manifest["protocol"] == films.protocol]
     pitch_mm = float(cohort["pixel_mm"].iloc[0])
     largest_mm = settings.region_px * pitch_mm
-    templates = tuple(compact(template, max(largest_mm, films.region_mm or 0.0)) for template in bench.templates)
+    reach_mm, law = max(largest_mm, films.region_mm or 0.0), localisation()
+    templates = tuple(compact(template, reach_mm, law) for template in bench.templates)
     bench = replace(bench, templates=templates)
     with bench.execution.timer.stage("pitch and field of the films"):
         pixel_mm, region_mm = _pitch_and_region_mm(films, templates, pitch_mm, largest_mm)
@@ -109,7 +111,7 @@ def tested_on_films(bench: Bench, films: FilmSet, manifest: pd.DataFrame) -> Ext
     scores = score_films(predictions, replicates=settings.replicates, seed=settings.seed)
     return External(
         tables={"films": table, "films_scores": scores},
-        found=counted(listed),
+        counts=counted(listed),
         how=how,
         protocol=films.protocol,
         learnt_from=(len(usable), len(own)),
@@ -142,14 +144,14 @@ def _pitch_and_region_mm(
     for film in films.films[:: max(1, len(films.films) // _SAMPLE)][:_SAMPLE]:
         try:
             image = films.load(film.file)
-            found = find_in_display(image.pixels, templates, film.side or image.side, film.pixel_mm or image.pixel_mm)
+            joint = find_in_display(image.pixels, templates, film.side or image.side, film.pixel_mm or image.pixel_mm)
         except InputError:
             continue  # it will be counted as refused
-        if found.status == "found":
+        if joint.status == "found":
             rows, cols = image.pixels.shape
-            around = min(found.row, found.col, rows - 1 - found.row, cols - 1 - found.col)
-            pitches.append(found.pixel_mm)
-            fields.append(2 * around * found.pixel_mm)
+            around = min(joint.row, joint.col, rows - 1 - joint.row, cols - 1 - joint.col)
+            pitches.append(joint.pixel_mm)
+            fields.append(2 * around * joint.pixel_mm)
     pixel_mm, region_mm = least_mm, largest_mm
     if pitches:
         pixel_mm = max(least_mm, round(float(np.median(pitches)), 2))
@@ -224,17 +226,17 @@ def trained_on(manifest: pd.DataFrame) -> tuple[TrainedOn, ...]:
 
 def _predicted(films: pd.DataFrame, names: list[str], kept: Sequence[Kept]) -> tuple[pd.DataFrame, pd.DataFrame]:
     """films.csv, and the predictions of models of CONTRASTS of films whose grade is known."""
-    found = films["status"] == "found"
+    is_found = films["status"] == "found"
     table = films.reindex(columns=["file", "subject", "grade", *_SHOWN]).copy()
     predictions = []
     for one in kept:
         probability = np.full((len(films), len(one.grades)), np.nan)
-        if found.any():
-            probability[found] = one.fitted.pipeline.predict_proba(films.loc[found, names])
+        if is_found.any():
+            probability[is_found] = one.fitted.pipeline.predict_proba(films.loc[is_found, names])
         for place, grade in enumerate(one.grades):
             table[f"{one.name} grade {grade}"] = probability[:, place]
         if one.task in CONTRASTS:
-            rows = films.loc[found & films["grade"].notna(), ["subject", "grade"]]
+            rows = films.loc[is_found & films["grade"].notna(), ["subject", "grade"]]
             p = probability[rows.index, 1]
             predictions.append(rows.assign(task=one.task, model=one.model, selection=one.selection, p=p))
     columns = ["subject", "grade", "task", "model", "selection", "p"]

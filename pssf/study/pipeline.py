@@ -10,6 +10,8 @@ import pandas as pd
 
 from ..core.checks import InputError, require_choice
 from ..core.execution import Execution
+from ..data.localisation import Localisation
+from ..data.localisation import localisation as localisation_law
 from ..io import results
 from ..radiomics.compact import compact
 from ..radiomics.patches import Template
@@ -88,7 +90,7 @@ def run_study(
         importances = joined(outcome.importances for outcome in outcomes)
         tables["claims"] = claims(usable, predictions, importances, tables, settings)
     with timer.stage("models refitted"):
-        models = _models(run, usable, names, manifest)
+        models = _models(run, usable, names, manifest, localisation_law())
     external = None
     if films is not None:
         external = tested_on_films(Bench(run.templates, settings, run.out, run.execution), films, manifest)
@@ -100,14 +102,16 @@ def run_study(
     return _write(run.out, findings, tables | {"predictions": predictions}, models)
 
 
-def _models(run: Run, usable: pd.DataFrame, names: list[str], manifest: pd.DataFrame) -> dict[str, bytes]:
+def _models(
+    run: Run, usable: pd.DataFrame, names: list[str], manifest: pd.DataFrame, law: Localisation
+) -> dict[str, bytes]:
     """name -> file: fitted to all subjects, under the reference and, where there are more, under all protocols."""
     settings = run.settings
     protocols = protocols_of(usable, settings.reference)
     sets = {settings.reference: protocols[:1]} | ({"all": protocols} if len(protocols) > 1 else {})
     learnt = {protocol.protocol: protocol for protocol in trained_on(manifest)}
     pixel_mm = learnt[settings.reference].pixel_mm
-    templates = [compact(template, settings.region_px * pixel_mm) for template in run.templates]
+    templates = [compact(template, settings.region_px * pixel_mm, law) for template in run.templates]
     return {
         kept.name: pack(
             kept,

@@ -77,11 +77,11 @@ def picture(model: SavedModel, row: pd.Series, folder: Path) -> NDArray[np.uint8
     dark = row["film_polarity"] == "bone dark"
     shown = np.rint(255 * (1 - image.pixels if dark else image.pixels)).astype(np.uint8)
     side_px = model.card.region_px * model.card.pixel_mm / row["film_pixel_mm"]
-    found = row["status"] == "found"
+    is_found = row["status"] == "found"
     chances = ", ".join(f"grade {g}: {row[f'p grade {g}']:.2f}" for g in model.card.grades)
-    caption = chances if found else str(row["status"])
+    caption = chances if is_found else str(row["status"])
     return framed(
-        shown, (row["row_px"], row["col_px"]), side_px, colour="#F0E442" if found else "#D55E00", caption=caption
+        shown, (row["row_px"], row["col_px"]), side_px, colour="#F0E442" if is_found else "#D55E00", caption=caption
     )
 
 
@@ -142,11 +142,11 @@ def _unreadable(films: Sequence[Film], status: pd.Series, folder: Path) -> list[
 def _table(model: SavedModel, films: Sequence[Film], records: pd.DataFrame) -> pd.DataFrame:
     card = model.card
     said = pd.DataFrame([{"file": f.file, "subject": f.subject, "grade": f.grade} for f in films])
-    found = (records["status"] == "found").to_numpy()
+    is_found = (records["status"] == "found").to_numpy()
     probability = np.full((len(films), len(card.grades)), np.nan)
     known = {*_SHOWN, "radiograph", "sha256", "settings", "checksum"}
     features = [name for name in records if name not in known and "_" in name and name.split("_")[0] in card.families]
-    if found.any():
-        probability[found] = model.probabilities(records.loc[found])
+    if is_found.any():
+        probability[is_found] = model.probabilities(records.loc[is_found])
     chances = {f"p grade {grade}": probability[:, place] for place, grade in enumerate(card.grades)}
     return pd.concat([said, records.reindex(columns=_SHOWN), pd.DataFrame(chances), records[features]], axis=1)

@@ -1,53 +1,72 @@
 """Attenuation of tissues, metals and compounds (xraylib)."""
 
-from collections.abc import Iterable
+from collections.abc import Mapping
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 import xraylib
 
 from ..core.checks import Array, InputError, require, require_choice
-from ..data.tissues import tissues
+from ..data.tissues import Tissue
 
 _CM_PER_MM = 0.1
 _FORMULA = "a formula and a density in g/cm3, such as Ti@4.51"
 
 
-def attenuation_per_mm(material: str, energies_kev: Array) -> Array:
+class Material(NamedTuple):
+    """What attenuates: its density, and atomic number and mass fraction of each of its elements."""
+
+    density_g_per_cm3: float
+    elements: tuple[tuple[int, float], ...]
+
+
+def material_of(name: str, tissues: Mapping[str, Tissue]) -> Material:
+    """The material that a name stands for.
+
+    name     a tissue or metal, a compound of NIST's list by its name, such as "Gypsum", or "FORMULA@DENSITY" in g/cm3;
+             a name of NIST's too may have a density of its own, such as "Polyethylene@0.94"
+    tissues  name -> tissue or metal
+    raises   InputError for what is neither
+    """
+    if "@" in name or name in _nist():
+        return compound_of(name)
+    require_choice("material", name, (*tissues, "a name of NIST's compounds (xraylib)", "FORMULA@DENSITY"))
+    if name not in tissues:
+        raise InputError(f"material = {name!r}; allowed: {_FORMULA}")
+    tissue = tissues[name]
+    if tissue.mix is not None:
+        return _mixture(tissue.mix, tissues)
+    assert tissue.composition is not None, name
+    assert tissue.density is not None, name
+    total = sum(tissue.composition.values())
+    weights = ((xraylib.SymbolToAtomicNumber(s), w / total) for s, w in tissue.composition.items())
+    return Material(tissue.density, tuple(weights))
+
+
+def compound_of(name: str) -> Material:
+    """The compound of NIST's list, with a density of its own if it is given one, or of "FORMULA@DENSITY" in g/cm3.
+
+    raises  InputError for neither
+    """
+    formula = name.partition("@")[0]
+    if formula in _nist():
+        compound = xraylib.GetCompoundDataNISTByName(formula)
+        density = _density(name) if "@" in name else float(compound["density"])
+        return Material(density, tuple(zip(compound["Elements"], compound["massFractions"], strict=True)))
+    try:
+        parsed = xraylib.CompoundParser(formula)
+    except ValueError:
+        raise InputError(f"material = {name!r}; allowed: {_FORMULA}") from None
+    return Material(_density(name), tuple(zip(parsed["Elements"], parsed["massFractions"], strict=True)))
+
+
+def attenuation_per_mm(material: Material, energies_kev: Array) -> Array:
     """(bins,)  linear attenuation with coherent scattering, 1/mm
 
-    material  a tissue or metal of `data/tissues.toml`, a compound of NIST's list by its name, such as "Gypsum", or
-              "FORMULA@DENSITY" in g/cm3; a name too may have a density of its own, such as "Polyethylene@0.94"
-    energies_kev  (bins,)
-    raises    InputError for an unknown material
+    energies_kev  (bins,)  keV
     """
-    density, weights = _recipe(material)
-    return density * _mass_attenuation(weights, energies_kev) * _CM_PER_MM
-
-
-def density_g_per_cm3(material: str) -> float:
-    """Density of a tissue or compound.
-
-    raises  InputError for an unknown material
-    """
-    return _recipe(material)[0]
-
-
-def elements(material: str) -> tuple[float, tuple[tuple[int, float], ...]]:
-    """Density (g/cm3) of a tissue or compound, and atomic number and mass fraction of each of its elements.
-
-    raises  InputError for an unknown material
-    """
-    return _recipe(material)
-
-
-def check_materials(materials: Iterable[str]) -> None:
-    """Refuse what is neither a tissue nor a compound with a density.
-
-    raises  InputError
-    """
-    for material in materials:
-        _recipe(material)
+    return material.density_g_per_cm3 * _mass_attenuation(material.elements, energies_kev) * _CM_PER_MM
 
 
 def absorbed_fraction(formula: str, mg_per_cm2: float, energies_kev: Array) -> Array:
@@ -62,49 +81,18 @@ def absorbed_fraction(formula: str, mg_per_cm2: float, energies_kev: Array) -> A
 
 
 @cache
-def _recipe(material: str) -> tuple[float, tuple[tuple[int, float], ...]]:
-    """Density (g/cm3) and mass fraction of each element."""
-    known, name = tissues(), material.partition("@")[0]
-    if name in _nist():
-        compound = xraylib.GetCompoundDataNISTByName(name)
-        density = _density(material) if "@" in material else compound["density"]
-        return float(density), tuple(zip(compound["Elements"], compound["massFractions"], strict=True))
-    if "@" in material:
-        return _compound(material)
-    require_choice("material", material, (*known, "a name of NIST's compounds (xraylib)", "FORMULA@DENSITY"))
-    if material not in known:
-        raise InputError(f"material = {material!r}; allowed: {_FORMULA}")
-    tissue = known[material]
-    if tissue.mix is not None:
-        return _mixture(tissue.mix)
-    assert tissue.composition is not None, material
-    assert tissue.density is not None, material
-    total = sum(tissue.composition.values())
-    weights = ((xraylib.SymbolToAtomicNumber(s), w / total) for s, w in tissue.composition.items())
-    return tissue.density, tuple(weights)
-
-
-@cache
 def _nist() -> frozenset[str]:
     return frozenset(xraylib.GetCompoundDataNISTList())
 
 
-def _mixture(volumes: dict[str, float]) -> tuple[float, tuple[tuple[int, float], ...]]:
+def _mixture(volumes: Mapping[str, float], tissues: Mapping[str, Tissue]) -> Material:
     density, masses = 0.0, dict[int, float]()
     for name, share in volumes.items():
-        part_density, weights = _recipe(name)
-        density += share * part_density
-        for z, w in weights:
-            masses[z] = masses.get(z, 0.0) + share * part_density * w
-    return density, tuple((z, mass / density) for z, mass in masses.items())
-
-
-def _compound(material: str) -> tuple[float, tuple[tuple[int, float], ...]]:
-    try:
-        parsed = xraylib.CompoundParser(material.partition("@")[0])
-    except ValueError:
-        raise InputError(f"material = {material!r}; allowed: {_FORMULA}") from None
-    return _density(material), tuple(zip(parsed["Elements"], parsed["massFractions"], strict=True))
+        part = material_of(name, tissues)
+        density += share * part.density_g_per_cm3
+        for z, w in part.elements:
+            masses[z] = masses.get(z, 0.0) + share * part.density_g_per_cm3 * w
+    return Material(density, tuple((z, mass / density) for z, mass in masses.items()))
 
 
 def _density(material: str) -> float:

@@ -49,13 +49,23 @@ class Signal:
     photon_kev: NDArray[np.float32]
 
 
-def transmit(path_mm: Mapping[str, NDArray[np.float32]], beam: Beam, view: View, workers: int = 2) -> Signal:
+def transmit(
+    path_mm: Mapping[str, NDArray[np.float32]],
+    beam: Beam,
+    technique: Technique,
+    workers: int = 2,
+    view: View | None = None,
+) -> Signal:
     """Primary signal of every pixel.
 
-    path_mm  material -> (rows, cols)  path lengths; a material that is absent attenuates nothing
-    workers  threads; the result does not depend on them
+    path_mm    material -> (rows, cols)  path lengths; a material that is absent attenuates nothing
+    technique  whose tissues the materials are
+    workers    threads; the result does not depend on them
+    view       of a source that is not in the middle of the focal spot; that of the technique if None
     """
-    mu = np.array([attenuation_per_mm(name, beam.energies_kev) for name in path_mm]).reshape(-1, len(beam.energies_kev))
+    view = view or technique.view
+    mu = np.array([attenuation_per_mm(technique.material(name), beam.energies_kev) for name in path_mm])
+    mu = mu.reshape(-1, len(beam.energies_kev))
     kev = np.empty((view.rows, view.cols), np.float32)
     photon_kev = np.empty((view.rows, view.cols), np.float32)
     nodes = _Nodes(mu, beam.photons_per_mm2 * beam.signal_kev, beam.photons_per_mm2 * beam.square_kev2)
@@ -87,7 +97,7 @@ def primary_of(
     through  what the beam passes before the detector, such as a grid
     """
     beam = beam_for(technique, {name: float(lengths.max()) for name, lengths in path_mm.items()})
-    signal = transmit(path_mm, beam if through is None else through(beam), view or technique.view, workers)
+    signal = transmit(path_mm, beam if through is None else through(beam), technique, workers, view)
     if technique.protocol.heel != "none":
         signal.kev[:] *= heel_factor(technique)[:, None].astype(np.float32)
     if is_collimated(technique.protocol):

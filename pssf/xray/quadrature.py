@@ -24,8 +24,8 @@ def spectrum_quadrature(
 ) -> tuple[NDArray[np.int64], Array, Array, float]:
     """The bins to keep of a spectrum, and their weights.
 
-    weights    (bins,)  of the open beam in the signal
-    other      (bins,)  in a second sum over the same bins, that of squares, which is fitted on the same nodes
+    weights    (bins,)  of the open beam in the signal, keV/mm2
+    other      (bins,)  in a second sum over the same bins, keV2/mm2, that of squares, fitted on the same nodes
     mu_per_mm  (materials, bins)
     most_mm    (materials,)  thickness up to which each is met
     tolerance  largest relative error of the signal

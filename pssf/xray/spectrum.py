@@ -64,7 +64,8 @@ def beam_for(technique: Technique, most_mm: Mapping[str, float], tolerance: floa
 def _folded(technique: Technique, most_mm: tuple[tuple[str, float], ...], tolerance: float) -> Beam:
     beam = beam_of(technique)
     photons, signal, square = beam.photons_per_mm2, beam.signal_kev, beam.square_kev2
-    mu = np.array([attenuation_per_mm(name, beam.energies_kev) for name, _ in most_mm]).reshape(-1, len(photons))
+    mu = np.array([attenuation_per_mm(technique.material(name), beam.energies_kev) for name, _ in most_mm])
+    mu = mu.reshape(-1, len(photons))
     most = np.array([most for _, most in most_mm])
     bins, first, second, _ = spectrum_quadrature(photons * signal, photons * square, mu, most, tolerance)
     return Beam(beam.energies_kev[bins], first / signal[bins], signal[bins], second / first * signal[bins])

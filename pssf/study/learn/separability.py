@@ -4,7 +4,7 @@ No model of an image can know a knee better than its parameters say. What they l
 grades draws, so that an AUC of a study has a ceiling beside it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from threadpoolctl import threadpool_limits
 from ...core.checks import Array, require_seed, require_whole
 from ...data.grades import grade_table
 from ...data.landmarks import landmark_reference
+from ...data.records import Triple
 from ...data.shapes import shape_table
 from ...model.draw import draw_knees
 from ...model.knee import SITES, Knee
@@ -48,18 +49,22 @@ def separability(table: str, *, knees: int = 2000, seed: int = 0) -> pd.DataFram
     require_whole("knees", knees, 2 * _FOLDS * len(grades), 1_000_000, "")
     require_seed(seed)
     drawn = draw_knees(knees, seed, table)
-    parameters = parameter_table(drawn)
+    parameters = parameter_table(drawn, len(shape_table().modes))
+    people = landmark_reference().gap_alone_auc
     of = np.array([knee.grade for knee in drawn])
     first, *others = grades
     rows = []
     for grade in others:
         chosen = (of == first) | (of == grade)
-        rows += _rows(parameters[chosen].reset_index(drop=True), of[chosen] == grade, (first, grade), seed)
+        rows += _rows(parameters[chosen].reset_index(drop=True), of[chosen] == grade, (first, grade), people, seed)
     return pd.DataFrame(rows)
 
 
-def parameter_table(knees: Sequence[Knee]) -> pd.DataFrame:
-    """A row a knee: all that it is built with as numbers, but for its side, its texture and its grades."""
+def parameter_table(knees: Sequence[Knee], modes: int) -> pd.DataFrame:
+    """A row a knee: all that it is built with as numbers, but for its side, its texture and its grades.
+
+    modes  of the shape, each a column
+    """
     rows = []
     for knee in knees:
         row: dict[str, float] = {name: float(getattr(knee, name)) for name in _PLAIN}
@@ -71,16 +76,22 @@ def parameter_table(knees: Sequence[Knee]) -> pd.DataFrame:
         row["osteophytes"] = float(len(knee.osteophytes))
         row["cysts"] = float(len(knee.cysts))
         row["largest_cyst_mm"] = max((one.diameter_mm for one in knee.cysts), default=0.0)
-        scores = (*knee.shape, *(0.0 for _ in range(len(shape_table().modes) - len(knee.shape))))
+        scores = (*knee.shape, *(0.0 for _ in range(modes - len(knee.shape))))
         row |= {f"shape_{mode + 1}": score for mode, score in enumerate(scores)}
         rows.append(row)
     return pd.DataFrame(rows)
 
 
-def _rows(parameters: pd.DataFrame, worse: NDArray[np.bool_], pair: tuple[int, int], seed: int) -> list[dict[str, Any]]:
+def _rows(
+    parameters: pd.DataFrame,
+    worse: NDArray[np.bool_],
+    pair: tuple[int, int],
+    gap_alone: Mapping[str, Triple],
+    seed: int,
+) -> list[dict[str, Any]]:
     label: dict[str, Any] = {"grades": f"{pair[0]} vs {pair[1]}"}
     least = -parameters["jsw_least_mm"].to_numpy()
-    people = landmark_reference().gap_alone_auc.get(f"kl{pair[1]}") if pair[0] == 0 else None
+    people = gap_alone.get(f"kl{pair[1]}") if pair[0] == 0 else None
     beside = dict(zip(("people", "people_low", "people_high"), people or (np.nan,) * 3, strict=True))
     nothing = dict.fromkeys(beside, float("nan"))
     rows = [label | {"known": "smaller space", "how": "by rank"} | _estimate(least, worse) | beside]

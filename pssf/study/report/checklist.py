@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from ...data.reporting import Item, guidelines
+from ...data.reporting import Guideline, Item, guidelines
 from ...io.results import holds
 
 STATUSES = ("yes", "no", "human", "none")
@@ -16,17 +16,23 @@ def checklist(out: Path) -> dict[str, Any]:
     returns  versions of the guidelines; summary: guideline -> how many of each status; METRICS score, strict: earned
              over applicable weight, items for a human not counted; items: guideline, id, item, status, evidence
     """
+    known = guidelines()
     items = [
         {"guideline": name, "id": item.id, "item": item.item, **_answer(out, item)}
-        for name, guideline in guidelines().items()
+        for name, guideline in known.items()
         for item in guideline.items
     ]
     summary = {
         name: {status: sum(i["guideline"] == name and i["status"] == status for i in items) for status in STATUSES}
-        for name in guidelines()
+        for name in known
     }
-    versions = {name: guideline.version for name, guideline in guidelines().items()}
-    return {"versions": versions, "summary": summary, "metrics_score_percent": _score(items), "items": items}
+    versions = {name: guideline.version for name, guideline in known.items()}
+    return {
+        "versions": versions,
+        "summary": summary,
+        "metrics_score_percent": _score(items, known["METRICS"]),
+        "items": items,
+    }
 
 
 def _answer(out: Path, item: Item) -> dict[str, str]:
@@ -38,8 +44,8 @@ def _answer(out: Path, item: Item) -> dict[str, str]:
     return {"status": "no", "evidence": f"{item.evidence}: not made in this run"}
 
 
-def _score(items: list[dict[str, Any]]) -> float:
-    weights = {item.id: item.weight for item in guidelines()["METRICS"].items}
+def _score(items: list[dict[str, Any]], metrics: Guideline) -> float:
+    weights = {item.id: item.weight for item in metrics.items}
     ours = [item for item in items if item["guideline"] == "METRICS" and item["status"] != "none"]
     earned = sum(weights[item["id"]] for item in ours if item["status"] == "yes")
     return round(100 * earned / sum(weights[item["id"]] for item in ours), 1)

@@ -87,7 +87,7 @@ def _trends(usable: pd.DataFrame, settings: StudySettings) -> list[dict[str, obj
 
 
 def _weights(table: pd.DataFrame, settings: StudySettings) -> Array:
-    """(1 + replicates, rows)  how often each row is in a sample of the subjects; in the first each is once"""
+    """(1 + replicates, rows)  counts: how often each row is in a sample of the subjects; in the first each is once"""
     worst = worst_grades(table["subject"], table["grade"])
     drawn = draws(worst, replicates=settings.replicates, seed=settings.seed, stream=_STREAM)
     return drawn[worst.index.get_indexer(table["subject"])].T
@@ -103,8 +103,8 @@ def spearman(one: Array, other: Array, weights: Array) -> Array:
 
     Pearson's correlation of mid-ranks, as `scipy.stats.spearmanr` of the rows written out.
 
-    one, other  (rows,)
-    weights     (replicates, rows)  how often each row is in a sample
+    one, other  (rows,)  each in its own unit
+    weights     (replicates, rows)  counts: how often each row is in a sample
     """
     whole = weights.sum(axis=1, keepdims=True)
     ranks = []

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 def is_degenerate(values: NDArray[np.float64]) -> bool:
     """Whether a feature is the same for all but for rounding, or not finite: it can tell nothing from anything.
 
-    values  (rows,)
+    values  (rows,)  any unit
     """
     if not np.isfinite(values).all():
         return True

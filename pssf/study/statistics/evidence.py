@@ -2,8 +2,9 @@
 
 import pandas as pd
 
+from ...data.ibsi import ibsi_tags
 from ...radiomics.families import family
-from ...radiomics.ibsi import departure_of, tag_of
+from ...radiomics.ibsi import Tags, departure_of, tag_of
 from ..predictions import ARM, Outcome, joined
 from ..settings import StudySettings
 from . import localisation
@@ -60,17 +61,25 @@ def tables_of_features(
         across = joined([across, repeated]) if len(across) else repeated
     return {
         "localisation": localisation.summarise(located),
-        "dictionary": dictionary(usable, names),
+        "dictionary": dictionary(usable, names, ibsi_tags()),
         "reliability": across,
     }
 
 
-def dictionary(usable: pd.DataFrame, names: list[str]) -> pd.DataFrame:
-    """feature, family, ibsi (its tag there), departure, degenerate (yes | no), least, median, most of each feature"""
+def dictionary(usable: pd.DataFrame, names: list[str], tags: Tags) -> pd.DataFrame:
+    """feature, family, ibsi (its tag there), departure, degenerate (yes | no), least, median, most of each feature
+
+    tags  of `data.ibsi.ibsi_tags`
+    """
     rows = []
     for name in names:
         values = usable[name]
-        named = {"feature": name, "family": family(name), "ibsi": tag_of(name), "departure": departure_of(name)}
+        named = {
+            "feature": name,
+            "family": family(name),
+            "ibsi": tag_of(name, tags),
+            "departure": departure_of(name, tags),
+        }
         constant = "yes" if is_degenerate(values.to_numpy()) else "no"
         spread = {"least": values.min(), "median": values.median(), "most": values.max()}
         rows.append({**named, "degenerate": constant, **spread})

@@ -13,7 +13,7 @@ from ...core.checks import Array
 def fit_quietly(model: Any, X: Array, y: NDArray[np.int64], weight: Array | None = None) -> Any:
     """The model, fitted, without a word about which of its solvers reached the optimum.
 
-    X       (rows, features)
+    X       (rows, features) each in its own unit
     y       (rows,) class index
     weight  (rows,); None: all alike
     """

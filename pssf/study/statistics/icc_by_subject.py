@@ -24,8 +24,8 @@ def knee_weights(subjects: NDArray[np.int64], *, replicates: int, seed: int) -> 
 def icc_intervals_by_weights(values: Array, weights: Array) -> tuple[Interval, Interval]:
     """The 2.5th and 97.5th percentile of ICC(2,1) and ICC(3,1) over samples of knees.
 
-    values   (knees, conditions), finite, not all the same
-    weights  (replicates, knees)
+    values   (knees, conditions) of any unit, finite, not all the same
+    weights  (replicates, knees) counts
     returns  NaN where no sample has an ICC
     """
     conditions = values.shape[1]

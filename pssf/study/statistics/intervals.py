@@ -111,7 +111,7 @@ def differences(replicates: Replicates) -> pd.DataFrame:
 def p_value(differences: Array) -> float:
     """Two-sided p of a difference (Davison & Hinkley 1997, with one added to both counts).
 
-    differences  (replicates,); those that are not finite are left out
+    differences  (replicates,) of any unit; those that are not finite are left out
     returns      NaN where none is
     """
     known = differences[np.isfinite(differences)]
@@ -124,7 +124,7 @@ def p_value(differences: Array) -> float:
 def holm(p: Array) -> Array:
     """(tests,) p-values corrected for their number, in the order given (Holm 1979).
 
-    p  (tests,)
+    p  (tests,) probabilities
     """
     # statsmodels has it too, and collects the garbage of the whole process at each call: 0.3 s.
     order = np.argsort(p, kind="stable")
@@ -155,7 +155,7 @@ def _pairs(arms: list[tuple[str, ...]]) -> Iterator[tuple[str, int, int]]:
 def mean_of_splits(splits: Array) -> Array:
     """(samples,) mean over the splits that have a score; NaN where none has.
 
-    splits  (splits, samples)  scores
+    splits  (splits, samples)  scores, dimensionless
     """
     known = np.isfinite(splits)
     with np.errstate(invalid="ignore"):

@@ -35,7 +35,7 @@ def score(truth: NDArray[np.int64], probability: Array) -> dict[str, float]:
 def auc(positive: NDArray[np.bool_], value: Array) -> float:
     """Share of pairs of a positive and a negative row in which the positive has the larger value, ties a half.
 
-    positive, value   (rows,)
+    positive, value   (rows,) value of any unit
     returns           NaN without a pair (Hanley & McNeil 1982: the area under the ROC curve, by ranks)
     """
     ones = int(positive.sum())
@@ -50,7 +50,7 @@ def mean_roc(truth: NDArray[np.int64], value: Array, split: NDArray[np.int64]) -
 
     The area under it is the mean AUC; a curve of all splits pooled would mix thresholds of different models.
 
-    truth, value, split  (rows,): 0 or 1, what is large for 1, and the split that a row was tested in
+    truth, value, split  (rows,): 0 or 1, what is large for 1 in any unit, and the split that a row was tested in
     returns              (points,) each, from 0, 0 to 1, 1; nothing where no split has both classes
     """
     at = np.linspace(0, 1, _ROC_POINTS)
@@ -70,7 +70,7 @@ def weighted_scores(truth: NDArray[np.int64], probability: Array, weight: Array)
 
     truth        (rows,) class index
     probability  (rows, classes)
-    weight       (rows, samples) whole numbers, so that every sum is exact and no order of adding shows
+    weight       (rows, samples) counts, so that every sum is exact and no order of adding shows
     returns      metric -> (samples,); NaN for all three where a class has no weight
     """
     classes = probability.shape[1]
@@ -112,7 +112,7 @@ def confusion(truth: NDArray[np.int64], probability: Array) -> NDArray[np.int64]
 def percentiles(values: Array) -> tuple[float, float]:
     """The 2.5th and 97.5th percentile of those that are finite; NaN without any.
 
-    values  (replicates,)
+    values  (replicates,) of any unit
     """
     known = values[np.isfinite(values)]
     if not len(known):

@@ -7,7 +7,7 @@ import pandas as pd
 from scipy.stats import rankdata
 
 from ...core.checks import Array, InputError
-from ...data.grades import RangeGrades, grade_table
+from ...data.grades import RangeGrades, SeverityGrades, grade_table
 from .degenerate import is_degenerate
 
 # Column -> what it is; the first six are those that a KL-like grade is drawn by.
@@ -61,28 +61,26 @@ def composition(table: pd.DataFrame) -> pd.DataFrame:
     return counts.assign(protocols=f"{len(names)} ({', '.join(names)})")
 
 
-def table_of(manifest: pd.DataFrame) -> str | None:
+def table_of(manifest: pd.DataFrame) -> RangeGrades | SeverityGrades | None:
     """The table of grades that a cohort was drawn by; None where its manifest does not tell, or that file is gone."""
     names = set(manifest["grade_table"]) if "grade_table" in manifest else set()
     if len(names) != 1:
         return None
     (name,) = map(str, names)
     try:
-        grade_table(name)
+        return grade_table(name)
     except InputError:
         return None
-    return name
 
 
-def morphology(parameters: pd.DataFrame, table: str | None) -> pd.DataFrame:
+def morphology(parameters: pd.DataFrame, table: RangeGrades | SeverityGrades | None) -> pd.DataFrame:
     """What a grade may be and what was drawn.
 
     parameters  of `parameters_of`
     table       of grades that they were drawn by, or None
     returns     parameter, grade, low, high (NaN where no range is set), least, mean, most
     """
-    law, rows = None if table is None else grade_table(table), []
-    ranges = law.grade if isinstance(law, RangeGrades) else {}
+    ranges, rows = table.grade if isinstance(table, RangeGrades) else {}, []
     for name, label in PARAMETERS.items():
         if name not in parameters:
             continue

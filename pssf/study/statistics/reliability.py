@@ -34,7 +34,7 @@ class Squares:
 def squares(values: Array) -> Squares | None:
     """Mean squares, or None where nothing varies.
 
-    values  (knees, conditions)
+    values  (knees, conditions) of any unit
     """
     knees, conditions = values.shape
     if knees < 2 or conditions < 2 or is_degenerate(values.ravel()):
@@ -54,7 +54,7 @@ def squares(values: Array) -> Squares | None:
 def icc(values: Array) -> tuple[float, float]:
     """ICC(2,1), absolute agreement, and ICC(3,1), consistency; single measure (Shrout & Fleiss 1979).
 
-    values   (knees, conditions)
+    values   (knees, conditions) of any unit
     returns  NaN, NaN where nothing varies: 0/0
     """
     s = squares(values)
@@ -64,7 +64,7 @@ def icc(values: Array) -> tuple[float, float]:
 def icc_intervals(values: Array, level: float = 0.95) -> tuple[tuple[float, float], tuple[float, float]]:
     """Intervals of ICC(2,1) and ICC(3,1) by the F distribution (McGraw & Wong 1996, table 7).
 
-    values   (knees, conditions)
+    values   (knees, conditions) of any unit
     returns  (low, high) of each; NaN where nothing varies, and 1 where the conditions agree to the last digit
     """
     s = squares(values)
@@ -96,7 +96,7 @@ def variance_shares(values: Array) -> tuple[float, float, float]:
 
     Components of the two-way random model from its mean squares; a negative estimate is set to 0 (Searle 1992).
 
-    values  (knees, conditions)
+    values  (knees, conditions) of any unit
     """
     s = squares(values)
     if s is None:
