@@ -296,3 +296,27 @@ def test_a_mesh_that_bounds_no_solid_is_not_exported(tmp_path):
     with pytest.raises(pssf.InputError, match="inner: mesh has 0 faces"):
         pssf.export_meshes(scene, tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("stem", ["../../x", "a/b", "..", "", None, "a\0"])
+def test_meshes_are_not_exported_beside_their_folder(scene, tmp_path, stem):
+    with pytest.raises(pssf.InputError, match=r"stem = .*; allowed: how a file is called, without a folder"):
+        meshes.export_meshes(scene, tmp_path / "a" / "b", stem=stem)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_name_that_the_disk_can_hold_is_written(radiograph, tmp_path):
+    assert pssf.load(pssf.save(radiograph, tmp_path / ("x" * 251 + ".tif"))) == radiograph
+    with pytest.raises(pssf.InputError, match="File name too long"):
+        pssf.save(radiograph, tmp_path / ("x" * 252 + ".tif"))
+
+
+@pytest.mark.parametrize("path", [None, b"x.tif", "a\0b.tif", 3])
+def test_what_is_no_path_is_not_written_to(radiograph, path):
+    with pytest.raises(pssf.InputError, match="allowed: text or a Path, without a null byte"):
+        pssf.save(radiograph, path)
+
+
+def test_what_is_no_radiograph_is_not_saved(tmp_path):
+    with pytest.raises(pssf.InputError, match="radiograph = 3; allowed: a Radiograph"):
+        pssf.save(3, tmp_path / "x.tif")

@@ -1,6 +1,7 @@
 import dataclasses
 import math
 
+import numpy as np
 import pytest
 
 from pssf import InputError, load_protocol
@@ -140,10 +141,17 @@ def test_a_protocol_file_with_an_unknown_field_is_refused_by_file_and_field(tmp_
 def test_a_file_that_is_not_toml_is_refused(tmp_path, content):
     path = tmp_path / "bad.toml"
     path.write_bytes(content)
-    with pytest.raises(InputError, match="not TOML"):
+    with pytest.raises(InputError, match=r"not (TOML|UTF-8)"):
         load_protocol(path)
 
 
 def test_a_missing_file_is_refused():
     with pytest.raises(InputError, match="No such file"):
         load_protocol("nowhere.toml")
+
+
+@pytest.mark.parametrize("kind", [int, np.float32, np.int64])
+def test_numbers_of_any_kind_become_pythons(kind):
+    protocol = dataclasses.replace(load_protocol("reference"), mono_kev=kind(60), rows=np.int64(64))
+    assert (type(protocol.mono_kev), type(protocol.rows)) == (float, int)
+    assert protocol == dataclasses.replace(load_protocol("reference"), mono_kev=60.0, rows=64)

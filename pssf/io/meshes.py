@@ -2,7 +2,7 @@
 
 import io
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
 from xml.sax.saxutils import escape, quoteattr
@@ -13,7 +13,8 @@ import trimesh
 from numpy.typing import NDArray
 from trimesh.visual.material import PBRMaterial
 
-from ..core.checks import InputError, require, require_choice
+from ..core.checks import InputError, require, require_choice, require_path
+from ..data.userfiles import require_file
 from ..geometry.repair import require_sound
 from ..geometry.scene import Scene, Surface
 from .atomic import folder, write_bytes
@@ -59,11 +60,16 @@ def export_meshes(
     formats       any of "stl", "ply", "glb", "3mf"
     tolerance_mm  triangles may be merged as long as no surface moves by more, for smaller files; 0 keeps every one
     returns       the files written
-    raises        InputError for another format, a mesh that bounds no solid, or a disk that cannot be written
+    raises        InputError for another format, a stem that leads elsewhere, a mesh that bounds no solid, or a
+                  disk that cannot be written
     """
     require_export(formats, tolerance_mm)
+    if not isinstance(stem, str) or not stem.strip(".") or set(stem) & set("/\\\0"):
+        raise InputError(f"stem = {stem!r}; allowed: how a file is called, without a folder")
+    if not isinstance(scene, Scene):
+        raise InputError(f"scene = {scene!r}; allowed: a Scene, such as build(knee).scene")
     scene = simplified(scene, tolerance_mm)
-    directory = folder(Path(directory))
+    directory = folder(require_path(directory, "folder"))
     written = []
     for kind in formats:
         for suffix, content in _contents(scene, kind):
@@ -78,6 +84,8 @@ def require_export(formats: tuple[str, ...], tolerance_mm: float) -> None:
 
     raises  InputError for another format, or a tolerance that is out of range
     """
+    if isinstance(formats, str) or not isinstance(formats, Collection):
+        raise InputError(f"formats = {formats!r}; allowed: any of {', '.join(FORMATS)}")
     for name in formats:
         require_choice("format", name, FORMATS)
     require("tolerance_mm", tolerance_mm, 0, 10, "mm")
@@ -141,7 +149,7 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
 
     raises  InputError for a file that is missing or not a mesh
     """
-    path = Path(path)
+    path = require_file(require_path(path), allowed="a mesh file: STL, PLY, OBJ or GLB")
     try:
         mesh = trimesh.load_mesh(path, process=True)
     except OSError as error:
