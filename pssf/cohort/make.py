@@ -79,7 +79,7 @@ def make_cohort(
     asked = {**plan.table(), "engine": engine, "versions": versions(), "code": code}
     claim = records.claim(folder / "cohort.json", asked)
     _sweep(folder)
-    rows = _standing(plan, folder, workers, kept)
+    rows = _standing(plan, folder, claim, workers, kept)
     missing = [case for case in plan.cases if case.index not in rows]
 
     def stands(index: int, made: list[Row]) -> None:
@@ -119,7 +119,7 @@ def make_case(case: Case, site: Site, engine: str, threads: int) -> list[Row]:
         radiograph = simulate(built, protocol, paths=paths, **how)
         path = save(radiograph, site.folder / "images" / f"{exposure.name}.tif")
         rows.append(_row(case, exposure, radiograph, path.relative_to(site.folder), records.sha256(path)))
-    records.write_rows(site.folder, case.index, rows)
+    records.write_rows(site.folder, case.index, rows, site.claim)
     return rows
 
 
@@ -128,11 +128,11 @@ def _sweep(folder: Path) -> None:
         atomic.sweep(folder / name)
 
 
-def _standing(plan: Plan, folder: Path, workers: int, kept: Callable[[int], None]) -> dict[int, list[Row]]:
+def _standing(plan: Plan, folder: Path, claim: str, workers: int, kept: Callable[[int], None]) -> dict[int, list[Row]]:
     """The rows of every knee that an earlier run finished, by index."""
 
     def known(case: Case) -> list[Row] | None:
-        return records.read_rows(folder, case.index, [exposure.name for exposure in case.exposures])
+        return records.read_rows(folder, case.index, [exposure.name for exposure in case.exposures], claim)
 
     rows: dict[int, list[Row]] = {}
     # Threads, for hashing lets go of the lock.

@@ -75,8 +75,13 @@ class Plan:
             "preset": self.preset,
             "seed": self.seed,
             "protocols": [protocol_table(protocol) for protocol in protocols],
-            "knees": [{"subject": case.subject, "index": case.index, **knee_table(case.knee)} for case in self.cases],
+            "knees": [_asked(case) for case in self.cases],
         }
+
+
+def _asked(case: Case) -> dict[str, Any]:
+    names = [exposure.name for exposure in case.exposures]
+    return {"subject": case.subject, "index": case.index, "radiographs": names, **knee_table(case.knee)}
 
 
 def preset_names() -> list[str]:
