@@ -1,6 +1,9 @@
 import json
+import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -114,3 +117,17 @@ def test_an_unwritable_folder_is_answered_with_one_line_before_the_work(command,
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "allowed: a folder that can be written" in done.stderr
+
+
+@pytest.mark.parametrize("command", [("simulate",), ("cohort", "--workers", 2)])
+@pytest.mark.parametrize("seconds", [0.5, 5])
+def test_an_interrupt_ends_a_command_at_once_in_one_line_and_leaves_no_unfinished_file(command, seconds, tmp_path):
+    script = [sys.executable, "-m", "pssf", *map(str, command), "--out", str(tmp_path / "o")]
+    # A group of its own, which is interrupted as a terminal does it: workers and all.
+    ran = subprocess.Popen(script, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    time.sleep(seconds)
+    os.killpg(ran.pid, signal.SIGINT)
+    _, told = ran.communicate(timeout=20)
+    assert ran.returncode == 130
+    assert told == "pssf: stopped; run the same command to go on\n"
+    assert not list(tmp_path.rglob(".pssf-*"))

@@ -38,9 +38,7 @@ def main() -> None:
     try:
         _require_once(sys.argv[1:])
         sys.exit(app(standalone_mode=False))
-    except typer.Abort:
-        sys.exit(130)
-    except KeyboardInterrupt:
+    except (typer.Abort, KeyboardInterrupt):  # the parser makes the one of the other
         print("pssf: stopped; run the same command to go on from there", file=sys.stderr)
         sys.exit(130)
     except Exception as error:

@@ -20,7 +20,6 @@ from .options import (
     Workers,
     knee_of,
     subject_of,
-    waiting,
 )
 
 
@@ -46,6 +45,7 @@ def simulate(
     Of both knees of a person under a protocol that takes both.
     """
     from ..core.checks import require_choice, require_workers
+    from ..core.progress import waiting
     from ..model.protocol import load_protocol
 
     technique, wanted = load_protocol(protocol), kinds.split(",")
@@ -136,6 +136,7 @@ def cohort(
 def verify(folder: Annotated[Path, typer.Argument(help="Folder that pssf cohort made.")]) -> None:
     """Check every file of a cohort against its hash; a line for each fault, and exit code 2 if there is one."""
     from ..cohort import verify_cohort
+    from ..core.progress import waiting
 
     with waiting("reading"):
         verified = verify_cohort(folder)
@@ -150,6 +151,7 @@ def verify(folder: Annotated[Path, typer.Argument(help="Folder that pssf cohort 
 def labels(folder: Annotated[Path, typer.Argument(help="Folder that pssf cohort made.")], *, out: Out) -> None:
     """Labels of a cohort as the field reads them: a CSV with the OAI's columns, .pts, COCO, and pictures by grade."""
     from ..cohort import write_labels
+    from ..core.progress import waiting
 
     with waiting("reading"):
         paths = write_labels(folder, out)

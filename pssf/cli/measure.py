@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from .options import Grades, Out, Processes, ProtocolName, Readme, Seed, Workers, waiting
+from .options import Grades, Out, Processes, ProtocolName, Readme, Seed, Workers
 
 
 def accuracy(
@@ -22,11 +22,12 @@ def accuracy(
     """Error against run time on this machine, as tables (CSV) and a figure."""
     from ..accuracy import TABLES, measure
     from ..core.checks import require_whole
+    from ..core.progress import waiting
 
     require_whole("knees", knees, 1, 100_000, "")
     wanted = TABLES if tables == "all" else tuple(name.strip() for name in tables.split(","))
-    with waiting("measuring") as status:
-        paths = measure(out, workers=workers, tables=wanted, knees=knees, readme=readme, progress=status.update)
+    with waiting("measuring") as told:
+        paths = measure(out, workers=workers, tables=wanted, knees=knees, readme=readme, progress=told)
     for path in paths:
         print(path)
 
@@ -36,6 +37,7 @@ def quality(*, out: Out, protocol: ProtocolName = "reference", readme: Readme = 
     from rich.console import Console
     from rich.table import Table
 
+    from ..core.progress import waiting
     from ..io.atomic import folder
     from ..io.readme import open_checkout
     from ..model.protocol import load_protocol
@@ -45,8 +47,8 @@ def quality(*, out: Out, protocol: ProtocolName = "reference", readme: Readme = 
     name = f"quality_{technique.name}"
     checkout = open_checkout(readme, [name])
     folder(out)
-    with waiting("measuring") as status:
-        measured = measure_quality(technique, progress=status.update)
+    with waiting("measuring") as told:
+        measured = measure_quality(technique, progress=told)
     table = Table("quantity", "value", "reference", "source")
     for row in measured.rows:
         known = f"{row['low']} to {row['high']}" if row["low"] != "" else str(row["reference"])
@@ -125,6 +127,7 @@ def grades(
     from rich.console import Console
     from rich.table import Table
 
+    from ..core.progress import waiting
     from ..io.atomic import folder
     from ..io.results import save_table
     from ..study import require_extra

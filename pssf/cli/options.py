@@ -6,8 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from rich.status import Status
-
     from ..model.knee import Knee
     from ..model.protocol import Protocol
 
@@ -92,10 +90,3 @@ def subject_of(
         )
     require_seed(seed)
     return draw_pair(grade=grade, rng=np.random.default_rng(seed), table=table), f"knees_grade{grade}"
-
-
-def waiting(why: str) -> "Status":
-    """Says on standard error what is being waited for, while it lasts."""
-    from rich.console import Console
-
-    return Console(stderr=True).status(why)

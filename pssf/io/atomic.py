@@ -15,6 +15,7 @@ if sys.platform != "win32":
 
 # No file of anybody else's begins like this, so that `sweep` cannot take one.
 _PREFIX = ".pssf-"
+_at_work = set[str]()  # temporary files that this process writes to now
 
 
 @contextmanager
@@ -27,6 +28,7 @@ def writing(path: Path) -> Iterator[Path]:
     try:
         folder(path.parent)
         held = _temporary(path)
+        _at_work.add(held.name)
         yield Path(held.name)
         with open(held.name, "rb") as handle:
             os.fsync(handle.fileno())
@@ -38,6 +40,7 @@ def writing(path: Path) -> Iterator[Path]:
         if held is not None:
             with suppress(OSError):
                 Path(held.name).unlink(missing_ok=True)
+            _at_work.discard(held.name)
             held.close()
 
 
@@ -48,6 +51,13 @@ def write_bytes(path: Path, content: bytes) -> None:
     """
     with writing(path) as temporary:
         temporary.write_bytes(content)
+
+
+def drop_unfinished() -> None:
+    """Delete the temporary files of this process, which ends in the midst of them."""
+    for name in list(_at_work):
+        with suppress(OSError):
+            os.unlink(name)
 
 
 def unfinished(path: Path) -> list[Path]:
@@ -99,7 +109,7 @@ def unwritable(path: Path, error: OSError) -> InputError:
 def _temporary(path: Path) -> IO[bytes]:
     """A new file beside `path`, locked until its handle is closed or its process dies, so that `sweep` knows it."""
     while True:
-        prefix = f"{_PREFIX}{path.stem}-"
+        prefix = f"{_PREFIX}{path.stem[:40]}-"  # with what makes it one of its kind, it fits where the name does
         handle = NamedTemporaryFile(dir=path.parent, prefix=prefix, suffix=path.suffix, delete=False)  # noqa: SIM115
         if sys.platform == "win32":  # which writes to no file that is open elsewhere
             handle.close()
