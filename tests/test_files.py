@@ -83,6 +83,17 @@ def test_a_full_or_unwritable_disk_leaves_nothing_half_written(radiograph, tmp_p
     assert not list(tmp_path.iterdir())
 
 
+def test_a_disk_that_fills_up_under_a_dicom_is_told_in_one_line(radiograph, tmp_path, monkeypatch):
+    def fail(*_, **__):
+        raise OSError("[Errno 28] No space left on device\nWith tag (7FE0,0010) got exception:\nTraceback ...")
+
+    monkeypatch.setattr("pssf.io.dicom.Dataset.save_as", fail)
+    with pytest.raises(pssf.InputError, match=r"knee.dcm: .*No space left on device\); allowed: ") as refused:
+        pssf.save(radiograph, tmp_path / "knee.dcm")
+    assert "Traceback" not in str(refused.value)
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_sweep_takes_what_a_killed_writer_left_and_nothing_else(tmp_path):
     (tmp_path / ".pssf-dead-abcd1234.tif").write_bytes(b"half")
     for name in (".hidden", "knee.png"):
@@ -138,6 +149,10 @@ def test_a_glb_has_one_named_node_a_surface_with_its_material(scene, tmp_path):
     for surface in scene.surfaces:
         assert loaded.geometry[surface.name].visual.material.name == surface.inside
         assert loaded.geometry[surface.name].visual.material.alphaMode == "BLEND"
+    # glTF is in metres, and read back it is in millimetres again.
+    low, high = scene.bounds_mm
+    np.testing.assert_allclose(loaded.extents, (high - low) / 1000, rtol=1e-5)
+    np.testing.assert_allclose(meshes.read_mesh(tmp_path / "knee.glb").extents, high - low, rtol=1e-5)
 
 
 CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"

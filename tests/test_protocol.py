@@ -7,7 +7,8 @@ import pytest
 from pssf import InputError, load_protocol
 from pssf.data import tables
 from pssf.data.tables import protocol_names
-from pssf.model.protocol import field_rows, protocol_from, protocol_table
+from pssf.model.listing import field_rows
+from pssf.model.protocol import protocol_from, protocol_table
 
 STUDY = ("geometry_shift", "low_dose", "reference")
 VIEWS = ("fixed_flexion", "lyon_schuss", "rosenberg", "ap_standing", "lateral", "skyline", "bilateral")
@@ -80,7 +81,7 @@ def test_a_posture_that_does_not_fit_a_knee_is_refused_with_the_reason(name, mor
 
 
 def test_every_field_is_documented_once():
-    rows = field_rows()
+    rows = field_rows("protocol")
     assert [row["field"] for row in rows] == [field.name for field in dataclasses.fields(load_protocol("reference"))]
     assert all(row["what"] and row["allowed"] for row in rows)
     assert {row["field"] for row in rows} == set(tables.data("protocol_fields"))

@@ -1,4 +1,4 @@
-"""Commands that measure or tell: accuracy, quality, realism, grades, protocols."""
+"""Commands that measure or tell: accuracy, quality, realism, grades, protocols, knees."""
 
 import sys
 from pathlib import Path
@@ -152,17 +152,39 @@ def protocols(
     name: Annotated[str, typer.Argument(help="Protocol, by name or path, whose values to show.")] = "",
 ) -> None:
     """Fields of a protocol: what each is, its unit, what it may be, its default, where usual values come from."""
-    from rich.console import Console
-    from rich.table import Table
-
     from ..data.tables import protocol_names
-    from ..model.protocol import field_rows, load_protocol, protocol_table
+    from ..model.listing import field_rows
+    from ..model.protocol import load_protocol, protocol_table
 
     values = protocol_table(load_protocol(name)) if name else {}
     if not name:
-        print("protocols:", ", ".join(protocol_names()))
-    table = Table("field", *([name] if name else ["default"]), "unit", "allowed", "what", "source")
-    for row in field_rows():
-        shown = str(values[row["field"]]) if name else row["default"]
-        table.add_row(row["field"], shown, row["unit"], row["allowed"], row["what"], row["source"])
-    Console(width=None if sys.stdout.isatty() else 200).print(table)
+        _wrapped(f"protocols: {', '.join(protocol_names())}")
+    _listed([row | {"default": str(values.get(row["field"], row["default"]))} for row in field_rows("protocol")])
+
+
+def knees(
+    *,
+    template: Annotated[bool, typer.Option("--template", help="A TOML file to fill in, for --knee, instead.")] = False,
+) -> None:
+    """Fields of a knee: what each is, its unit, what it may be, its default, where usual values come from."""
+    from ..model.listing import field_rows, knee_template
+
+    if template:
+        print(knee_template(), end="")
+        return
+    _listed(field_rows("knee"))
+
+
+def _listed(rows: "list[dict[str, str]]") -> None:
+    """Fields one below the other, in the width of any terminal."""
+    for row in rows:
+        unit = f" {row['unit']}" if row["unit"] else ""
+        shown = f" = {row['default']}{unit}" if row["default"] else unit
+        _wrapped(f"{row['field']}{shown}  [{row['allowed']}]")
+        _wrapped("; ".join(text for text in (row["what"], row["source"]) if text), "    ")
+
+
+def _wrapped(text: str, indent: str = "") -> None:
+    from textwrap import fill
+
+    print(fill(text, 79, initial_indent=indent, subsequent_indent=indent or "    "))

@@ -35,15 +35,15 @@ def verify_cohort(folder: str | Path) -> Verification:
     rows, faults = _manifest(folder)
     claim, asked = _asked(folder, rows)
     faults += asked
-    for row in rows:
-        faults += _image(folder, row)
+    for file, digest in _files(rows).items():
+        faults += _image(folder, file, digest)
     faults += _records(folder, rows, claim)
     if rows:
         faults += _extra(folder, rows)
     for name in FOLDERS:
         for path in atomic.unfinished(folder / name):
             faults.append(f"{path.relative_to(folder)}: unfinished (a writer was killed; making the cohort removes it)")
-    files = len({row["file"] for row in rows}) + len({row["knee"] for row in rows}) + 2
+    files = len(_files(rows)) + len({row["knee"] for row in rows}) + 2
     return Verification(radiographs=len(rows), files=files, faults=tuple(faults))
 
 
@@ -53,7 +53,8 @@ def _manifest(folder: Path) -> tuple[list[Row], list[str]]:
         return [], [f"{path.name}: missing (the cohort is not finished; make it again with what it was made with)"]
     try:
         rows = records.read_csv(path, ("radiograph", "knee", "file", "sha256"))
-        return [{**row, "knee": records.require_named(row, path).knee} for row in rows], []
+        named = [records.require_named(row, path) for row in rows]
+        return [{"knee": one.knee, "radiograph": one.radiograph, "files": one.files} for one in named], []
     except InputError as error:
         return [], [f"{path.name}: damaged ({error})"]
 
@@ -72,18 +73,23 @@ def _asked(folder: Path, rows: list[Row]) -> tuple[str, list[str]]:
     return records.sha256(path), faults
 
 
-def _image(folder: Path, row: Row) -> Iterator[str]:
-    path = folder / row["file"]
+def _files(rows: list[Row]) -> dict[str, str]:
+    """File, as it is called from the folder -> hash that the manifest names."""
+    return {file: digest for row in rows for file, digest in row["files"].items()}
+
+
+def _image(folder: Path, file: str, wanted: str) -> Iterator[str]:
+    path = folder / file
     if not path.exists():
-        yield f"{row['file']}: missing"
+        yield f"{file}: missing"
         return
     try:
         digest = records.sha256(path)
     except InputError as error:
-        yield f"{row['file']}: unreadable ({error})"
+        yield f"{file}: unreadable ({error})"
         return
-    if digest != row["sha256"]:
-        yield f"{row['file']}: changed (sha256 {digest[:12]}..., in the manifest {row['sha256'][:12]}...)"
+    if digest != wanted:
+        yield f"{file}: changed (sha256 {digest[:12]}..., in the manifest {wanted[:12]}...)"
 
 
 def _records(folder: Path, rows: list[Row], claim: str) -> Iterator[str]:
@@ -112,8 +118,8 @@ def _records(folder: Path, rows: list[Row], claim: str) -> Iterator[str]:
 
 
 def _extra(folder: Path, rows: list[Row]) -> Iterator[str]:
-    named = {folder / row["file"] for row in rows} | {records.record_path(folder, row["knee"]) for row in rows}
-    for name in ("images", "records"):
+    named = {folder / file for file in _files(rows)} | {records.record_path(folder, row["knee"]) for row in rows}
+    for name in ("images", "masks", "records"):
         there = set((folder / name).iterdir()) if (folder / name).is_dir() else set()
         for path in sorted(there - named - set(atomic.unfinished(folder / name))):
             yield f"{path.relative_to(folder)}: extra (the manifest does not name it)"

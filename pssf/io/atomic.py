@@ -102,7 +102,8 @@ def empty_folder() -> Iterator[Path]:
 def unwritable(path: Path, error: OSError) -> InputError:
     """The refusal that names a file that cannot be written."""
     # numpy says how much of an array it could write, and not why.
-    reason = error.strerror or f"no room for all of it ({error})"
+    # pydicom hands on what the disk said with a traceback below it.
+    reason = error.strerror or f"no room for all of it ({(str(error).splitlines() or [''])[0]})"
     return InputError(f"file {path}: {reason}; allowed: a folder that can be written, with room left")
 
 

@@ -32,6 +32,7 @@ _COLOURS = {
     "adipose": (240, 214, 120, 40),
     "skin": (224, 172, 140, 40),
 }
+_MILLIMETRES, _M_PER_MM = "millimetres", 0.001
 _OTHER = (150, 150, 160, 120)
 _CONTENT_TYPES = """<?xml version="1.0" encoding="UTF-8"?>
 <Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">
@@ -121,10 +122,14 @@ def unique_names(scene: Scene) -> list[str]:
 
 
 def glb(scene: Scene) -> bytes:
-    """The scene as binary glTF; millimetres, one node a surface, innermost last."""
+    """The scene as binary glTF: one node a surface, innermost last, in mm below a root that scales them to metres.
+
+    glTF 2.0, 3.3: "The units for all linear distances are meters."
+    """
     nodes = trimesh.Scene()
+    nodes.graph.update(frame_to=_MILLIMETRES, matrix=np.diag([_M_PER_MM] * 3 + [1.0]))
     for name, surface in zip(unique_names(scene), scene.surfaces, strict=True):
-        nodes.add_geometry(_with_material(surface), node_name=name, geom_name=name)
+        nodes.add_geometry(_with_material(surface), node_name=name, geom_name=name, parent_node_name=_MILLIMETRES)
     return bytes(nodes.export(file_type="glb"))
 
 
@@ -145,7 +150,9 @@ def threemf(scene: Scene) -> bytes:
 
 
 def read_mesh(path: str | Path) -> trimesh.Trimesh:
-    """A mesh file (STL, PLY, OBJ, GLB ...), millimetres; equal corners are welded, as STL needs it.
+    """A mesh file: STL, PLY or OBJ in millimetres, or GLB in metres; equal corners are welded, as STL needs it.
+
+    returns  the mesh in millimetres
 
     raises  InputError for a file that is missing or not a mesh
     """
@@ -158,6 +165,8 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
         raise InputError(f"file {path}: not a mesh ({type(error).__name__}); allowed: STL, PLY, OBJ or GLB") from None
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise InputError(f"file {path}: holds no faces; allowed: STL, PLY, OBJ or GLB with a closed mesh")
+    if path.suffix.lower() in (".glb", ".gltf"):
+        mesh.apply_scale(1 / _M_PER_MM)
     return mesh
 
 

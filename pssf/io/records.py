@@ -30,6 +30,13 @@ class Named(msgspec.Struct, frozen=True, kw_only=True):
     knee: int
     file: Annotated[str, msgspec.Meta(pattern=r"^images/[^/\\]+$")]
     sha256: Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{64}$")]
+    masks: Annotated[str, msgspec.Meta(pattern=r"^masks/[^/\\]+$")] | None = None
+    masks_sha256: Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{64}$")] = ""
+
+    @property
+    def files(self) -> dict[str, str]:
+        """File, as it is called from the cohort's folder -> hash."""
+        return {self.file: self.sha256} | ({self.masks: self.masks_sha256} if self.masks else {})
 
 
 class KneeRecord(Record, frozen=True):
@@ -59,6 +66,7 @@ class Asked(Record, frozen=True):
 
     preset: str
     seed: int
+    masks: str
     protocols: tuple[AskedProtocol, ...]
     knees: tuple[AskedKnee, ...]
     engine: str
@@ -140,7 +148,8 @@ def read_rows(folder: Path, knee: int, names: list[str], claim: str) -> list[Row
         raise InputError(
             f"file {path}: not of knee {knee}; allowed: {', '.join(names)}; delete it to have it made again"
         )
-    expected = {folder / one.file: one.sha256 for one in (require_named(row, path) for row in rows)}
+    named = [require_named(row, path) for row in rows]
+    expected = {folder / file: digest for one in named for file, digest in one.files.items()}
     if not all(file.exists() for file in expected):
         return None
     for file, digest in expected.items():
