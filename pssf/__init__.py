@@ -35,7 +35,8 @@ if TYPE_CHECKING:
     from .geometry.scene import MeshNotice, Scene, Surface
     from .io.images import load, load_parameters, save
     from .io.masks import load_masks, save_masks
-    from .io.meshes import export_meshes
+    from .io.meshes import export_meshes, read_mesh
+    from .io.scenes import read_scene
     from .model.draw import draw_knee, draw_pair
     from .model.exposure import draw_exposure
     from .model.knee import Cyst, Knee, Osteophyte
@@ -54,7 +55,8 @@ _WHERE = {
     "geometry.scene": ("MeshNotice", "Scene", "Surface"),
     "io.images": ("load", "load_parameters", "save"),
     "io.masks": ("load_masks", "save_masks"),
-    "io.meshes": ("export_meshes",),
+    "io.meshes": ("export_meshes", "read_mesh"),
+    "io.scenes": ("read_scene",),
     "model.exposure": ("draw_exposure",),
     "model.look": ("draw_look",),
     "model.draw": ("draw_knee", "draw_pair"),
@@ -95,6 +97,8 @@ __all__ = [
     "load_protocol",
     "present",
     "progress",
+    "read_mesh",
+    "read_scene",
     "save",
     "save_masks",
     "simulate",

@@ -130,7 +130,7 @@ def shown_rows(result: StudyResult) -> dict[str, list[dict[str, Any]]]:
         "scores": result.scores.to_dict("records"),
         "reliability": count_stable(result.reliability).to_dict("records"),
         "claims": results.load_typed_table(result.tables["claims"]).to_dict("records"),
-        "cost": results.load_json(result.report.parent / "study.json")["cost"],
+        "cost": (results.load_json(result.report.parent / "study.json", dict[str, Any]) or {}).get("cost", []),
     }
 
 

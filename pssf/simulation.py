@@ -84,6 +84,8 @@ def _check(knee: Subject, protocol: Protocol, seed: int, keep: Collection[str], 
     require_choice("engine", engine, ENGINES)
     require_workers(workers)
     require_seed(seed)
+    if isinstance(keep, str) or not isinstance(keep, Collection):
+        raise InputError(f"keep = {keep!r}; allowed: a list of any of {', '.join(KEEP)}")
     for name in keep:
         require_choice("keep", name, KEEP)
     if "masks" in keep and isinstance(knee, Scene):

@@ -1,5 +1,6 @@
 import math
 
+import numpy as np
 import pytest
 
 from pssf.core.checks import InputError, from_table, require, require_choice, require_whole
@@ -31,3 +32,14 @@ def test_a_misspelt_field_is_answered_with_the_nearest():
 def test_a_missing_field_is_named():
     with pytest.raises(InputError, match="field 'tube_kv' is missing"):
         from_table(Protocol, {"name": "x"}, "protocol x.toml")
+
+
+@pytest.mark.parametrize("value", [True, 1.0, "1", None, np.bool_(True)])
+def test_what_only_equals_a_choice_is_none(value):
+    with pytest.raises(InputError, match=r"grade = .*; allowed: 0, 1"):
+        require_choice("grade", value, (0, 1))
+    require_choice("grade", np.int64(1), (0, 1))
+
+
+def test_a_refusal_is_one_line_whatever_is_in_its_names():
+    assert str(InputError("file a\nb\u2028: é")) == "file a\\nb\\u2028: é"

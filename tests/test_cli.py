@@ -1,11 +1,19 @@
+import csv
 import json
+import os
+import signal
 import subprocess
 import sys
+import time
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+import trimesh
 
 import pssf
+from pssf.data.tables import read_toml
+from pssf.model.knee import knee_from
 
 SMALL = {"rows": 64, "cols": 64, "pixel_mm": 4.8}
 
@@ -114,3 +122,121 @@ def test_an_unwritable_folder_is_answered_with_one_line_before_the_work(command,
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "allowed: a folder that can be written" in done.stderr
+
+
+@pytest.mark.parametrize("command", [("simulate",), ("cohort", "--workers", 2)])
+@pytest.mark.parametrize("seconds", [0.5, 5])
+def test_an_interrupt_ends_a_command_at_once_in_one_line_and_leaves_no_unfinished_file(command, seconds, tmp_path):
+    script = [sys.executable, "-m", "pssf", *map(str, command), "--out", str(tmp_path / "o")]
+    # A group of its own, which is interrupted as a terminal does it: workers and all.
+    ran = subprocess.Popen(script, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    time.sleep(seconds)
+    os.killpg(ran.pid, signal.SIGINT)
+    _, told = ran.communicate(timeout=20)
+    assert ran.returncode == 130
+    assert told == "pssf: stopped; run the same command to go on\n"
+    assert not list(tmp_path.rglob(".pssf-*"))
+
+
+SMALL_SET = [part for name, value in SMALL.items() for part in ("--set", f"{name}={value}")]
+
+
+def test_fields_of_knee_and_protocol_are_changed_and_masks_written(tmp_path):
+    done = run(
+        *("simulate", *SMALL_SET, "--set", "mas=2", "--set", "jsw_medial_mm=2.5", "--set", "knee.rotation_deg=3"),
+        *("--masks", "--formats", "tif,dcm", "--out", tmp_path / "o"),
+    )
+    assert done.returncode == 0, done.stderr
+    stem = tmp_path / "o" / "knee_grade0_reference_seed0"
+    radiograph = pssf.load(f"{stem}.tif")
+    assert (radiograph.protocol.mas, radiograph.pixels.shape) == (2.0, (64, 64))
+    assert (radiograph.knee.jsw_medial_mm, radiograph.knee.rotation_deg) == (2.5, 3.0)
+    masks = [pssf.load_masks(f"{stem}_masks.{kind}") for kind in ("tif", "dcm")]
+    assert {"femur", "tibia"} <= set(masks[0]) == set(masks[1])
+    assert done.stdout.count("\n") == 5
+
+
+def test_meshes_of_ones_own_are_simulated_from_a_file_that_names_them(tmp_path):
+    trimesh.creation.box((60, 60, 60)).export(tmp_path / "leg.stl")
+    trimesh.creation.icosphere(radius=10).export(tmp_path / "ball.stl")
+    scene = tmp_path / "phantom.toml"
+    scene.write_text(
+        "[[surface]]\nfile = 'leg.stl'\ninside = 'muscle'\noutside = 'air'\n"
+        "[[surface]]\nfile = 'ball.stl'\ninside = 'cortical_bone'\noutside = 'muscle'\nname = 'bone'\n"
+    )
+    done = run("simulate", "--scene", scene, *SMALL_SET, "--formats", "tif", "--out", tmp_path / "o")
+    assert done.returncode == 0, done.stderr
+    radiograph = pssf.load(tmp_path / "o" / "phantom_reference_seed0.tif")
+    assert radiograph.pixels[32, 32] < radiograph.pixels[32, 28] < radiograph.pixels[2, 2]
+    for arguments, why in (
+        (("--knee", "a.toml"), "allowed: one of both"),
+        (("--set", "side=left"), "allowed: one of both"),
+        (("--masks",), "allowed: of one knee"),
+    ):
+        refused = run("simulate", "--scene", scene, *arguments, "--out", tmp_path / "p")
+        assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
+        assert why in refused.stderr
+
+
+def test_a_cohort_of_ones_own_size_grades_and_protocols_has_its_masks(protocol_file, tmp_path):
+    done = run(
+        *("cohort", "--knees", "0,0,1,1", "--grades", "people", "--protocols", protocol_file, "--masks"),
+        *("--workers", 1, "--out", tmp_path / "c"),
+    )
+    assert done.returncode == 0, done.stderr
+    with open(tmp_path / "c" / "manifest.csv") as handle:
+        rows = list(csv.DictReader(handle))
+    assert [(row["grade"], row["grade_table"], row["protocol"]) for row in rows] == [
+        ("2", "people", "reference"),
+        ("3", "people", "reference"),
+    ]
+    for row in rows:
+        assert "femur" in pssf.load_masks(tmp_path / "c" / row["masks"])
+    assert run("cohort", "verify", tmp_path / "c").returncode == 0
+    masks = tmp_path / "c" / rows[0]["masks"]
+    masks.write_bytes(masks.read_bytes() + b"x")
+    assert run("cohort", "verify", tmp_path / "c").stdout.startswith(f"{rows[0]['masks']}: changed (")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (("simulate", "--mas", "2"), "pssf: No such option: --mas"),
+        (("simulate", "--set", "mass=2"), "pssf: set = 'mass'; allowed: "),
+        (("simulate", "--set", "flexion_deg=2"), "pssf: set = 'flexion_deg', of a knee and of a protocol; allowed: "),
+        (("simulate", "--protocol", "bilateral", "--masks"), "pssf: masks = of a scene, or of both knees"),
+        (("simulate", "--scene", "no.toml"), "pssf: file no.toml: No such file"),
+        (("meshes", "--set", "mas=2"), "pssf: set = mas; allowed: fields of a knee"),
+        (("cohort", "--knees", "1,x"), "pssf: knees = '1,x'; allowed: whole numbers with commas"),
+        (("cohort", "--knees", "1,1,1", "--bilateral", "5"), "pssf: bilateral = 5 subjects; allowed: "),
+        (("cohort", "--grades", "mine"), "pssf: "),
+    ],
+)
+def test_what_is_changed_wrongly_is_one_line(arguments, line, tmp_path):
+    done = run(*arguments, "--out", tmp_path / "o")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert done.stderr.startswith(line)
+    assert not list(tmp_path.rglob("*"))
+
+
+def test_a_field_that_is_taken_for_an_option_is_answered_with_how_to_change_it(tmp_path):
+    done = run("simulate", "--jsw-medial-mm", "2", "--out", tmp_path / "o")
+    assert "A field of a knee is changed by --set jsw_medial_mm=VALUE" in done.stderr
+
+
+@pytest.mark.parametrize("command", [("protocols",), ("protocols", "skyline"), ("knees",)])
+def test_lists_of_fields_fit_80_columns(command):
+    done = run(*command)
+    assert done.returncode == 0
+    assert max(map(len, done.stdout.splitlines())) < 80
+    assert ("tube_kv" if command[0] == "protocols" else "stature_mm = 1755.0 mm  [1400 to 2100]") in done.stdout
+
+
+def test_the_template_of_a_knee_is_taken_as_a_knee(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(run("knees", "--template").stdout)
+    assert knee_from(read_toml(path)) == pssf.Knee()
+
+
+def test_the_version_is_told():
+    assert run("--version").stdout == f"pssf {version('pssf')}\n"

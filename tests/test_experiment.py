@@ -113,6 +113,27 @@ def test_a_finished_run_with_a_file_changed_or_gone_is_done_again(tmp_path, harm
     assert finished.earlier(tmp_path, key) is None
 
 
+@pytest.mark.parametrize(
+    "text", ["[]", "1", '"x"', "{}", "[" * 100_000, "lacks sha256", "lacks scores", "lacks a hash", "of another form"]
+)
+def test_a_mark_of_another_form_is_no_end_of_a_run(tmp_path, text):
+    key = finished.key_of([pd.DataFrame({"a": [1]})], StudySettings(), "scanline")
+    finished.mark(result_in(tmp_path), tmp_path, key)
+    path = tmp_path / "finished.json"
+    end = json.loads(path.read_text())
+    if text == "lacks sha256":
+        del end["sha256"]
+    elif text == "lacks scores":
+        del end["tables"]["scores"]
+        del end["sha256"]["scores.csv"]
+    elif text == "lacks a hash":
+        del end["sha256"]["report.html"]
+    elif text == "of another form":
+        end["seconds"] = {"cohort": "2"}
+    path.write_text(json.dumps(end) if text.startswith(("lacks", "of")) else text)
+    assert finished.earlier(tmp_path, key) is None
+
+
 def test_the_key_of_a_run_changes_with_manifest_settings_engine_and_code(monkeypatch):
     def key(value=1, engine="scanline", **settings):
         return finished.key_of([pd.DataFrame({"a": [value]})], StudySettings(**settings), engine)

@@ -83,6 +83,17 @@ def test_a_full_or_unwritable_disk_leaves_nothing_half_written(radiograph, tmp_p
     assert not list(tmp_path.iterdir())
 
 
+def test_a_disk_that_fills_up_under_a_dicom_is_told_in_one_line(radiograph, tmp_path, monkeypatch):
+    def fail(*_, **__):
+        raise OSError("[Errno 28] No space left on device\nWith tag (7FE0,0010) got exception:\nTraceback ...")
+
+    monkeypatch.setattr("pssf.io.dicom.Dataset.save_as", fail)
+    with pytest.raises(pssf.InputError, match=r"knee.dcm: .*No space left on device\); allowed: ") as refused:
+        pssf.save(radiograph, tmp_path / "knee.dcm")
+    assert "Traceback" not in str(refused.value)
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_sweep_takes_what_a_killed_writer_left_and_nothing_else(tmp_path):
     (tmp_path / ".pssf-dead-abcd1234.tif").write_bytes(b"half")
     for name in (".hidden", "knee.png"):
@@ -138,6 +149,10 @@ def test_a_glb_has_one_named_node_a_surface_with_its_material(scene, tmp_path):
     for surface in scene.surfaces:
         assert loaded.geometry[surface.name].visual.material.name == surface.inside
         assert loaded.geometry[surface.name].visual.material.alphaMode == "BLEND"
+    # glTF is in metres, and read back it is in millimetres again.
+    low, high = scene.bounds_mm
+    np.testing.assert_allclose(loaded.extents, (high - low) / 1000, rtol=1e-5)
+    np.testing.assert_allclose(meshes.read_mesh(tmp_path / "knee.glb").extents, high - low, rtol=1e-5)
 
 
 CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
@@ -296,3 +311,27 @@ def test_a_mesh_that_bounds_no_solid_is_not_exported(tmp_path):
     with pytest.raises(pssf.InputError, match="inner: mesh has 0 faces"):
         pssf.export_meshes(scene, tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("stem", ["../../x", "a/b", "..", "", None, "a\0"])
+def test_meshes_are_not_exported_beside_their_folder(scene, tmp_path, stem):
+    with pytest.raises(pssf.InputError, match=r"stem = .*; allowed: how a file is called, without a folder"):
+        meshes.export_meshes(scene, tmp_path / "a" / "b", stem=stem)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_name_that_the_disk_can_hold_is_written(radiograph, tmp_path):
+    assert pssf.load(pssf.save(radiograph, tmp_path / ("x" * 251 + ".tif"))) == radiograph
+    with pytest.raises(pssf.InputError, match="File name too long"):
+        pssf.save(radiograph, tmp_path / ("x" * 252 + ".tif"))
+
+
+@pytest.mark.parametrize("path", [None, b"x.tif", "a\0b.tif", 3])
+def test_what_is_no_path_is_not_written_to(radiograph, path):
+    with pytest.raises(pssf.InputError, match="allowed: text or a Path, without a null byte"):
+        pssf.save(radiograph, path)
+
+
+def test_what_is_no_radiograph_is_not_saved(tmp_path):
+    with pytest.raises(pssf.InputError, match="radiograph = 3; allowed: a Radiograph"):
+        pssf.save(3, tmp_path / "x.tif")

@@ -30,7 +30,8 @@ DOORS = {
     "model/exposure.py": "draw_exposure",
     "model/look.py": "draw_look",
     "model/progress.py": "progress",
-    "model/protocol.py": "field_rows load_protocol",
+    "model/listing.py": "field_rows knee_template with_changes",
+    "model/protocol.py": "load_protocol",
     "radiomics/locate.py": "locate",
     # Where a protocol's names become records, once for all stages.
     "xray/technique.py": "technique_of",
@@ -38,6 +39,7 @@ DOORS = {
     "cohort/labels.py": "write_labels",
     "io/dicom.py": "write read ours",
     "io/film_dicom.py": "is_linear_by_pssf",
+    "io/scenes.py": "read_scene",
     "io/readme.py": "Checkout.take require_checkout write_tables",
     "io/segmentation.py": "write",
     # Beginnings of a cohort and of a study, and parts of one that are called by themselves.

@@ -1,5 +1,7 @@
 """A bar that shows a stage of the work."""
 
+import re
+
 from rich.console import Console
 
 from pssf.core import progress
@@ -16,12 +18,22 @@ def test_rate_and_time_left_are_told_from_the_first_that_is_made_on():
     assert progress.rate(stage) == "20.0 / min, 0:00:50 left"
 
 
-def test_a_bar_that_is_no_terminal_writes_nothing(capsys):
-    with Execution(bar=progress.bar).stage("radiographs", "radiographs", 3) as stage:
-        stage.keep(1)
-        stage.advance(2)
-    assert stage.done == 3
-    assert capsys.readouterr() == ("", "")
+def test_where_there_is_no_terminal_each_tenth_is_a_line_with_rate_and_time_left(capsys):
+    with Execution(bar=progress.bar).stage("radiographs", "radiographs", 40) as stage:
+        stage.keep(10)
+        for _ in range(30):
+            stage.advance()
+    out, lines = capsys.readouterr()
+    assert out == ""
+    assert re.sub(r"[\d.]+ / min, [\d:]+ left", "RATE", lines).splitlines() == [
+        f"radiographs: {done} of 40, RATE" for done in (11, *range(12, 41, 4))
+    ]
+
+
+def test_what_is_waited_for_is_told_by_lines_where_there_is_no_terminal(capsys):
+    with progress.waiting("measuring") as told:
+        told("scatter")
+    assert capsys.readouterr() == ("", "scatter\n")
 
 
 def test_a_bar_shows_what_is_done_of_how_many_and_the_rate(monkeypatch, capsys):

@@ -1,12 +1,14 @@
 import dataclasses
 import math
 
+import numpy as np
 import pytest
 
 from pssf import InputError, load_protocol
 from pssf.data import tables
 from pssf.data.tables import protocol_names
-from pssf.model.protocol import field_rows, protocol_from, protocol_table
+from pssf.model.listing import field_rows
+from pssf.model.protocol import protocol_from, protocol_table
 
 STUDY = ("geometry_shift", "low_dose", "reference")
 VIEWS = ("fixed_flexion", "lyon_schuss", "rosenberg", "ap_standing", "lateral", "skyline", "bilateral")
@@ -79,7 +81,7 @@ def test_a_posture_that_does_not_fit_a_knee_is_refused_with_the_reason(name, mor
 
 
 def test_every_field_is_documented_once():
-    rows = field_rows()
+    rows = field_rows("protocol")
     assert [row["field"] for row in rows] == [field.name for field in dataclasses.fields(load_protocol("reference"))]
     assert all(row["what"] and row["allowed"] for row in rows)
     assert {row["field"] for row in rows} == set(tables.data("protocol_fields"))
@@ -140,10 +142,17 @@ def test_a_protocol_file_with_an_unknown_field_is_refused_by_file_and_field(tmp_
 def test_a_file_that_is_not_toml_is_refused(tmp_path, content):
     path = tmp_path / "bad.toml"
     path.write_bytes(content)
-    with pytest.raises(InputError, match="not TOML"):
+    with pytest.raises(InputError, match=r"not (TOML|UTF-8)"):
         load_protocol(path)
 
 
 def test_a_missing_file_is_refused():
     with pytest.raises(InputError, match="No such file"):
         load_protocol("nowhere.toml")
+
+
+@pytest.mark.parametrize("kind", [int, np.float32, np.int64])
+def test_numbers_of_any_kind_become_pythons(kind):
+    protocol = dataclasses.replace(load_protocol("reference"), mono_kev=kind(60), rows=np.int64(64))
+    assert (type(protocol.mono_kev), type(protocol.rows)) == (float, int)
+    assert protocol == dataclasses.replace(load_protocol("reference"), mono_kev=60.0, rows=64)

@@ -5,7 +5,7 @@ import io
 import json
 import sys
 import zipfile
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import drawn
 import numpy as np
@@ -14,6 +14,8 @@ import pytest
 import skops.io
 from numpy.testing import assert_allclose
 from PIL import Image
+from sklearn.pipeline import Pipeline
+from sklearn.preprocessing import StandardScaler
 
 import pssf
 from pssf import cli
@@ -183,9 +185,39 @@ def without_templates(content: bytes) -> bytes:
     return zipped({name: part for name, part in unzipped(content).items() if not name.endswith(".xz")})
 
 
+def with_schema(content: bytes, change) -> bytes:
+    """A model file with another skops schema."""
+    members = unzipped(content)
+    return zipped(members | {"schema.json": change(members["schema.json"].decode()).encode()})
+
+
+def without_array(content: bytes) -> bytes:
+    return zipped({name: part for name, part in unzipped(content).items() if name != "0.npy"})
+
+
+def of_another(content: bytes, held: object) -> bytes:
+    """The card and the templates of a model file around another object."""
+    members = {name: part for name, part in unzipped(content).items() if name.startswith("pssf/")}
+    return zipped(members | unzipped(skops.io.dumps(held)))
+
+
 @pytest.mark.parametrize(
     ("harm", "why"),
     [
+        (without_array, "no model, or damaged (KeyError"),
+        (lambda content: with_schema(content, lambda text: "[" * 100_000), "no model, or damaged (RecursionError"),
+        (lambda content: with_schema(content, lambda text: text[:-9]), "no model, or damaged (JSONDecodeError"),
+        (lambda content: with_schema(content, lambda text: "{}"), "no model, or damaged ("),
+        (
+            lambda content: with_schema(content, lambda text: text.replace("SimpleImputer", "Sumple")),
+            "no model, or damag",
+        ),
+        (
+            lambda content: of_another(content, PurePosixPath("x")),
+            "no model, or damaged (UntrustedTypesFoundException: Untrusted types found in the file: ['pathlib",
+        ),
+        (lambda content: of_another(content, {"a": 1}), "holds = dict; allowed: a Pipeline"),
+        (lambda content: of_another(content, Pipeline([("s", StandardScaler())])), "no model, or damaged ("),
         (lambda content: b"not a zip", "no model, or damaged"),
         (lambda content: content[: len(content) // 2], "no model, or damaged"),
         (without_card, "no model, or damaged"),

@@ -198,7 +198,7 @@ def test_the_python_of_the_front_page_runs(tmp_path, monkeypatch):
     names = {}
     exec(code, names)
     for name, radius_mm in (("leg", 60.0), ("femur", 15.0), ("screw", 4.0)):
-        names[name] = trimesh.creation.icosphere(subdivisions=2, radius=radius_mm)
+        trimesh.creation.icosphere(subdivisions=2, radius=radius_mm).export(tmp_path / f"{name}.stl")
     exec(own, names)
     assert names["again"].pixels.shape == (96, 96)
     assert names["paths"].path_mm["cortical_bone"].max() > 1

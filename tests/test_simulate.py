@@ -53,6 +53,18 @@ def test_only_what_is_listed_is_kept(built, small):
     assert kept["path_mm"]["cortical_bone"].dtype == np.float32
 
 
+@pytest.mark.parametrize("keep", [None, 3, "masks"])
+def test_keep_must_be_a_list(built, small, keep):
+    with pytest.raises(pssf.InputError, match=r"keep = .*; allowed: a list of any of path_mm"):
+        pssf.simulate(built, small, keep=keep)
+
+
+def test_one_energy_may_be_a_whole_number(scene, small):
+    mono = [dataclasses.replace(small, mono_kev=energy, scatter="none") for energy in (60, 60.0)]
+    one, two = (pssf.simulate(scene, protocol, engine="scanline") for protocol in mono)
+    assert (one.pixels == two.pixels).all()
+
+
 def test_an_unknown_name_in_keep_is_refused(built, small):
     with pytest.raises(pssf.InputError, match="keep = 'path'"):
         pssf.simulate(built, small, keep=("path",))

@@ -81,3 +81,17 @@ def test_masks_cost_nothing_unless_asked_for_and_are_refused_for_a_scene(built, 
 
 def test_truth_survives_a_file(grown, tmp_path):
     assert pssf.load(pssf.save(grown, tmp_path / "knee.tif")).truth == grown.truth
+
+
+@pytest.mark.parametrize(("rows", "cols", "pixel_mm"), [(64, 64, 30.0), (12, 12, 25.0), (1, 1, 1.0), (2, 3, 50.0)])
+def test_a_detector_whose_pixels_are_wider_than_a_compartment_tells_the_same_places(built, small, rows, cols, pixel_mm):
+    fine = built.truth(small)
+    coarse = dataclasses.replace(small, rows=rows, cols=cols, pixel_mm=pixel_mm)
+    truth = built.truth(coarse)
+    for name, place in fine.landmarks_px.items():
+        there, here = (
+            [(at - (count - 1) / 2) * seen.pixel_mm for at, count in zip(spot, (seen.rows, seen.cols), strict=True)]
+            for spot, seen in ((place, small), (truth.landmarks_px[name], coarse))
+        )
+        np.testing.assert_allclose(here, there, atol=1.0)
+    assert truth.jsw_at_mm == fine.jsw_at_mm

@@ -1,4 +1,5 @@
 import csv
+import dataclasses
 import shutil
 import subprocess
 import sys
@@ -7,6 +8,7 @@ import pytest
 
 import pssf
 from pssf import cohort
+from pssf.io import records
 
 
 @pytest.fixture
@@ -33,6 +35,13 @@ def cell(folder, column, value):
         writer = csv.DictWriter(handle, list(rows[0]), lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
+
+
+def change(folder, name, old, new):
+    path = folder / name
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
 
 
 def cut(path):
@@ -62,10 +71,18 @@ def test_a_whole_cohort_has_no_fault_and_is_counted(folder):
         (lambda f: (f / "manifest.csv").write_text("file\nx\n"), ["manifest.csv: damaged ("]),
         (lambda f: (f / "manifest.csv").write_bytes(b"\xff"), ["manifest.csv: damaged ("]),
         (lambda f: (f / "cohort.json").write_text("{}"), ["cohort.json: damaged ("]),
+        (lambda f: (f / "cohort.json").write_text("[" * 100_000), ["cohort.json: damaged ("]),
+        (lambda f: change(f, "cohort.json", '"seed": 5', '"seed": 6'), ["cohort.json: changed ("]),
+        (lambda f: change(f, "cohort.json", '"jsw_as": "projected"', '"jsw_as": "read"'), ["cohort.json: changed ("]),
+        (lambda f: change(f, "cohort.json", '"seed": 5', '"seed": "5"'), ["cohort.json: damaged ("]),
+        (lambda f: change(f, "records/k0000.json", "{", "[{"), ["records/k0000.json: damaged ("]),
+        (lambda f: (f / "records" / "k0000.json").write_text('{"rows": [1]}'), ["records/k0000.json: damaged ("]),
+        (lambda f: cell(f, "file", "/etc/passwd"), ["manifest.csv: damaged ("]),
+        (lambda f: cell(f, "file", "images/../../x.tif"), ["manifest.csv: damaged ("]),
         (
             lambda f: cut(f / "manifest.csv"),
             [
-                "manifest.csv: 5 radiographs, 6 were asked for",
+                "manifest.csv: 5 radiographs, not the 6 that were asked for",
                 "manifest.csv: changed (",
                 "images/s0002_k0002_low_dose.tif: extra (",
             ],
@@ -108,3 +125,29 @@ def test_the_command_prints_a_line_a_fault_and_ends_with_2_or_one_line_and_ends_
     assert broken.returncode == 2
     assert broken.stdout.count("\n") == broken.stdout.count(": changed (sha256 ") == 2
     assert broken.stderr == ""
+
+
+def test_a_record_of_another_cohort_is_told_apart(folder):
+    path = first(folder, "records")
+    record = records.knee_record(path)
+    records.write_rows(folder, 0, record.rows, "0" * 64)
+    assert [fault.split(" (")[0] for fault in cohort.verify_cohort(folder).faults] == [
+        "records/k0000.json: of another cohort.json"
+    ]
+
+
+def test_a_whole_folder_of_repeats_has_no_fault(small_protocols, tmp_path):
+    plan = cohort.plan_cohort("quick", seed=5, overrides={"knees": [0, 0, 1], "protocols": small_protocols})
+    repeats = cohort.plan_retest(dataclasses.replace(plan, retested=1), reference="low_dose")
+    cohort.make_cohort(repeats, tmp_path / "repeats", workers=1)
+    assert cohort.verify_cohort(tmp_path / "repeats").faults == ()
+
+
+def test_a_record_that_leads_out_of_its_folder_is_refused_and_nobody_is_told_to_delete_what_it_names(folder):
+    path = first(folder, "records")
+    record = records.knee_record(path)
+    rows = [{**row, "file": "/etc/passwd"} for row in record.rows]
+    records.write_rows(folder, 0, rows, record.claim)
+    with pytest.raises(pssf.InputError, match=r"file .*k0000\.json: damaged") as refused:
+        records.read_rows(folder, 0, [row["radiograph"] for row in rows], record.claim)
+    assert "/etc/passwd" not in str(refused.value)

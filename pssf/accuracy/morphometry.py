@@ -39,11 +39,15 @@ def knee_rows(count: int, workers: int) -> list[Row]:
             size = getattr(known, sex)
             if size is None:
                 continue
+            # Of so few knees none may be of a sex, and one alone has no spread.
             values = np.array([one[name] for one, knee in zip(sizes, knees, strict=True) if sex in (knee.sex, "both")])
+            if len(values) == 0:
+                continue
             mean, sd = size
+            spread = round(float(values.std(ddof=1)), 2) if len(values) > 1 else ""
             rows.append({
                 "quantity": name, "sex": sex, "value": round(float(values.mean()), 2),
-                "sd": round(float(values.std(ddof=1)), 2), "knees": len(values), "reference": mean,
+                "sd": spread, "knees": len(values), "reference": mean,
                 "reference_sd": sd, "off_sd": round(float(values.mean() - mean) / sd, 2),
                 "people": _people(known, sex, plateau), "source": known.source,
             })  # fmt: skip

@@ -11,13 +11,15 @@ from ..geometry.view import View, magnification, project
 
 # Fractions of the tibial half width between which the joint space is measured: clear of the spines and of the margins.
 COMPARTMENT = (0.36, 0.85)
+# In which a compartment is looked at, at the least.
+_LEAST_COLUMNS = 3
 
 
 @dataclass(frozen=True)
 class Gap:
     """Joint space of one compartment on the detector, column by column.
 
-    columns_px     (n,)  whole columns within the compartment
+    columns_px     (n,)  columns within the compartment: whole ones, or parts of such as are too wide for it
     femur_px       (n,)  row of the femur's lower contour
     tibia_px       (n,)  row of the tibia's upper contour, or of the floor of its plateau
     scale_mm       joint-plane millimetres a pixel
@@ -75,11 +77,14 @@ def measure_gap(
     """
     ends = np.array([[side_x * f * half_ml_mm, 0.0, 0.0] for f in COMPARTMENT])
     first, last = np.sort(project(ends, view)[:, 1])
-    columns = np.arange(np.ceil(first), np.floor(last) + 1)
+    # A detector whose pixels are as wide as the compartment is looked at between its columns.
+    finer = 1 if last - first >= _LEAST_COLUMNS else int(np.ceil(_LEAST_COLUMNS / (last - first)))
+    steps = np.arange(np.ceil(first * finer), np.floor(last * finer) + 1)
+    columns = steps / finer
 
     def outline(bone: tuple[Array, Indices], lowest: float) -> Array:
-        seen = turned_px(project(bone[0], view), view, -lean_deg)
-        return envelope(seen, bone[1], int(columns[0]), len(columns), lowest)
+        seen = turned_px(project(bone[0], view), view, -lean_deg) * (1, finer)
+        return envelope(seen, bone[1], int(steps[0]), len(steps), lowest)
 
     if isinstance(tibia, tuple):
         upper = outline(tibia, -1.0)

@@ -1,16 +1,18 @@
 """The command line: pssf simulate | meshes | cohort | study | read | accuracy | quality | realism | grades |
-protocols.
+protocols | knees.
 
 options  what commands share
 make     simulate, meshes, cohort, study
 read     read
-measure  accuracy, quality, realism, grades, protocols
+measure  accuracy, quality, realism, grades, protocols, knees
 
 Commands import what they need when they run, so that help does not wait for what computes.
 """
 
+import re
 import sys
-from typing import Any
+from importlib.metadata import version
+from typing import Annotated, Any
 
 import typer
 
@@ -22,12 +24,26 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
-    help="Knee radiographs from physics, with labels that are true by construction, and the study they exist for.",
 )
 _COMMANDS = (
     *(make.simulate, make.meshes, make.study, read),
-    *(measure.accuracy, measure.quality, measure.realism, measure.grades, measure.protocols),
+    *(measure.accuracy, measure.quality, measure.realism, measure.grades, measure.protocols, measure.knees),
 )
+
+
+def _tell_version(asked: bool) -> None:
+    if asked:
+        print(f"pssf {version('pssf')}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    asked: Annotated[bool, typer.Option("--version", callback=_tell_version, is_eager=True, help="Tell it.")] = False,
+) -> None:
+    """Knee radiographs from physics, with labels that are true by construction, and the study they exist for."""
+
+
 for command in _COMMANDS:
     app.command()(command)
 app.add_typer(make.cohort_app, name="cohort")
@@ -38,9 +54,7 @@ def main() -> None:
     try:
         _require_once(sys.argv[1:])
         sys.exit(app(standalone_mode=False))
-    except typer.Abort:
-        sys.exit(130)
-    except KeyboardInterrupt:
+    except (typer.Abort, KeyboardInterrupt):  # the parser makes the one of the other
         print("pssf: stopped; run the same command to go on from there", file=sys.stderr)
         sys.exit(130)
     except Exception as error:
@@ -81,5 +95,17 @@ def _refused(error: Exception) -> int:
     message = error.format_message() if hasattr(error, "format_message") else str(error)
     if not (isinstance(error, InputError) or hasattr(error, "format_message")):
         raise error
-    print(f"pssf: {message}", file=sys.stderr)
+    print(f"pssf: {message}{_field_hint(message)}", file=sys.stderr)
     return 2
+
+
+def _field_hint(message: str) -> str:
+    """How a field is given, where it was taken for an option."""
+    asked = re.match(r"No such option: --([\w-]+)", message)
+    if asked is None:
+        return ""
+    from ..model.listing import field_rows
+
+    name = asked[1].replace("-", "_")
+    kinds = [kind for kind in ("protocol", "knee") if name in [row["field"] for row in field_rows(kind)]]
+    return f". A field of a {kinds[0]} is changed by --set {name}=VALUE, where a command takes it" if kinds else ""

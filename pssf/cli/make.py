@@ -6,9 +6,13 @@ from typing import Annotated
 import typer
 
 from .options import (
+    Bilateral,
+    CohortGrades,
     Engine,
     Grade,
     Grades,
+    KneeChoice,
+    KneeCounts,
     KneeFile,
     Out,
     Preset,
@@ -17,10 +21,11 @@ from .options import (
     Readme,
     Scheduler,
     Seed,
+    Settings,
     Workers,
+    cohort_overrides,
     knee_of,
     subject_of,
-    waiting,
 )
 
 
@@ -40,20 +45,38 @@ def simulate(
     border: Annotated[
         str, typer.Option(help="none, or marked: collimator's edge and side marker in what is for eyes.")
     ] = "none",
+    masks: Annotated[
+        bool, typer.Option("--masks", help="Masks of bones and osteophytes too: TIFF, and DICOM if that is asked for.")
+    ] = False,
+    settings: Settings = None,
+    scene: Annotated[
+        Path | None,
+        typer.Option(
+            help="TOML file that names meshes of your own, in mm, instead of a knee: a table [[surface]] for "
+            "each, with file, inside, outside."
+        ),
+    ] = None,
 ) -> None:
     """One radiograph: 16-bit TIFF, PNG for eyes, the parameters as JSON; DICOM if asked for.
 
     Of both knees of a person under a protocol that takes both.
     """
-    from ..core.checks import require_choice, require_workers
+    from ..core.checks import InputError, require_choice, require_workers
+    from ..core.progress import waiting
+    from ..model.knee import Knee
+    from ..model.listing import changes, with_changes
     from ..model.protocol import load_protocol
 
-    technique, wanted = load_protocol(protocol), kinds.split(",")
-    subject, name = subject_of(knee, grade, seed, grades, technique)
+    of_knee, of_protocol = changes(settings or ())
+    technique, wanted = with_changes(load_protocol(protocol), of_protocol), kinds.split(",")
+    subject, name = subject_of(KneeChoice(knee, grade, seed, grades, of_knee, scene), technique)
     require_workers(workers)
+    if masks and not isinstance(subject, Knee):
+        raise InputError("masks = of a scene, or of both knees; allowed: of one knee")
     with waiting("simulating; the first run after an installation compiles for some seconds more"):
         from ..io.atomic import folder
         from ..io.images import BORDERS, KINDS, save_kinds
+        from ..io.masks import save_masks
         from ..raycast import ENGINES
         from ..simulation import simulate as run
 
@@ -62,9 +85,13 @@ def simulate(
             require_choice("formats", kind, KINDS)
         require_choice("border", border, BORDERS)
         folder(out)
-        radiograph = run(subject, technique, seed=seed, engine=engine, workers=workers)
+        keep = ("masks",) if masks else ()
+        radiograph = run(subject, technique, seed=seed, keep=keep, engine=engine, workers=workers)
     stem = out / f"{name}_{technique.name}_seed{seed}"
-    for path in save_kinds(radiograph, stem, wanted, border=border):
+    paths = save_kinds(radiograph, stem, wanted, border=border)
+    if masks:
+        paths += [save_masks(radiograph, f"{stem}_masks.{kind}") for kind in ("tif", "dcm") if kind in ("tif", *wanted)]
+    for path in paths:
         print(path)
 
 
@@ -78,14 +105,20 @@ def meshes(
     kinds: Annotated[
         str, typer.Option("--formats", help="Any of stl, ply, glb, 3mf, with commas.")
     ] = "stl,ply,glb,3mf",
+    settings: Settings = None,
     tolerance_mm: Annotated[float, typer.Option(help="How far a surface may move to save triangles, mm.")] = 0.0,
 ) -> None:
     """The solids of a knee as STL, PLY, GLB and 3MF, in mm."""
     from ..anatomy import build
+    from ..core.checks import InputError
     from ..io.atomic import folder
     from ..io.meshes import export_meshes, require_export
+    from ..model.listing import changes
 
-    subject, name = knee_of(knee, grade, seed, grades)
+    of_knee, of_protocol = changes(settings or ())
+    if of_protocol:
+        raise InputError(f"set = {', '.join(of_protocol)}; allowed: fields of a knee, since no radiograph is made")
+    subject, name = knee_of(KneeChoice(knee, grade, seed, grades, of_knee))
     formats = tuple(kinds.split(","))
     require_export(formats, tolerance_mm)
     folder(out)
@@ -106,10 +139,15 @@ def cohort(
     ] = None,
     preset: Preset = "quick",
     seed: Seed = 0,
+    knees: KneeCounts = "",
+    bilateral: Bilateral = -1,
+    protocols: Annotated[str, typer.Option(help="Names or TOML files, with commas, instead of the preset's.")] = "",
+    grades: CohortGrades = "",
+    masks: Annotated[bool, typer.Option("--masks", help="Masks of bones and osteophytes too, as TIFF.")] = False,
     scheduler: Scheduler = None,
     engine: Engine = "scanline",
 ) -> None:
-    """Radiographs of a whole cohort and their manifest.
+    """Radiographs of a whole cohort and their manifest; one's own by --knees, --protocols and --grades.
 
     Goes on where an earlier run stopped or was killed, and ends with the same bytes: what stands is checked and kept.
     A folder that holds another cohort is refused, with the first difference.
@@ -123,7 +161,8 @@ def cohort(
 
     if out is None:
         raise InputError("out = none; allowed: a folder for the cohort (--out)")
-    plan = plan_cohort(preset, seed=seed)
+    overrides = cohort_overrides(knees, bilateral, protocols, grades)
+    plan = plan_cohort(preset, seed=seed, overrides=overrides, masks="tif" if masks else "none")
     total = sum(len(case.exposures) for case in plan.cases)
     with Execution(bar=bar).stage("radiographs", "radiographs", total) as stage:
         manifest = make_cohort(
@@ -136,6 +175,7 @@ def cohort(
 def verify(folder: Annotated[Path, typer.Argument(help="Folder that pssf cohort made.")]) -> None:
     """Check every file of a cohort against its hash; a line for each fault, and exit code 2 if there is one."""
     from ..cohort import verify_cohort
+    from ..core.progress import waiting
 
     with waiting("reading"):
         verified = verify_cohort(folder)
@@ -150,6 +190,7 @@ def verify(folder: Annotated[Path, typer.Argument(help="Folder that pssf cohort 
 def labels(folder: Annotated[Path, typer.Argument(help="Folder that pssf cohort made.")], *, out: Out) -> None:
     """Labels of a cohort as the field reads them: a CSV with the OAI's columns, .pts, COCO, and pictures by grade."""
     from ..cohort import write_labels
+    from ..core.progress import waiting
 
     with waiting("reading"):
         paths = write_labels(folder, out)
@@ -163,6 +204,9 @@ def study(
     workers: Processes,
     preset: Preset = "quick",
     seed: Seed = 0,
+    knees: KneeCounts = "",
+    bilateral: Bilateral = -1,
+    grades: CohortGrades = "",
     scheduler: Scheduler = None,
     engine: Engine = "scanline",
     protocols: Annotated[
@@ -202,7 +246,7 @@ def study(
     execution = Execution(workers=workers, bar=bar, scheduler=scheduler)
     wanted = {"families": families, "selections": selections, "models": models}
     settings = {name: tuple(listed.split(",")) for name, listed in wanted.items() if listed}
-    overrides = {"protocols": protocols.split(",")} if protocols else None
+    overrides = cohort_overrides(knees, bilateral, protocols, grades)
     own = None
     if films is not None:
         chosen = {"pixel_mm": films_pixel_mm or None, "region_mm": films_region_mm or None}

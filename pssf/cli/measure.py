@@ -1,4 +1,4 @@
-"""Commands that measure or tell: accuracy, quality, realism, grades, protocols."""
+"""Commands that measure or tell: accuracy, quality, realism, grades, protocols, knees."""
 
 import sys
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from .options import Grades, Out, Processes, ProtocolName, Readme, Seed, Workers, waiting
+from .options import Grades, Out, Processes, ProtocolName, Readme, Seed, Workers
 
 
 def accuracy(
@@ -22,11 +22,12 @@ def accuracy(
     """Error against run time on this machine, as tables (CSV) and a figure."""
     from ..accuracy import TABLES, measure
     from ..core.checks import require_whole
+    from ..core.progress import waiting
 
     require_whole("knees", knees, 1, 100_000, "")
     wanted = TABLES if tables == "all" else tuple(name.strip() for name in tables.split(","))
-    with waiting("measuring") as status:
-        paths = measure(out, workers=workers, tables=wanted, knees=knees, readme=readme, progress=status.update)
+    with waiting("measuring") as shown:
+        paths = measure(out, workers=workers, tables=wanted, knees=knees, readme=readme, progress=shown)
     for path in paths:
         print(path)
 
@@ -36,6 +37,7 @@ def quality(*, out: Out, protocol: ProtocolName = "reference", readme: Readme = 
     from rich.console import Console
     from rich.table import Table
 
+    from ..core.progress import waiting
     from ..io.atomic import folder
     from ..io.readme import open_checkout
     from ..model.protocol import load_protocol
@@ -45,8 +47,8 @@ def quality(*, out: Out, protocol: ProtocolName = "reference", readme: Readme = 
     name = f"quality_{technique.name}"
     checkout = open_checkout(readme, [name])
     folder(out)
-    with waiting("measuring") as status:
-        measured = measure_quality(technique, progress=status.update)
+    with waiting("measuring") as shown:
+        measured = measure_quality(technique, progress=shown)
     table = Table("quantity", "value", "reference", "source")
     for row in measured.rows:
         known = f"{row['low']} to {row['high']}" if row["low"] != "" else str(row["reference"])
@@ -125,6 +127,7 @@ def grades(
     from rich.console import Console
     from rich.table import Table
 
+    from ..core.progress import waiting
     from ..io.atomic import folder
     from ..io.results import save_table
     from ..study import require_extra
@@ -149,17 +152,39 @@ def protocols(
     name: Annotated[str, typer.Argument(help="Protocol, by name or path, whose values to show.")] = "",
 ) -> None:
     """Fields of a protocol: what each is, its unit, what it may be, its default, where usual values come from."""
-    from rich.console import Console
-    from rich.table import Table
-
     from ..data.tables import protocol_names
-    from ..model.protocol import field_rows, load_protocol, protocol_table
+    from ..model.listing import field_rows
+    from ..model.protocol import load_protocol, protocol_table
 
     values = protocol_table(load_protocol(name)) if name else {}
     if not name:
-        print("protocols:", ", ".join(protocol_names()))
-    table = Table("field", *([name] if name else ["default"]), "unit", "allowed", "what", "source")
-    for row in field_rows():
-        shown = str(values[row["field"]]) if name else row["default"]
-        table.add_row(row["field"], shown, row["unit"], row["allowed"], row["what"], row["source"])
-    Console(width=None if sys.stdout.isatty() else 200).print(table)
+        _wrapped(f"protocols: {', '.join(protocol_names())}")
+    _listed([row | {"default": str(values.get(row["field"], row["default"]))} for row in field_rows("protocol")])
+
+
+def knees(
+    *,
+    template: Annotated[bool, typer.Option("--template", help="A TOML file to fill in, for --knee, instead.")] = False,
+) -> None:
+    """Fields of a knee: what each is, its unit, what it may be, its default, where usual values come from."""
+    from ..model.listing import field_rows, knee_template
+
+    if template:
+        print(knee_template(), end="")
+        return
+    _listed(field_rows("knee"))
+
+
+def _listed(rows: "list[dict[str, str]]") -> None:
+    """Fields one below the other, in the width of any terminal."""
+    for row in rows:
+        unit = f" {row['unit']}" if row["unit"] else ""
+        shown = f" = {row['default']}{unit}" if row["default"] else unit
+        _wrapped(f"{row['field']}{shown}  [{row['allowed']}]")
+        _wrapped("; ".join(text for text in (row["what"], row["source"]) if text), "    ")
+
+
+def _wrapped(text: str, indent: str = "") -> None:
+    from textwrap import fill
+
+    print(fill(text, 79, initial_indent=indent, subsequent_indent=indent or "    "))

@@ -1,13 +1,13 @@
 """Options that commands share, and what they become."""
 
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 if TYPE_CHECKING:
-    from rich.status import Status
-
+    from ..geometry.scene import Scene
     from ..model.knee import Knee
     from ..model.protocol import Protocol
 
@@ -49,7 +49,10 @@ Readme = Annotated[
     typer.Option("--readme", help="Source checkout; its READMEs get what was measured, between the markers there."),
 ]
 Preset = Annotated[
-    str, typer.Option(help="Cohort: quick (24 subjects), paper (180 subjects), or people (250, KL 0 to 4).")
+    str,
+    typer.Option(
+        help="Cohort: quick (24 subjects, 0.7 GB on disk), paper (180 subjects, 7 GB), or people (250, KL 0 to 4)."
+    ),
 ]
 Grades = Annotated[
     str,
@@ -60,42 +63,100 @@ Grades = Annotated[
 ]
 
 
-def knee_of(path: Path | None, grade: int, seed: int, table: str = "paper") -> "tuple[Knee, str]":
-    """A knee from a file, or drawn by grade and seed; and a name for its files."""
+Settings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="FIELD=VALUE",
+        help="Another value for a field of the knee or the protocol, such as mas=2 or jsw_medial_mm=3; may be given "
+        "several times. `pssf knees` and `pssf protocols` list the fields.",
+    ),
+]
+KneeCounts = Annotated[
+    str, typer.Option("--knees", help="Knees of each grade from 0 on, with commas, instead of the preset's: 10,10,10.")
+]
+Bilateral = Annotated[
+    int, typer.Option(help="Subjects who give both knees; -1: as the preset has it, or none with --knees.")
+]
+CohortGrades = Annotated[
+    str, typer.Option("--grades", help="Table of grades, as for simulate, instead of the preset's.")
+]
+
+
+def cohort_overrides(knees: str, bilateral: int, protocols: str, grades: str) -> "dict[str, Any]":
+    """Entries that replace a preset's, as `plan_cohort` takes them; those that are not given are left out.
+
+    raises  InputError for counts that are none
+    """
+    from ..core.checks import InputError
+
+    given: dict[str, Any] = {}
+    if knees:
+        counts = [count.strip() for count in knees.split(",")]
+        if not all(count.isascii() and count.isdigit() and len(count) < 7 for count in counts):
+            raise InputError(f"knees = {knees!r}; allowed: whole numbers with commas, one a grade from 0 on")
+        given = {"knees": tuple(map(int, counts)), "bilateral": 0}
+    if bilateral != -1:
+        given["bilateral"] = bilateral
+    if protocols:
+        given["protocols"] = tuple(name.strip() for name in protocols.split(","))
+    if grades:
+        given["grades"] = grades
+    return given
+
+
+@dataclass(frozen=True)
+class KneeChoice:
+    """Which knee is wanted: of a file, or drawn by grade and seed; with other values in some fields; or a scene."""
+
+    path: Path | None
+    grade: int
+    seed: int
+    table: str = "paper"
+    changed: "dict[str, Any]" = field(default_factory=dict)
+    scene: Path | None = None
+
+
+def knee_of(choice: KneeChoice) -> "tuple[Knee, str]":
+    """A knee, and a name for its files."""
     import numpy as np
 
     from ..core.checks import require_seed
     from ..data.tables import read_toml
     from ..model.draw import draw_knee
     from ..model.knee import knee_from
+    from ..model.listing import with_changes
 
-    require_seed(seed)
-    if path is not None:
-        return knee_from(read_toml(path), f"knee {path.name}"), path.stem
-    return draw_knee(grade=grade, rng=np.random.default_rng(seed), table=table), f"knee_grade{grade}"
+    require_seed(choice.seed)
+    if choice.path is not None:
+        read = knee_from(read_toml(choice.path), f"knee {choice.path.name}")
+        return with_changes(read, choice.changed), choice.path.stem
+    drawn = draw_knee(grade=choice.grade, rng=np.random.default_rng(choice.seed), table=choice.table)
+    return with_changes(drawn, choice.changed), f"knee_grade{choice.grade}"
 
 
-def subject_of(
-    path: Path | None, grade: int, seed: int, table: str, protocol: "Protocol"
-) -> "tuple[Knee | tuple[Knee, Knee], str]":
-    """What a protocol takes: a knee, or both of a person, drawn by grade and seed; and a name for its files."""
+def subject_of(choice: KneeChoice, protocol: "Protocol") -> "tuple[Knee | tuple[Knee, Knee] | Scene, str]":
+    """What a protocol takes, and a name for its files: a knee, or both of a person; or a scene of one's own."""
     import numpy as np
 
     from ..core.checks import InputError, require_seed
     from ..model.draw import draw_pair
+    from ..model.listing import with_changes
 
+    if choice.scene is not None:
+        from ..io.scenes import read_scene
+
+        if choice.path is not None or choice.changed:
+            given = choice.path or ", ".join(choice.changed)
+            raise InputError(f"scene = {choice.scene}, with knee = {given}; allowed: one of both")
+        return read_scene(choice.scene), choice.scene.stem
     if not protocol.apart_mm:
-        return knee_of(path, grade, seed, table)
-    if path is not None:
+        return knee_of(choice)
+    if choice.path is not None:
         raise InputError(
-            f"knee = {path}, protocol = {protocol.name}, which takes both knees; allowed: a protocol of one"
+            f"knee = {choice.path}, protocol = {protocol.name}, which takes both knees; allowed: a protocol of one"
         )
-    require_seed(seed)
-    return draw_pair(grade=grade, rng=np.random.default_rng(seed), table=table), f"knees_grade{grade}"
-
-
-def waiting(why: str) -> "Status":
-    """Says on standard error what is being waited for, while it lasts."""
-    from rich.console import Console
-
-    return Console(stderr=True).status(why)
+    require_seed(choice.seed)
+    drawn = draw_pair(grade=choice.grade, rng=np.random.default_rng(choice.seed), table=choice.table)
+    right, left = (with_changes(one, choice.changed) for one in drawn)
+    return (right, left), f"knees_grade{choice.grade}"

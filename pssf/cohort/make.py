@@ -16,6 +16,7 @@ from ..data.code import code_digest, require_code
 from ..geometry.view import view_of
 from ..io import atomic, records
 from ..io.images import save
+from ..io.masks import save_masks
 from ..model.knee import knee_table
 from ..model.protocol import protocol_table
 from ..model.radiograph import Radiograph
@@ -24,7 +25,7 @@ from ..simulation import simulate, versions
 from .plan import Case, Exposure, Plan
 
 Row = dict[str, Any]
-FOLDERS = ("", "images", "records")
+FOLDERS = ("", "images", "masks", "records")
 # What of this package pixels, files and manifest depend on.
 _CODE = (
     *("anatomy", "cohort", "core", "data", "detector", "geometry", "io", "model", "raycast", "scatter"),
@@ -79,7 +80,7 @@ def make_cohort(
     asked = {**plan.table(), "engine": engine, "versions": versions(), "code": code}
     claim = records.claim(folder / "cohort.json", asked)
     _sweep(folder)
-    rows = _standing(plan, folder, workers, kept)
+    rows = _standing(plan, folder, claim, workers, kept)
     missing = [case for case in plan.cases if case.index not in rows]
 
     def stands(index: int, made: list[Row]) -> None:
@@ -89,7 +90,7 @@ def make_cohort(
     # Cores that have no knee of their own work on the rays of one.
     threads = 1 if scheduler else max(1, workers // max(1, len(missing)))
     site = Site(folder=folder.absolute(), claim=claim, versions=versions(), code=code)
-    shared = {"site": site, "engine": engine, "threads": threads}
+    shared = {"site": site, "engine": engine, "threads": threads, "masks": plan.masks}
     ordered_map(make_case, missing, shared=shared, workers=workers, scheduler=scheduler, arrived=stands)
     _sweep(folder)
     manifest = folder / "manifest.csv"
@@ -97,7 +98,7 @@ def make_cohort(
     return manifest
 
 
-def make_case(case: Case, site: Site, engine: str, threads: int) -> list[Row]:
+def make_case(case: Case, site: Site, engine: str, threads: int, masks: str = "none") -> list[Row]:
     """Make and save every radiograph of one knee, then its record; returns its rows of the manifest.
 
     raises  InputError where the folder or a library is not what it is where the cohort was claimed
@@ -112,14 +113,19 @@ def make_case(case: Case, site: Site, engine: str, threads: int) -> list[Row]:
         if built.assembly.posture != exposure.protocol.posture:
             built, paths = build(case.knee, exposure.protocol), None
         how: dict[str, Any] = {"seed": exposure.seed, "engine": engine, "workers": threads}
+        how["keep"] = () if masks == "none" else ("masks",)
         protocol = built.aimed(exposure.protocol)
         # Radiographs of one geometry, such as reference and low dose, have the same paths.
         if paths is None or (paths.view, paths.texture) != (view_of(protocol), protocol.texture):
             paths = trace(built.scene, protocol, engine=engine, workers=threads)
         radiograph = simulate(built, protocol, paths=paths, **how)
         path = save(radiograph, site.folder / "images" / f"{exposure.name}.tif")
-        rows.append(_row(case, exposure, radiograph, path.relative_to(site.folder), records.sha256(path)))
-    records.write_rows(site.folder, case.index, rows)
+        row = _row(case, exposure, radiograph, path.relative_to(site.folder), records.sha256(path))
+        if masks != "none":
+            path = save_masks(radiograph, site.folder / "masks" / f"{exposure.name}.{masks}")
+            row |= {"masks": path.relative_to(site.folder).as_posix(), "masks_sha256": records.sha256(path)}
+        rows.append(row)
+    records.write_rows(site.folder, case.index, rows, site.claim)
     return rows
 
 
@@ -128,11 +134,11 @@ def _sweep(folder: Path) -> None:
         atomic.sweep(folder / name)
 
 
-def _standing(plan: Plan, folder: Path, workers: int, kept: Callable[[int], None]) -> dict[int, list[Row]]:
+def _standing(plan: Plan, folder: Path, claim: str, workers: int, kept: Callable[[int], None]) -> dict[int, list[Row]]:
     """The rows of every knee that an earlier run finished, by index."""
 
     def known(case: Case) -> list[Row] | None:
-        return records.read_rows(folder, case.index, [exposure.name for exposure in case.exposures])
+        return records.read_rows(folder, case.index, [exposure.name for exposure in case.exposures], claim)
 
     rows: dict[int, list[Row]] = {}
     # Threads, for hashing lets go of the lock.

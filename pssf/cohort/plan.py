@@ -60,6 +60,7 @@ class Plan:
 
     repeats   splits of its subjects
     retested  knees that are taken again, see `plan_retest`
+    masks     "tif": each radiograph's are written as well; "none"
     """
 
     preset: str
@@ -67,6 +68,7 @@ class Plan:
     repeats: int
     cases: tuple[Case, ...]
     retested: int = 0
+    masks: str = "none"
 
     def table(self) -> dict[str, Any]:
         """All that decides the pixels of this cohort, JSON-ready."""
@@ -74,9 +76,15 @@ class Plan:
         return {
             "preset": self.preset,
             "seed": self.seed,
+            "masks": self.masks,
             "protocols": [protocol_table(protocol) for protocol in protocols],
-            "knees": [{"subject": case.subject, "index": case.index, **knee_table(case.knee)} for case in self.cases],
+            "knees": [_asked(case) for case in self.cases],
         }
+
+
+def _asked(case: Case) -> dict[str, Any]:
+    names = [exposure.name for exposure in case.exposures]
+    return {"subject": case.subject, "index": case.index, "radiographs": names, **knee_table(case.knee)}
 
 
 def preset_names() -> list[str]:
@@ -84,7 +92,7 @@ def preset_names() -> list[str]:
     return list(presets())
 
 
-def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None = None) -> Plan:
+def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None = None, masks: str = "none") -> Plan:
     """Draw a cohort.
 
     Both knees of a subject have one body (sex, stature, size and shape of bones, height of fibula and patella, fabella,
@@ -94,9 +102,11 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
 
     preset     a name of `data/presets.toml`
     overrides  entries that replace the preset's, such as {"knees": [2, 2, 2]} or {"protocols": ["reference"]}
+    masks      "tif" to have the masks of every radiograph written as well, or "none"
     raises     InputError for an unknown preset, entry or protocol, or counts that do not fit
     """
     require_choice("preset", preset, preset_names())
+    require_choice("masks", masks, ("none", "tif"))
     require_seed(seed)
     for name in overrides or {}:
         require_choice("preset entry", name, presets()[preset].__struct_fields__)
@@ -112,7 +122,9 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
     for index, (subject, grade, side) in enumerate(_people(chosen.knees, chosen.bilateral)):
         cases.append(_case(_Place(seed, index, subject, grade, side), protocols, chosen))
     require_whole("retested", chosen.retested, 0, 100_000, "knees")
-    return Plan(preset=preset, seed=seed, repeats=chosen.repeats, cases=tuple(cases), retested=chosen.retested)
+    return Plan(
+        preset=preset, seed=seed, repeats=chosen.repeats, cases=tuple(cases), retested=chosen.retested, masks=masks
+    )
 
 
 def plan_retest(plan: Plan, *, reference: str = "reference") -> Plan | None:

@@ -4,6 +4,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from difflib import get_close_matches
 from numbers import Integral
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -14,7 +15,25 @@ T = TypeVar("T")
 
 
 class InputError(ValueError):
-    """Something that the user gave cannot be used; the message is one line for the user."""
+    """Something that the user gave cannot be used; the message is one line for the user, whatever its names hold."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(one_line(message))
+
+
+def one_line(text: str) -> str:
+    """Text with what is no character for eyes, such as the end of a line in a file's name, written out."""
+    return "".join(one if one.isprintable() else repr(one)[1:-1] for one in text)
+
+
+def require_path(path: Any, what: str = "path") -> Path:
+    """A path from what a caller gave for one.
+
+    raises  InputError for anything but text or a path of text, and for a null byte in it
+    """
+    if not isinstance(path, str | Path) or "\0" in str(path):
+        raise InputError(f"{what} = {path!r}; allowed: text or a Path, without a null byte")
+    return Path(path)
 
 
 def require(name: str, value: float, low: float, high: float, unit: str) -> None:
@@ -67,8 +86,14 @@ def require_choice(name: str, value: Any, allowed: Collection[Any]) -> None:
 
     raises  InputError
     """
-    if value not in allowed:
+    if not any(_same(value, one) for one in allowed):
         raise InputError(f"{name} = {value!r}; allowed: {', '.join(map(str, allowed))}{_hint(value, allowed)}")
+
+
+def _same(value: Any, one: Any) -> bool:
+    """Equal, and of one kind: True and 1.0 are 1 to Python, but no grade."""
+    kinds = [next((kind for kind in (bool, Integral, str) if isinstance(of, kind)), type(of)) for of in (value, one)]
+    return kinds[0] is kinds[1] and bool(value == one)
 
 
 def from_table(kind: type[T], table: Mapping[str, Any], what: str) -> T:

@@ -1,12 +1,14 @@
 """Work on several processes, of this machine or of a cluster, whose results do not depend on how many there are."""
 
 import os
+import signal
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from importlib.util import find_spec
-from multiprocessing import get_context, parent_process
+from multiprocessing import active_children, get_context, parent_process
 from typing import Any, TypeVar
 
 from threadpoolctl import threadpool_limits
@@ -123,10 +125,12 @@ def _one_pool(
 ) -> None:
     """As far as a pool comes; raises BrokenProcessPool after all that its workers finished has arrived."""
     broken: BrokenProcessPool | None = None
+    others = set(active_children())
     # spawn: a forked copy of a process that has threads (ITK, OpenMP) may hang.
     pool = ProcessPoolExecutor(min(workers, len(items)), get_context("spawn"), _begin, (shared,))
     try:
-        futures = {pool.submit(_call, function, item): index for index, item in items.items()}
+        with _deaf():
+            futures = {pool.submit(_call, function, item): index for index, item in items.items()}
         for future in as_completed(futures):
             try:
                 result = future.result()
@@ -134,10 +138,27 @@ def _one_pool(
                 broken = error
             else:
                 arrived(futures[future], result)
+    except KeyboardInterrupt:
+        for child in set(active_children()) - others:
+            child.terminate()
+        raise
     finally:
         pool.shutdown(cancel_futures=True)
     if broken is not None:
         raise broken
+
+
+@contextmanager
+def _deaf() -> Iterator[None]:
+    """Processes that are started meanwhile hear no interrupt, which a terminal sends to all: their parent ends them."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _begin(shared: dict[str, Any]) -> None:

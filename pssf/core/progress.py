@@ -1,6 +1,7 @@
-"""A bar that shows a stage of the work: rate, and time left."""
+"""What shows that work goes on: a bar with rate and time left on a terminal, elsewhere lines."""
 
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import timedelta
 
@@ -13,7 +14,12 @@ from .timer import Stage
 
 @contextmanager
 def bar(what: str, stage: Stage) -> Iterator[None]:
-    """A progress bar on standard error, with rate and time left, where that is a terminal."""
+    """A progress bar on standard error, with rate and time left; where that is no terminal, a line at each tenth."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        stage.shown = _tenths(what, stage)
+        yield
+        return
     columns = (
         TextColumn("{task.description:<12}"),
         BarColumn(),
@@ -21,8 +27,7 @@ def bar(what: str, stage: Stage) -> Iterator[None]:
         TimeElapsedColumn(),
         _RateColumn(),
     )
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+    with Progress(*columns, console=console) as progress:
         task = progress.add_task(what, total=stage.total, stage=stage)
         stage.shown = lambda done: progress.update(task, completed=done)
         try:
@@ -30,6 +35,37 @@ def bar(what: str, stage: Stage) -> Iterator[None]:
         except BaseException:
             progress.live.transient = True  # a refusal is one line
             raise
+
+
+@contextmanager
+def waiting(why: str) -> Iterator[Callable[[str], None]]:
+    """Says on standard error what is being waited for, while it lasts; gives what says that it is something else now.
+
+    Where that is no terminal, only what comes later is said, a line each.
+    """
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield _line
+        return
+    with console.status(why) as status:
+        yield status.update
+
+
+def _tenths(what: str, stage: Stage) -> Callable[[int], None]:
+    """What says how many are done, whenever another tenth is."""
+    said = 0
+
+    def shown(done: int) -> None:
+        nonlocal said
+        if stage.made and 10 * done // max(1, stage.total) > said:
+            said = 10 * done // max(1, stage.total)
+            _line(f"{what}: {done} of {stage.total}, {rate(stage)}")
+
+    return shown
+
+
+def _line(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
 
 
 def rate(stage: Stage) -> str:

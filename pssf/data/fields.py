@@ -48,6 +48,11 @@ class FieldLaw(Record, frozen=True):
             require_choice(name, value, (*self.choices, None) if self.optional else self.choices)
 
     @property
+    def number(self) -> type[float] | type[int] | None:
+        """Kind of number that it is, or None."""
+        return float if self.range else int if self.whole else None
+
+    @property
     def allowed(self) -> str:
         """What it may be, in words."""
         bounds = self.range or self.whole
@@ -59,10 +64,14 @@ class FieldLaw(Record, frozen=True):
 def check_fields(kind: str, values: Any) -> None:
     """Refuse a field of a parameter dataclass that is not what `data/<kind>_fields.toml` allows.
 
+    Numbers become Python's, of the kind that the law has: what is written in C takes no others.
     raises  InputError naming the field, its value and what is allowed
     """
     for name, law in field_laws(kind).items():
-        law.check(name, getattr(values, name))
+        value = getattr(values, name)
+        law.check(name, value)
+        if value is not None and law.number is not None:
+            object.__setattr__(values, name, law.number(value))
 
 
 def beam_range_deg() -> Pair:

@@ -1,13 +1,16 @@
 """The package's data files and protocols by name; read once, then kept."""
 
+import os
 import tomllib
 from functools import cache
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from ..core.checks import InputError
+from ..core.checks import InputError, require_path
+from .userfiles import parsed, read_text, refusing
 
+_MOST_TOML = 2**20  # bytes of a file of parameters
 _PACKAGE = Path(__file__).resolve().parents[1]
 
 
@@ -31,9 +34,11 @@ def read_protocol(name_or_path: str | PathLike[str]) -> tuple[dict[str, Any], st
     path = first = _protocol_path(name_or_path)
     seen: list[Path] = []
     while True:
-        if path.resolve() in seen:
+        with refusing(path, "a readable TOML file"):
+            here = Path(os.path.realpath(path))
+        if here in seen:
             raise InputError(f"protocol {first.name}: base leads back to {path.name}; allowed: a base without a circle")
-        seen.append(path.resolve())
+        seen.append(here)
         fields = read_toml(path) | fields
         base = fields.pop("base", None)
         if base is None:
@@ -44,7 +49,7 @@ def read_protocol(name_or_path: str | PathLike[str]) -> tuple[dict[str, Any], st
 
 
 def _protocol_path(name_or_path: str | PathLike[str]) -> Path:
-    path = Path(name_or_path)
+    path = require_path(name_or_path, "protocol")
     if path.suffix == ".toml":
         return path
     if str(name_or_path) not in protocol_names():
@@ -58,12 +63,11 @@ def read_toml(path: Path) -> dict[str, Any]:
 
     raises  InputError for a file that is missing, unreadable or not TOML
     """
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"file {path}: {error.strerror}; allowed: a readable TOML file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"file {path}: not TOML ({error})") from None
+    allowed = "a readable TOML file"
+    table: dict[str, Any] = parsed(
+        path, read_text(path, _MOST_TOML, allowed), tomllib.loads, fault="not TOML", allowed=allowed
+    )
+    return table
 
 
 def _protocol_folder() -> Path:

@@ -1,10 +1,12 @@
 """The one package that touches the disk, beside `data`, which reads the package's own tables.
 
 atomic   a file appears whole or not at all
+description  what a file says of its radiograph, and the hash over both
 images   radiographs as TIFF, DICOM and PNG, and back
 dicom    radiographs as Digital X-Ray objects
 masks    masks as TIFF and DICOM, and back; `segmentation` is the DICOM
 meshes   scenes as STL, PLY, GLB and 3MF
+scenes   scenes of one's own meshes
 viewer   a page to inspect a scene beside its radiograph
 records  a cohort's records and manifest
 results  tables, pictures and pages of a study

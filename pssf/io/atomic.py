@@ -15,6 +15,7 @@ if sys.platform != "win32":
 
 # No file of anybody else's begins like this, so that `sweep` cannot take one.
 _PREFIX = ".pssf-"
+_at_work = set[str]()  # temporary files that this process writes to now
 
 
 @contextmanager
@@ -27,6 +28,7 @@ def writing(path: Path) -> Iterator[Path]:
     try:
         folder(path.parent)
         held = _temporary(path)
+        _at_work.add(held.name)
         yield Path(held.name)
         with open(held.name, "rb") as handle:
             os.fsync(handle.fileno())
@@ -38,6 +40,7 @@ def writing(path: Path) -> Iterator[Path]:
         if held is not None:
             with suppress(OSError):
                 Path(held.name).unlink(missing_ok=True)
+            _at_work.discard(held.name)
             held.close()
 
 
@@ -48,6 +51,13 @@ def write_bytes(path: Path, content: bytes) -> None:
     """
     with writing(path) as temporary:
         temporary.write_bytes(content)
+
+
+def drop_unfinished() -> None:
+    """Delete the temporary files of this process, which ends in the midst of them."""
+    for name in list(_at_work):
+        with suppress(OSError):
+            os.unlink(name)
 
 
 def unfinished(path: Path) -> list[Path]:
@@ -92,14 +102,15 @@ def empty_folder() -> Iterator[Path]:
 def unwritable(path: Path, error: OSError) -> InputError:
     """The refusal that names a file that cannot be written."""
     # numpy says how much of an array it could write, and not why.
-    reason = error.strerror or f"no room for all of it ({error})"
+    # pydicom hands on what the disk said with a traceback below it.
+    reason = error.strerror or f"no room for all of it ({(str(error).splitlines() or [''])[0]})"
     return InputError(f"file {path}: {reason}; allowed: a folder that can be written, with room left")
 
 
 def _temporary(path: Path) -> IO[bytes]:
     """A new file beside `path`, locked until its handle is closed or its process dies, so that `sweep` knows it."""
     while True:
-        prefix = f"{_PREFIX}{path.stem}-"
+        prefix = f"{_PREFIX}{path.stem[:40]}-"  # with what makes it one of its kind, it fits where the name does
         handle = NamedTemporaryFile(dir=path.parent, prefix=prefix, suffix=path.suffix, delete=False)  # noqa: SIM115
         if sys.platform == "win32":  # which writes to no file that is open elsewhere
             handle.close()

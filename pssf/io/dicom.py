@@ -56,8 +56,8 @@ def write(radiograph: Radiograph, description: str, path: Path, intent: str, sid
     finish(item, pixels, path)
 
 
-def read(path: Path) -> tuple[NDArray[np.uint16], str]:
-    """Pixels (rows, cols) uint16 of a For Processing object by this package, and the JSON of what it was made from.
+def read(path: Path) -> tuple[NDArray[Any], str]:
+    """Pixels (rows, cols) of a For Processing object by this package, and the JSON of what it was made from.
 
     raises  InputError for another's DICOM, or one For Presentation; whatever its reader has for damage
     """
@@ -68,7 +68,7 @@ def read(path: Path) -> tuple[NDArray[np.uint16], str]:
             f"file {path}: PresentationIntentType = {item.PresentationIntentType!r}; allowed: {wanted}, "
             "whose pixels are linear (load_parameters tells what either was made from)"
         )
-    return item.pixel_array.astype(np.uint16), description
+    return item.pixel_array, description
 
 
 def opened(path: Path) -> tuple[Dataset, str]:

@@ -1,23 +1,21 @@
 """Radiographs on disk: 16-bit TIFF and DICOM that carry all they were made from, PNG and a second DICOM for eyes."""
 
-import json
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import tifffile
 from numpy.typing import NDArray
 from PIL import Image, PngImagePlugin
 
-from ..core.checks import InputError, require_choice
+from ..core.checks import InputError, require_choice, require_path
+from ..data.userfiles import read_text, require_file
 from ..detector import for_eyes
-from ..model.knee import knee_from, knee_table
-from ..model.protocol import protocol_from, protocol_table
-from ..model.radiograph import Radiograph, Truth
+from ..model.radiograph import Radiograph
 from .atomic import write_bytes, writing
+from .description import as_json, parameters, require_as_written
 
 # What a file may be for, its first use being the default; see `save`.
 INTENTS = {
@@ -43,7 +41,8 @@ def save(radiograph: Radiograph, path: str | Path, *, intent: str | None = None,
     raises  InputError for another suffix, an intent that it cannot hold, a marker where there is no room or no side,
             a disk that is full or cannot be written
     """
-    path = Path(path)
+    path = require_path(path)
+    require_radiograph(radiograph)
     suffix = suffix_of(path, SUFFIXES)
     intent = INTENTS[suffix][0] if intent is None else intent
     require_choice(f"file {path}: intent", intent, INTENTS[suffix])
@@ -107,12 +106,14 @@ def save_kinds(radiograph: Radiograph, stem: str | Path, kinds: Collection[str],
 def load(path: str | Path) -> Radiograph:
     """A radiograph from a TIFF or DICOM that `save` wrote: the same pixels, protocol, knee, seed, truth and audit.
 
-    raises  InputError for a file that is missing, damaged, not written by this package, or a DICOM For Presentation,
-            whose pixels are not linear (`load_parameters` reads what it was made from)
+    raises  InputError for a file that is missing, not as it was written or not by this package, or a DICOM For
+            Presentation, whose pixels are not linear (`load_parameters` reads what it was made from)
     """
+    path = require_path(path)
     with reading(path, "a TIFF or DICOM by pssf"):
-        pixels, text = _opened(Path(path))
-        made = _parameters(text, path)
+        pixels, text = _opened(path)
+        made = parameters(text, path)
+        require_as_written(text, pixels, path)
         size = (made["protocol"].rows, made["protocol"].cols)
         if pixels.shape != size:
             raise InputError(f"file {path}: pixels = {pixels.shape}; allowed: {size}, those of its protocol")
@@ -125,10 +126,10 @@ def load_parameters(path: str | Path) -> dict[str, Any]:
     path    what `save` or `save_parameters` wrote, of any suffix and intent
     raises  InputError for a file that is missing, damaged, or not written by this package
     """
-    path = Path(path)
+    path = require_path(path)
     with reading(path, "a TIFF, DICOM, PNG or JSON by pssf"):
         if path.suffix.lower() == ".json":
-            text = path.read_text(encoding="utf-8")
+            text = read_text(path)
         elif path.suffix.lower() == ".png":
             with Image.open(path) as image:
                 text = image.info["Description"]
@@ -138,33 +139,27 @@ def load_parameters(path: str | Path) -> dict[str, Any]:
             text = dicom.opened(path)[1]
         else:
             text = _opened(path)[1]
-        return _parameters(text, path)
+        return parameters(text, path)
 
 
-def _opened(path: Path) -> tuple[NDArray[np.uint16], str]:
-    """Linear pixels (rows, cols) uint16 of a TIFF or DICOM, and the JSON of what they were made from."""
+def _opened(path: Path) -> tuple[NDArray[Any], str]:
+    """Linear pixels (rows, cols) of a TIFF or DICOM, and the JSON of what they were made from."""
     if path.suffix.lower() == ".dcm":
         from . import dicom
 
         return dicom.read(path)
     with tifffile.TiffFile(path) as tiff:
         page = tiff.pages[0]
-        return np.asarray(page.asarray(), np.uint16), page.description  # type: ignore[union-attr]
+        return page.asarray(), page.description  # type: ignore[union-attr]
 
 
-def _parameters(text: str, path: str | Path) -> dict[str, Any]:
-    fields = json.loads(text)
-    return {
-        "protocol": protocol_from(fields["protocol"], f"file {path}"),
-        "seed": fields["seed"],
-        "knees": tuple(knee_from(table, f"file {path}") for table in fields.get("knees", ())),
-        "truths": tuple(map(_truth, fields.get("truths", ()))),
-        "knee": None if fields["knee"] is None else knee_from(fields["knee"], f"file {path}"),
-        "truth": None if fields["truth"] is None else _truth(fields["truth"]),
-        "engine": fields["engine"],
-        "audit": fields["audit"],
-        "versions": fields["versions"],
-    }
+def require_radiograph(radiograph: object) -> None:
+    """Refuse what is no radiograph.
+
+    raises  InputError
+    """
+    if not isinstance(radiograph, Radiograph):
+        raise InputError(f"radiograph = {radiograph!r}; allowed: a Radiograph, as simulate gives it")
 
 
 def suffix_of(path: Path, allowed: tuple[str, ...]) -> str:
@@ -180,50 +175,21 @@ def suffix_of(path: Path, allowed: tuple[str, ...]) -> str:
 
 @contextmanager
 def reading(path: str | Path, allowed: str, fault: str = "damaged or not by pssf") -> Iterator[None]:
-    """Whatever goes wrong in a reader becomes a refusal of one line that names the file.
+    """Whatever goes wrong in a reader of a regular file becomes a refusal of one line that names the file.
 
     fault   what a file is called that a reader cannot read
     raises  InputError
     """
     try:
+        require_file(Path(path), allowed=allowed)
         yield
     except InputError:
         raise
     except OSError as error:
         raise InputError(f"file {path}: {error.strerror or error}; allowed: {allowed}, readable") from None
     except Exception as error:  # a damaged file can fail anywhere in its reader
-        reason = f"{type(error).__name__}: {error}".splitlines()[0]
+        reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
         raise InputError(f"file {path}: {fault} ({reason}); allowed: {allowed}") from None
-
-
-def description(radiograph: Radiograph) -> dict[str, Any]:
-    """All that a radiograph was made from and what is known about it, JSON-ready."""
-    both = {
-        "knees": [knee_table(knee) for knee in radiograph.knees],
-        "truths": [_truth_table(truth) for truth in radiograph.truths],
-    }
-    return {
-        "protocol": protocol_table(radiograph.protocol),
-        "knee": None if radiograph.knee is None else knee_table(radiograph.knee),
-        **(both if radiograph.knees else {}),
-        "seed": radiograph.seed,
-        "truth": None if radiograph.truth is None else _truth_table(radiograph.truth),
-        "engine": radiograph.engine,
-        "audit": dict(radiograph.audit),
-        "versions": dict(radiograph.versions),
-        "pixels": "linear in absorbed energy; row 0 proximal; columns towards +x",
-    }
-
-
-def _truth_table(truth: Truth) -> dict[str, Any]:
-    return {
-        "jsw_medial_mm": truth.jsw_medial_mm,
-        "jsw_lateral_mm": truth.jsw_lateral_mm,
-        "jsw_at_mm": {f"{fraction:g}": space for fraction, space in truth.jsw_at_mm.items()},
-        "grade": truth.grade,
-        "attrition_mm": dict(truth.attrition_mm),
-        "landmarks_px": {name: list(place) for name, place in truth.landmarks_px.items()},
-    }
 
 
 def save_parameters(radiograph: Radiograph, path: str | Path) -> Path:
@@ -231,18 +197,6 @@ def save_parameters(radiograph: Radiograph, path: str | Path) -> Path:
 
     raises  InputError for a disk that is full or cannot be written
     """
-    path = Path(path)
+    path = require_path(path)
     write_bytes(path, (as_json(radiograph, indent=2) + "\n").encode())
     return path
-
-
-def as_json(radiograph: Radiograph, indent: int | None = None) -> str:
-    """`description` as text."""
-    # Parameters may be numpy's numbers; they are written, and read back, as Python's.
-    return json.dumps(description(radiograph), indent=indent, default=lambda number: number.item())
-
-
-def _truth(table: dict[str, Any]) -> Truth:
-    spots = {name: (float(row), float(col)) for name, (row, col) in table["landmarks_px"].items()}
-    spaces = {float(fraction): space for fraction, space in table["jsw_at_mm"].items()}
-    return Truth(**{**table, "landmarks_px": spots, "jsw_at_mm": spaces})

@@ -10,10 +10,11 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from ..core.checks import InputError
+from ..core.checks import InputError, require_path
 from ..model.radiograph import Radiograph
 from .atomic import writing
-from .images import as_json, reading, suffix_of
+from .description import as_json
+from .images import reading, require_radiograph, suffix_of
 
 SUFFIXES = (".tif", ".tiff", ".dcm")
 _PAGE_NAME = 285
@@ -27,8 +28,9 @@ def save_masks(radiograph: Radiograph, path: str | Path) -> Path:
     raises  InputError for another suffix, a radiograph without masks, a name or size that does not fit,
             a disk that is full or cannot be written
     """
-    path = Path(path)
+    path = require_path(path)
     suffix = suffix_of(path, SUFFIXES)
+    require_radiograph(radiograph)
     masks = {} if radiograph.truth is None else radiograph.truth.masks
     if not masks:
         raise InputError("masks = none; allowed: those of a Knee simulated with keep=('masks',)")
@@ -52,7 +54,7 @@ def load_masks(path: str | Path) -> dict[str, NDArray[np.bool_]]:
 
     raises  InputError for another suffix, or a file that is missing, damaged, or not written by this package
     """
-    path = Path(path)
+    path = require_path(path)
     suffix = suffix_of(path, SUFFIXES)
     with reading(path, "masks by pssf"):
         if suffix == ".dcm":

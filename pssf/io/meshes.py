@@ -2,7 +2,7 @@
 
 import io
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
 from xml.sax.saxutils import escape, quoteattr
@@ -13,7 +13,8 @@ import trimesh
 from numpy.typing import NDArray
 from trimesh.visual.material import PBRMaterial
 
-from ..core.checks import InputError, require, require_choice
+from ..core.checks import InputError, require, require_choice, require_path
+from ..data.userfiles import require_file
 from ..geometry.repair import require_sound
 from ..geometry.scene import Scene, Surface
 from .atomic import folder, write_bytes
@@ -31,6 +32,7 @@ _COLOURS = {
     "adipose": (240, 214, 120, 40),
     "skin": (224, 172, 140, 40),
 }
+_MILLIMETRES, _M_PER_MM = "millimetres", 0.001
 _OTHER = (150, 150, 160, 120)
 _CONTENT_TYPES = """<?xml version="1.0" encoding="UTF-8"?>
 <Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">
@@ -59,11 +61,16 @@ def export_meshes(
     formats       any of "stl", "ply", "glb", "3mf"
     tolerance_mm  triangles may be merged as long as no surface moves by more, for smaller files; 0 keeps every one
     returns       the files written
-    raises        InputError for another format, a mesh that bounds no solid, or a disk that cannot be written
+    raises        InputError for another format, a stem that leads elsewhere, a mesh that bounds no solid, or a
+                  disk that cannot be written
     """
     require_export(formats, tolerance_mm)
+    if not isinstance(stem, str) or not stem.strip(".") or set(stem) & set("/\\\0"):
+        raise InputError(f"stem = {stem!r}; allowed: how a file is called, without a folder")
+    if not isinstance(scene, Scene):
+        raise InputError(f"scene = {scene!r}; allowed: a Scene, such as build(knee).scene")
     scene = simplified(scene, tolerance_mm)
-    directory = folder(Path(directory))
+    directory = folder(require_path(directory, "folder"))
     written = []
     for kind in formats:
         for suffix, content in _contents(scene, kind):
@@ -78,6 +85,8 @@ def require_export(formats: tuple[str, ...], tolerance_mm: float) -> None:
 
     raises  InputError for another format, or a tolerance that is out of range
     """
+    if isinstance(formats, str) or not isinstance(formats, Collection):
+        raise InputError(f"formats = {formats!r}; allowed: any of {', '.join(FORMATS)}")
     for name in formats:
         require_choice("format", name, FORMATS)
     require("tolerance_mm", tolerance_mm, 0, 10, "mm")
@@ -113,10 +122,14 @@ def unique_names(scene: Scene) -> list[str]:
 
 
 def glb(scene: Scene) -> bytes:
-    """The scene as binary glTF; millimetres, one node a surface, innermost last."""
+    """The scene as binary glTF: one node a surface, innermost last, in mm below a root that scales them to metres.
+
+    glTF 2.0, 3.3: "The units for all linear distances are meters."
+    """
     nodes = trimesh.Scene()
+    nodes.graph.update(frame_to=_MILLIMETRES, matrix=np.diag([_M_PER_MM] * 3 + [1.0]))
     for name, surface in zip(unique_names(scene), scene.surfaces, strict=True):
-        nodes.add_geometry(_with_material(surface), node_name=name, geom_name=name)
+        nodes.add_geometry(_with_material(surface), node_name=name, geom_name=name, parent_node_name=_MILLIMETRES)
     return bytes(nodes.export(file_type="glb"))
 
 
@@ -137,11 +150,13 @@ def threemf(scene: Scene) -> bytes:
 
 
 def read_mesh(path: str | Path) -> trimesh.Trimesh:
-    """A mesh file (STL, PLY, OBJ, GLB ...), millimetres; equal corners are welded, as STL needs it.
+    """A mesh file: STL, PLY or OBJ in millimetres, or GLB in metres; equal corners are welded, as STL needs it.
+
+    returns  the mesh in millimetres
 
     raises  InputError for a file that is missing or not a mesh
     """
-    path = Path(path)
+    path = require_file(require_path(path), allowed="a mesh file: STL, PLY, OBJ or GLB")
     try:
         mesh = trimesh.load_mesh(path, process=True)
     except OSError as error:
@@ -150,6 +165,8 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
         raise InputError(f"file {path}: not a mesh ({type(error).__name__}); allowed: STL, PLY, OBJ or GLB") from None
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise InputError(f"file {path}: holds no faces; allowed: STL, PLY, OBJ or GLB with a closed mesh")
+    if path.suffix.lower() in (".glb", ".gltf"):
+        mesh.apply_scale(1 / _M_PER_MM)
     return mesh
 
 

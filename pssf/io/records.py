@@ -4,12 +4,17 @@ import csv
 import hashlib
 import io
 import json
+import os
 from pathlib import Path
 from platform import node
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import msgspec
 
 from ..core.checks import InputError
 from ..data.code import differing
+from ..data.records import Record
+from ..data.userfiles import parsed, read_json, read_text, refusing, require_file
 from .atomic import write_bytes
 
 if TYPE_CHECKING:
@@ -18,16 +23,64 @@ if TYPE_CHECKING:
 Row = dict[str, Any]
 
 
+class Named(msgspec.Struct, frozen=True, kw_only=True):
+    """What of a row of a manifest finds its radiograph; the rest of the row may be anything."""
+
+    radiograph: str
+    knee: int
+    file: Annotated[str, msgspec.Meta(pattern=r"^images/[^/\\]+$")]
+    sha256: Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{64}$")]
+    masks: Annotated[str, msgspec.Meta(pattern=r"^masks/[^/\\]+$")] | None = None
+    masks_sha256: Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{64}$")] = ""
+
+    @property
+    def files(self) -> dict[str, str]:
+        """File, as it is called from the cohort's folder -> hash."""
+        return {self.file: self.sha256} | ({self.masks: self.masks_sha256} if self.masks else {})
+
+
+class KneeRecord(Record, frozen=True):
+    """Rows of a knee's radiographs; claim: hash of the cohort.json that they were made for; sha256 of both."""
+
+    rows: list[dict[str, str | int | float | bool | None]]
+    claim: str
+    sha256: str
+
+
+class AskedProtocol(msgspec.Struct, frozen=True, kw_only=True):
+    """Of a protocol in cohort.json."""
+
+    name: str
+
+
+class AskedKnee(msgspec.Struct, frozen=True, kw_only=True):
+    """Of a knee in cohort.json; radiographs: their names, in order."""
+
+    subject: int
+    index: int
+    radiographs: tuple[str, ...]
+
+
+class Asked(Record, frozen=True):
+    """cohort.json: what a folder is for; see `cohort.Plan.table`."""
+
+    preset: str
+    seed: int
+    masks: str
+    protocols: tuple[AskedProtocol, ...]
+    knees: tuple[AskedKnee, ...]
+    engine: str
+    versions: dict[str, str]
+    code: dict[str, str]
+
+
 def sha256(path: Path) -> str:
     """Hex digest of a file.
 
     raises  InputError for a file that cannot be read
     """
-    try:
-        with open(path, "rb") as handle:
-            return hashlib.file_digest(handle, "sha256").hexdigest()
-    except OSError as error:
-        raise InputError(f"file {path}: {error.strerror or error}; allowed: a readable file") from None
+    with refusing(require_file(path), "a readable file"), open(path, "rb") as handle:
+        return hashlib.file_digest(handle, "sha256").hexdigest()
 
 
 def claim(path: Path, asked: dict[str, Any]) -> str:
@@ -36,12 +89,10 @@ def claim(path: Path, asked: dict[str, Any]) -> str:
     asked   JSON-ready; its entry `code`, if any, is what it is made by, see `code.code_digest`
     raises  InputError naming the first entry that differs, or all parts of the code that do
     """
-    if not path.exists():
+    if not os.path.exists(path):
         write_json(path, asked)
         return sha256(path)
-    claimed = read_json(path)
-    if not isinstance(claimed, dict):
-        raise InputError(f"file {path}: damaged (not what was asked for); allowed: a new folder")
+    claimed: dict[str, Any] = read_json(path, dict[str, Any], allowed="a new folder")
     was, wanted = ({name: entry for name, entry in of.items() if name != "code"} for of in (claimed, asked))
     if was != wanted:
         place, old, new = _difference(was, wanted)
@@ -68,39 +119,37 @@ def require_claimed(path: Path, digest: str) -> None:
         raise InputError(f"on {node()}: folder {path.parent} holds another cohort; {allowed}")
 
 
-def read_json(path: Path) -> Any:
-    """The content of a JSON file.
+def write_rows(folder: Path, knee: int, rows: list[Row], claim: str) -> None:
+    """Write the record of one knee, with a hash of its own; its images stand by then.
 
-    raises  InputError for a file that cannot be read or is not JSON
+    claim  hash of the folder's cohort.json, which it was made for
     """
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"file {path}: {error.strerror or error}; allowed: a readable file") from None
-    except ValueError as error:
-        raise InputError(f"file {path}: damaged ({error}); delete it to have it made again") from None
+    write_json(record_path(folder, knee), {"rows": rows, "claim": claim, "sha256": _digest(rows, claim)})
 
 
-def write_rows(folder: Path, knee: int, rows: list[Row]) -> None:
-    """Write the record of one knee, with a hash of its own; its images stand by then."""
-    write_json(record_path(folder, knee), {"rows": rows, "sha256": _digest(rows)})
-
-
-def read_rows(folder: Path, knee: int, names: list[str]) -> list[Row] | None:
+def read_rows(folder: Path, knee: int, names: list[str], claim: str) -> list[Row] | None:
     """The record of one knee with its images checked against their hashes, or None where it is still to be made.
 
     names   of the radiographs that it must be of, in order
+    claim   hash of the folder's cohort.json, which it must be made for
     raises  InputError naming a record or an image that is damaged
     """
     path = record_path(folder, knee)
     if not path.exists():
         return None
-    rows = rows_of(path)
+    record = knee_record(path)
+    rows = record.rows
+    if record.claim != claim:
+        raise InputError(
+            f"file {path}: of a cohort.json with sha256 {record.claim[:12]}...; allowed: {claim[:12]}...; delete it to "
+            "have it made again"
+        )
     if [row["radiograph"] for row in rows] != names:
         raise InputError(
             f"file {path}: not of knee {knee}; allowed: {', '.join(names)}; delete it to have it made again"
         )
-    expected = {folder / row["file"]: row["sha256"] for row in rows}
+    named = [require_named(row, path) for row in rows]
+    expected = {folder / file: digest for one in named for file, digest in one.files.items()}
     if not all(file.exists() for file in expected):
         return None
     for file, digest in expected.items():
@@ -111,16 +160,29 @@ def read_rows(folder: Path, knee: int, names: list[str]) -> list[Row] | None:
     return rows
 
 
-def rows_of(path: Path) -> list[Row]:
-    """The rows of a record, checked against its own hash.
+def knee_record(path: Path) -> KneeRecord:
+    """A record, checked against its own hash.
 
     raises  InputError for a record that is damaged
     """
-    record = read_json(path)
-    rows = record.get("rows") if isinstance(record, dict) else None
-    if not isinstance(rows, list) or record.get("sha256") != _digest(rows):
+    record: KneeRecord = read_json(path, KneeRecord)
+    if record.sha256 != _digest(record.rows, record.claim):
         raise InputError(f"file {path}: damaged (not as it was written); delete it to have it made again")
-    return rows
+    for row in record.rows:
+        require_named(row, path)
+    return record
+
+
+def require_named(row: Row, path: Path) -> Named:
+    """What of a row finds its radiograph.
+
+    path    of its table, for a refusal
+    raises  InputError for a row that lacks it, or leads out of the cohort's folder
+    """
+    try:
+        return msgspec.convert(row, Named, strict=False)
+    except msgspec.ValidationError as error:
+        raise InputError(f"file {path}: damaged ({error}); delete it to have it made again") from None
 
 
 def write_json(path: Path, content: Any) -> None:
@@ -149,11 +211,9 @@ def read_csv(path: Path, required: tuple[str, ...]) -> list[Row]:
     raises    InputError for a file that cannot be read or lacks one of them
     """
     try:
-        rows: list[Row] = list(csv.DictReader(io.StringIO(path.read_text(encoding="utf-8"))))
-    except OSError as error:
-        raise InputError(f"file {path}: {error.strerror or error}; allowed: a readable file") from None
-    except (ValueError, csv.Error) as error:
-        raise InputError(f"file {path}: not a table ({error})") from None
+        rows: list[Row] = list(csv.DictReader(io.StringIO(read_text(path))))
+    except csv.Error as error:
+        raise InputError(f"file {path}: not a table ({error}); allowed: CSV") from None
     for name in required:
         if not rows or any(row.get(name) is None for row in rows):
             raise InputError(f"file {path}: no column {name}, or a row without it; required: {', '.join(required)}")
@@ -165,8 +225,8 @@ def same(path: Path, content: bytes) -> bool:
     return sha256(path) == hashlib.sha256(content).hexdigest()
 
 
-def _digest(rows: list[Row]) -> str:
-    return hashlib.sha256(json.dumps(rows, sort_keys=True).encode()).hexdigest()
+def _digest(rows: list[Row], claim: str) -> str:
+    return hashlib.sha256(json.dumps([claim, rows], sort_keys=True).encode()).hexdigest()
 
 
 def record_path(folder: Path, knee: int) -> Path:
@@ -196,7 +256,7 @@ def read_manifest(path: Path) -> "pd.DataFrame":
     """
     import pandas as pd
 
-    try:
-        return pd.read_csv(path)
-    except (OSError, ValueError) as error:
-        raise InputError(f"file {path}: not a manifest ({error}); allowed: manifest.csv of a cohort") from None
+    allowed = "manifest.csv of a cohort"
+    held = io.StringIO(read_text(path))
+    table: pd.DataFrame = parsed(path, held, pd.read_csv, fault="not a manifest", allowed=allowed)
+    return table

@@ -1,15 +1,20 @@
 """Results of a study on disk: tables, JSON, pages and pictures. Each file appears whole or not at all."""
 
 import csv
+import io
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..core.checks import InputError
+from ..data.userfiles import parsed, read_bytes, read_json, read_text
 from .atomic import write_bytes
 
 if TYPE_CHECKING:
     import pandas as pd
+
+T = TypeVar("T")
+_AGAIN = "delete it to have it made again"
 
 
 def save_table(path: Path, table: "pd.DataFrame") -> None:
@@ -27,24 +32,23 @@ def load_table(path: Path, text_columns: tuple[str, ...] = ()) -> "pd.DataFrame 
 
     if not path.exists():
         return None
-    try:
-        table = pd.read_csv(path, dtype=str, keep_default_na=False)
+
+    def numbered(text: str) -> pd.DataFrame:
+        table = pd.read_csv(io.StringIO(text), dtype=str, keep_default_na=False)
         numbers = table.columns.difference(text_columns)
         # Python's own reading of a number is exact; that of read_csv depends on the version of pandas.
         table[numbers] = table[numbers].replace("", "nan").astype(float)
         return table
-    except OSError as error:
-        raise InputError(f"file {path}: {error.strerror or error}; allowed: a readable table") from None
-    except ValueError as error:  # of which pandas' own are kinds
-        reason = str(error).splitlines()[0]
-        raise InputError(f"file {path}: damaged ({reason}); delete it to have it made again") from None
+
+    table: pd.DataFrame = parsed(path, read_text(path), numbered, fault="damaged", allowed=_AGAIN)
+    return table
 
 
 def load_typed_table(path: Path) -> "pd.DataFrame":
     """A CSV of `save_table`; a column is of whole numbers, else of floats, bit for bit, else of text."""
     import pandas as pd
 
-    table = pd.read_csv(path, dtype=str, keep_default_na=False)
+    table = pd.read_csv(io.StringIO(read_text(path)), dtype=str, keep_default_na=False)
     return table.apply(_typed)
 
 
@@ -62,17 +66,15 @@ def load_bytes(path: Path) -> bytes:
 
     raises  InputError for one that cannot be read
     """
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"file {path}: {error.strerror or error}; allowed: a readable file") from None
+    return read_bytes(path)
 
 
-def load_json(path: Path) -> Any:
-    """The content, or None where there is no such file or it is not JSON."""
+def load_json(path: Path, kind: type[T]) -> T | None:
+    """The content as a record, or another type that msgspec knows; None where there is no such file, or another."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        held: T = read_json(path, kind)
+        return held
+    except InputError:
         return None
 
 
@@ -98,6 +100,5 @@ def holds(path: Path, key: str = "") -> bool:
     if not key:
         return True
     if path.suffix == ".json":
-        return key in json.loads(path.read_text(encoding="utf-8"))
-    with open(path, newline="", encoding="utf-8") as handle:
-        return key in next(csv.reader(handle), [])
+        return key in (load_json(path, dict[str, Any]) or {})
+    return key in next(csv.reader(io.StringIO(read_text(path))), [])

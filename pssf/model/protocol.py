@@ -1,11 +1,11 @@
 """Protocol: how a radiograph is taken. Technique, geometry, detector, and which stages of the chain are wanted."""
 
-from dataclasses import MISSING, asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from os import PathLike
 from typing import Any
 
 from ..core.checks import InputError, from_table
-from ..data.fields import check_fields, field_laws
+from ..data.fields import check_fields
 from ..data.tables import read_protocol
 
 # A right leg's lateral side comes to the detector (ML, LM), or its foot (axial), before it is mirrored in y.
@@ -110,19 +110,6 @@ class Protocol:
     def posture(self) -> Posture:
         """How a leg stands for it."""
         return Posture(**{field.name: getattr(self, field.name) for field in fields(Posture)})
-
-
-def field_rows() -> list[dict[str, str]]:
-    """One row a field: name, what it is, unit, what is allowed, its default ("" where it must be given), source."""
-    rows = []
-    for field in fields(Protocol):
-        law = field_laws("protocol")[field.name]
-        default = "" if field.default is MISSING else "none" if field.default is None else str(field.default)
-        rows.append({
-            "field": field.name, "what": law.what, "unit": law.unit, "allowed": law.allowed,
-            "default": default, "source": law.source,
-        })  # fmt: skip
-    return rows
 
 
 def protocol_from(table: dict[str, Any], what: str) -> Protocol:

@@ -6,7 +6,6 @@ model has learnt from, and by which code.
 
 import json
 import lzma
-import zipfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -155,12 +154,23 @@ def unpack(content: bytes, name: str) -> SavedModel:
         if card.format != _FORMAT:
             raise InputError(f"{name}: format = {card.format!r}; allowed: {_FORMAT!r}, of this version of pssf")
         templates = tuple(_template(place, files[_pixels(at)]) for at, place in enumerate(card.templates))
-        return SavedModel(card=card, pipeline=loads(content), templates=templates)
+        pipeline = loads(content)
+        _require_reads(pipeline, card, name)
+        return SavedModel(card=card, pipeline=pipeline, templates=templates)
     except InputError:
         raise
-    except (zipfile.BadZipFile, KeyError, ValueError, TypeError, lzma.LZMAError, msgspec.MsgspecError) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
+    except Exception as error:  # a damaged file can fail anywhere in the readers of ZIP, LZMA and skops
+        reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
         raise InputError(f"{name}: no model, or damaged ({reason}); {allowed}") from None
+
+
+def _require_reads(pipeline: Any, card: Card, name: str) -> None:
+    """Refuse a pipeline that is not what the card says."""
+    if not isinstance(pipeline, Pipeline):
+        raise InputError(f"{name}: holds = {type(pipeline).__name__}; allowed: a Pipeline, as its card says")
+    classes, features = len(pipeline.classes_), list(getattr(pipeline[0], "feature_names_in_", ()))
+    if classes != len(card.grades) or not set(features) <= set(card.features):
+        raise InputError(f"{name}: classes = {classes}, features = {len(features)}; allowed: those of its card")
 
 
 def differences(card: Card) -> str:

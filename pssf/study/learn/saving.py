@@ -12,6 +12,7 @@ from sklearn.preprocessing import StandardScaler
 
 # Beside what skops trusts by itself; nothing else is loaded.
 _TRUSTED = ["numpy.dtype", "sklearn.tree._tree.Tree", "xgboost.core.Booster", "xgboost.sklearn.XGBClassifier"]
+_MOST_BYTES = 2**30
 _DATE = (1980, 1, 1, 0, 0, 0)  # the earliest that a ZIP file can say
 
 
@@ -69,6 +70,9 @@ def zipped(files: dict[str, bytes]) -> bytes:
 
 
 def unzipped(content: bytes) -> dict[str, bytes]:
-    """The files of a ZIP file; raises zipfile.BadZipFile for another."""
+    """The files of a ZIP file; raises zipfile.BadZipFile for another, ValueError for one that holds too much."""
     with zipfile.ZipFile(io.BytesIO(content)) as packed:
+        size = sum(part.file_size for part in packed.infolist())
+        if size > _MOST_BYTES:
+            raise ValueError(f"content = {size} bytes; allowed: up to {_MOST_BYTES}")
         return {name: packed.read(name) for name in packed.namelist()}

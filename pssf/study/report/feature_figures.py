@@ -86,16 +86,16 @@ def heat_map(reliability: pd.DataFrame) -> bytes:
     order = sorted(table.index, key=lambda name: (FAMILIES.index(family(name)), name))
     values = table.loc[order, columns].to_numpy(dtype=float)
     half = -(-len(order) // 2)
-    figure = Figure(figsize=(10.2, 0.148 * half + 1.9), layout="constrained")
+    figure = Figure(figsize=(10.2, 0.17 * half + 2.2), layout="constrained")
     axes = figure.subplots(1, 2)
     shown: Any = None
     for axis, start in zip(axes, (0, half), strict=True):
         block = values[start : start + half]
         axis.set_facecolor("0.82")  # what shows through where an ICC is undefined
         shown = axis.imshow(block, cmap="viridis", vmin=0, vmax=1, aspect="auto", interpolation="nearest")
-        axis.set_xticks(range(len(columns)), [f"{form}, {plain(label)}" for form, label in columns], fontsize=6.5)
+        axis.set_xticks(range(len(columns)), [f"{form}, {plain(label)}" for form, label in columns], fontsize=7.5)
         axis.tick_params(axis="x", rotation=90)
-        axis.set_yticks(range(len(block)), order[start : start + half], fontsize=6)
+        axis.set_yticks(range(len(block)), order[start : start + half], fontsize=7.5)
         for row, name in enumerate(order[start : start + half]):
             if row and family(name) != family(order[start + row - 1]):
                 axis.axhline(row - 0.5, color="white", linewidth=1.5)

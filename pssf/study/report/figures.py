@@ -137,7 +137,7 @@ def _intervals(axis: Any, scores: pd.DataFrame, tests: list[str], published: str
 def calibration_curves(curve: pd.DataFrame, selection: str) -> bytes:
     """Share of grade 2 against its mean predicted probability, in ten bins; the size of a point is its count."""
     part = curve[curve["selection"] == selection]
-    figure = Figure(figsize=(4.6, 4.5), layout="constrained")
+    figure = Figure(figsize=(4.6, 4.8), layout="constrained")
     axis = figure.subplots()
     axis.plot([0, 1], [0, 1], color="0.75", linewidth=1)
     for model, rows in part.groupby("model", sort=False):
@@ -149,7 +149,8 @@ def calibration_curves(curve: pd.DataFrame, selection: str) -> bytes:
         xlim=(-0.02, 1.02), ylim=(-0.02, 1.02), xlabel="predicted probability of grade 2", ylabel="share of grade 2"
     )
     axis.set_box_aspect(1)
-    axis.legend(fontsize=8, frameon=False, loc="upper left")
+    # Curves may be anywhere in the square.
+    figure.legend(*axis.get_legend_handles_labels(), fontsize=8, frameon=False, loc="outside lower center", ncols=3)
     return png(figure)
 
 

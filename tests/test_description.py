@@ -1,0 +1,50 @@
+import json
+
+import numpy as np
+import pytest
+import tifffile
+
+import pssf
+
+
+@pytest.fixture(scope="module")
+def radiograph(built, small):
+    return pssf.simulate(built, small, seed=7)
+
+
+@pytest.mark.parametrize("suffix", [".tif", ".dcm"])
+def test_a_flipped_bit_of_pixels_or_description_is_refused(radiograph, tmp_path, suffix):
+    path = pssf.save(radiograph, tmp_path / f"r{suffix}")
+    content = path.read_bytes()
+    places = {
+        "pixels": content.index(radiograph.pixels.astype("<u2").tobytes()) + 5000,
+        "seed": content.index(b'"seed": 7') + 8,
+    }
+    for what, at in places.items():
+        changed = bytearray(content)
+        changed[at] ^= 1
+        path.write_bytes(changed)
+        with pytest.raises(pssf.InputError, match=rf"r{suffix}: damaged \(sha256"):
+            pssf.load(path)
+        assert what
+    path.write_bytes(content)
+    assert pssf.load(path) == radiograph
+
+
+def test_pixels_of_another_type_over_the_same_description_are_refused(radiograph, tmp_path):
+    path = pssf.save(radiograph, tmp_path / "r.tif")
+    with tifffile.TiffFile(path) as tiff:
+        text = tiff.pages[0].description
+    tifffile.imwrite(path, radiograph.pixels.astype(np.float32), description=text, metadata=None)
+    with pytest.raises(pssf.InputError, match="pixels = float32; allowed: uint16"):
+        pssf.load(path)
+
+
+@pytest.mark.parametrize("change", [{"seed": "7"}, {"seed": None}, {"truth": []}, {"sha256": 3}, {"extra": 1}])
+def test_a_description_of_another_form_is_refused_by_its_entry(radiograph, tmp_path, change):
+    path = pssf.save(radiograph, tmp_path / "r.tif")
+    with tifffile.TiffFile(path) as tiff:
+        told = json.loads(tiff.pages[0].description)
+    tifffile.imwrite(path, radiograph.pixels, description=json.dumps({**told, **change}), metadata=None)
+    with pytest.raises(pssf.InputError, match=f"damaged or not by pssf.*{next(iter(change))}"):
+        pssf.load(path)
