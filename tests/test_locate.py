@@ -12,9 +12,9 @@ from scipy.ndimage import gaussian_filter
 import pssf
 from pssf.core.checks import InputError
 from pssf.data.localisation import localisation
-from pssf.radiomics.candidates import Candidates
+from pssf.radiomics.candidates import Candidates, Pair
 from pssf.radiomics.edges import Pyramid, edge_field
-from pssf.radiomics.locate import _chance, _status, find_joint, locate
+from pssf.radiomics.locate import _chance, _side_of, _status, find_joint, locate
 from pssf.radiomics.patches import Template, density_of, poses
 from pssf.radiomics.search import Match, matches
 
@@ -183,6 +183,27 @@ def test_a_place_that_matches_far_worse_as_a_whole_is_not_looked_at():
     # What chance gives is taken off first.
     lucky = wide_match(0.60 + far, 90, 120, chance=far)
     assert searched([right, lucky]).best("upright", "right").wide == right
+
+
+def test_a_side_is_wrong_only_where_it_was_told():
+    joint = joint_of(phantom(150, 165))
+    mirrored = replace(joint, side_margin=-(1.0 - joint.both))
+    assert mirrored.side_evidence < -localisation().thresholds.side
+    assert _status(mirrored, SHAPE, None, localisation()) == "found"
+    assert _status(mirrored, SHAPE, None, localisation(), "right") == "wrong side"
+
+
+def test_of_two_sides_at_one_joint_the_better_whole_is_taken_and_of_two_places_the_better_by_both():
+    def pair(wide, narrow, **at):
+        return Pair(wide=wide_match(wide, **at), narrow=wide_match(narrow, **at))
+
+    here, beyond = {"row": 150, "col": 165}, {"row": 90, "col": 165}
+    right, left = pair(0.62, 0.40, **here), pair(0.60, 0.50, **here, side="left")
+    assert _side_of({"right": right, "left": left}, localisation()) == "right"
+    elsewhere = pair(0.60, 0.50, **beyond, side="left")
+    assert _side_of({"right": right, "left": elsewhere}, localisation()) == "left"
+    of_another_size = pair(0.60, 0.50, **here, side="left", unit_mm=2 * PIXEL_MM)
+    assert _side_of({"right": right, "left": of_another_size}, localisation()) == "left"
 
 
 def test_matches_of_another_side_or_way_are_no_candidates():

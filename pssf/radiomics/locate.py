@@ -137,9 +137,8 @@ def locate(
     if pixel_mm is not None and max(pair.both for pair in of_sides.values()) < table.thresholds.both:
         found += matches(image, _smaller(pixel_mm, table), whole, table.wide, table.search.least_seen)
         of_sides = _upright_or_not(search)
-    if side is None:
-        side = max(of_sides, key=lambda one: of_sides[one].excess)
-    best, mirrored = of_sides[side], of_sides[SIDES[1 - SIDES.index(side)]]
+    chosen = side or _side_of(of_sides, table)
+    best, mirrored = of_sides[chosen], of_sides[SIDES[1 - SIDES.index(chosen)]]
     wide, narrow = best.wide, best.narrow
     pitch_mm, pixel_from, scale = _size(wide, templates[0], pixel_mm, table)
     located = Located(
@@ -148,7 +147,7 @@ def locate(
         status="found",
         score=wide.score,
         narrow=narrow.score,
-        side=side,
+        side=chosen,
         side_margin=best.both - mirrored.both,
         way=wide.way,
         way_margin=wide.score - search.highest(WAYS[1 - WAYS.index(wide.way)]),
@@ -159,7 +158,7 @@ def locate(
         pixel_from=pixel_from,
         scale=scale,
     )
-    return replace(located, status=_status(located, density.shape, region_px, table))
+    return replace(located, status=_status(located, density.shape, region_px, table, side))
 
 
 def _upright_or_not(search: Candidates) -> dict[str, Pair]:
@@ -171,6 +170,16 @@ def _upright_or_not(search: Candidates) -> dict[str, Pair]:
     turned = {side: search.best(WAYS[1], side) for side in SIDES}
     other = max(turned.values(), key=lambda pair: pair.excess)
     return turned if other.narrow.score > best.narrow.score else upright
+
+
+def _side_of(pairs: dict[str, Pair], table: Localisation) -> str:
+    """The better side; of two at one joint the one that is better as a whole, since compartments are much alike."""
+    one, other = (pairs[side].wide for side in SIDES)
+    apart_mm = abs(one.row - other.row) * other.unit_mm
+    alike = abs(np.log(one.unit_mm / other.unit_mm)) <= 2 * np.log(table.search.scale_step)
+    if alike and apart_mm <= table.search.reach_mm:
+        return max(SIDES, key=lambda side: pairs[side].wide.excess)
+    return max(SIDES, key=lambda side: pairs[side].excess)
 
 
 def _units(shape: tuple[int, ...], template: Template, pixel_mm: float | None, table: Localisation) -> list[float]:
@@ -223,13 +232,15 @@ def _chance(shape: tuple[int, ...], unit_mm: float, table: Localisation) -> floa
     return float(by_chance.sd * np.sqrt(2 * np.log(max(2.0, places))))
 
 
-def _status(found: Located, shape: tuple[int, ...], region_px: int | None, table: Localisation) -> str:
-    """The first reason to refuse, or found."""
+def _status(
+    found: Located, shape: tuple[int, ...], region_px: int | None, table: Localisation, told: str | None = None
+) -> str:
+    """The first reason to refuse, or found; a side that nobody told cannot be wrong."""
     limit = table.thresholds
     reasons = {
         "no knee": found.both < limit.both,
         "upside down": found.way != WAYS[0],
-        "wrong side": found.side_evidence < -limit.side,
+        "wrong side": told is not None and found.side_evidence < -limit.side,
         "wrong scale": found.pixel_from == "given" and not limit.scale[0] <= found.scale <= limit.scale[1],
         "low score": found.apart_mm > limit.apart_mm,
         "leaves image": not region_fits(shape, found.row, found.col, 1 if region_px is None else region_px),
