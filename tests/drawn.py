@@ -36,13 +36,18 @@ def draw(grade: int, row: float, col: float, side: str, coarse: float, gain: flo
 
 
 class Cohort:
-    """A manifest of 3 x `per_grade` subjects under three protocols, and pixels that are drawn when asked for."""
+    """A manifest of `per_grade` subjects a grade under three protocols, and pixels that are drawn when asked for."""
 
-    def __init__(self, per_grade: int) -> None:
+    def __init__(self, per_grade: int, grades: int = 3) -> None:
         rng = np.random.default_rng(11)
         self.rows = []
-        for subject in range(3 * per_grade):
-            place = {"side": ["right", "left"][subject % 2], "subject": subject, "knee": subject, "grade": subject % 3}
+        for subject in range(grades * per_grade):
+            place = {
+                "side": ["right", "left"][subject % 2],
+                "subject": subject,
+                "knee": subject,
+                "grade": subject % grades,
+            }
             row, col = rng.uniform(115, 140), rng.uniform(115, 140)
             for protocol in PROTOCOLS:
                 name = f"s{subject:03d}_{protocol}"

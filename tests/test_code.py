@@ -1,6 +1,8 @@
 """Which code something was made by."""
 
 import ast
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -93,7 +95,57 @@ def imported(name):
     return {modules[module].relative_to(ROOT).as_posix() for module in seen if module}
 
 
-@pytest.mark.parametrize(("start", "parts"), [(("cohort", "make"), make._CODE), (("radiomics", "table"), table._CODE)])
+COHORT = (*make._CODE, *code.data_of_pixels())
+
+
+@pytest.mark.parametrize(("start", "parts"), [(("cohort", "make"), COHORT), (("radiomics", "table"), table._CODE)])
 def test_all_that_is_imported_on_the_way_to_a_result_counts(start, parts):
     missing = [path for path in imported(start) if not set(parts) & {path, path.split("/")[0]}]
     assert missing == []
+
+
+def test_every_file_of_data_counts_for_pixels_unless_it_is_named_with_a_reason():
+    files = {path.relative_to(ROOT).as_posix() for path in (ROOT / "data").rglob("*") if path.suffix in code.SUFFIXES}
+    named = {f"data/{name}" for names in code.NOT_OF_PIXELS for name in names}
+    assert named <= files
+    assert all(code.NOT_OF_PIXELS.values())
+    parts = code.data_of_pixels()
+    assert {path for path in files if not any(Path(path).is_relative_to(part) for part in parts)} == named | {
+        path for path in code.TELLING if path.startswith("data/")
+    }
+
+
+def test_tables_that_no_pixel_hangs_on_are_read_by_their_readers_alone_and_those_by_nothing_that_makes_pixels():
+    made_by = imported(("cohort", "make"))
+    for table_name, reader in code.NOT_OF_PIXELS:
+        assert f"data/{reader}" not in made_by
+        asked = f'"{Path(table_name).stem}"'
+        calls = [
+            path.relative_to(ROOT).as_posix()
+            for path in ROOT.rglob("*.py")
+            for node in ast.walk(ast.parse(path.read_text()))
+            if isinstance(node, ast.Call)
+            and ast.unparse(node.func) in ("data", "tables.data", "field_laws", "check_fields")
+            and any(ast.unparse(argument).replace("'", '"') == asked for argument in node.args)
+        ]
+        assert set(calls) == {f"data/{reader}"}
+
+
+_WATCH = """
+import sys
+from pathlib import Path
+opened, read_text = set(), Path.read_text
+# As text, as tables are read; digests read the bytes of all.
+Path.read_text = lambda path, *given, **more: opened.add(path) or read_text(path, *given, **more)
+from pssf import cohort
+one = {"knees": [0, 0, 1], "protocols": [sys.argv[1]]}
+cohort.make_cohort(cohort.plan_cohort("quick", seed=1, overrides=one), sys.argv[2], workers=1)
+print("\\n".join(path.name for path in opened if path.suffix == ".toml" and path.parent.name == "data"))
+"""
+
+
+def test_no_table_that_is_named_is_read_while_a_cohort_is_made(small_protocols, tmp_path):
+    command = [sys.executable, "-c", _WATCH, small_protocols[0], str(tmp_path / "c")]
+    opened = set(subprocess.run(command, capture_output=True, text=True, check=True).stdout.split())
+    assert {"tissues.toml", "detector.toml", "anatomy.toml"} <= opened
+    assert not opened & {table_name for table_name, _ in code.NOT_OF_PIXELS}

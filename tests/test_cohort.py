@@ -170,10 +170,26 @@ def test_a_folder_that_other_code_made_is_refused_with_the_part_that_differs(pro
     cohort.make_cohort(tiny(protocols, knees=(0, 0, 1)), tmp_path / "c", workers=1)
     before = digests(tmp_path / "c")
     change(copied_code / name)
-    part = name.split("/")[0]
+    part = name if name.startswith("data") else name.split("/")[0]
     with pytest.raises(pssf.InputError, match=rf"holds a cohort made by other code of pssf \({part}\); allowed: "):
         cohort.make_cohort(tiny(protocols, knees=(0, 0, 1)), tmp_path / "c", workers=1)
     assert digests(tmp_path / "c") == before
+
+
+def test_a_folder_stands_when_a_table_changes_that_no_pixel_hangs_on_and_not_when_one_is_new(
+    protocols, tmp_path, copied_code
+):
+    plan = tiny(protocols, knees=(0, 0, 1))
+    cohort.make_cohort(plan, tmp_path / "c", workers=1)
+    before = digests(tmp_path / "c")
+    for names in code.NOT_OF_PIXELS:
+        for name in names:
+            change(copied_code / "data" / name)
+    cohort.make_cohort(plan, tmp_path / "c", workers=1)
+    assert digests(tmp_path / "c") == before
+    (copied_code / "data" / "new.toml").write_text("")
+    with pytest.raises(pssf.InputError, match=r"made by other code of pssf \(data/new\.toml\)"):
+        cohort.make_cohort(plan, tmp_path / "c", workers=1)
 
 
 def test_a_claim_without_code_is_of_other_code(tmp_path):
@@ -387,7 +403,12 @@ def test_what_stood_before_is_told_apart_from_what_is_made(protocols, tmp_path):
 def test_a_worker_that_sees_another_folder_or_has_other_libraries_or_code_refuses_to_work(protocols, tmp_path):
     plan, folder = tiny(protocols), tmp_path / "c"
     claim = records.claim(folder / "cohort.json", plan.table())
-    here = {"folder": folder, "claim": claim, "code": code.code_digest(make._CODE), "versions": make.versions()}
+    here = {
+        "folder": folder,
+        "claim": claim,
+        "code": code.code_digest((*make._CODE, *code.data_of_pixels())),
+        "versions": make.versions(),
+    }
     site = make.Site(**{**here, "versions": {**make.versions(), "numpy": "1.0"}})
     with pytest.raises(pssf.InputError, match=r"on .*: numpy = .*; allowed: 1\.0, as where the run started"):
         make.make_case(plan.cases[0], site=site, engine="scanline", threads=1)

@@ -140,6 +140,8 @@ def test_tasks_are_those_whose_grades_a_cohort_has():
     assert list(tasks_of([0, 1, 2])) == ["0 vs 2", "0/1/2"]
     assert list(tasks_of([0, 4])) == ["0 vs 3+4"]
     assert list(tasks_of(range(5))) == list(TASKS)
+    assert list(tasks_of(range(4))) == ["0 vs 2", "0/1/2", "0 vs 3+4"]
+    assert TASKS["0/1/2/3/4"] == tuple((grade,) for grade in range(5))
     assert class_of(np.array([4, 0, 3]), TASKS["0 vs 3+4"]).tolist() == [1, 0, 1]
     assert class_names("0 vs 3+4") == ("normal", "moderate OA or severe OA")
 

@@ -1,5 +1,6 @@
 """Films of any source: folders and tables of them, and their pixels as displayed."""
 
+import msgspec
 import numpy as np
 import pydicom
 import pytest
@@ -8,9 +9,11 @@ from numpy.testing import assert_allclose
 from PIL import Image
 from pydicom.dataset import FileMetaDataset
 from pydicom.uid import ExplicitVRLittleEndian, generate_uid
+from scipy.stats import spearmanr
 
 import pssf
 from pssf.core.checks import InputError
+from pssf.data.looks import looks
 from pssf.io.films import Film, list_films, read_film, subject_and_side
 
 SHAPE = (72, 80)
@@ -170,10 +173,87 @@ def test_each_dicom_that_is_no_film_is_refused_by_name(tmp_path, refused):
     refused("oblong.dcm", "0.2 by 0.3 mm")
     dicom(tmp_path / "metres.dcm", grey(12), PixelSpacing=[200, 200])
     refused("metres.dcm", "pixel_mm = 200")
-    dicom(tmp_path / "linear.dcm", grey(12), PresentationIntentType="FOR PROCESSING")
-    refused("linear.dcm", "FOR PROCESSING")
     dicom(tmp_path / "kind.dcm", grey(12), PhotometricInterpretation="RGB")
     refused("kind.dcm", "PhotometricInterpretation = 'RGB'")
+
+
+# Limb beside air: what goes through it, of 4000 in the air, with bone amid it.
+ACROSS, DOWN = np.meshgrid(np.linspace(-1, 1, SHAPE[1]), np.linspace(-1, 1, SHAPE[0]))
+DEPTH = 2.0 * np.sqrt(np.clip(1 - (ACROSS / 0.8) ** 2, 0, 1)) + 0.8 * (np.abs(ACROSS + 0.2 * DOWN) < 0.3)
+BEAM = 4000 * np.exp(-DEPTH)
+LINEAR = {
+    "PresentationIntentType": "FOR PROCESSING",
+    "PixelIntensityRelationship": "LIN",
+    "PixelIntensityRelationshipSign": 1,
+    "ImagerPixelSpacing": [1.5, 1.5],
+}
+
+
+def order(pixels):
+    """Correlation of ranks with the depth of what the beam went through."""
+    return spearmanr(pixels.ravel(), DEPTH.ravel()).statistic
+
+
+@pytest.mark.parametrize("photometric", ["MONOCHROME1", "MONOCHROME2"])
+def test_linear_pixels_of_others_are_shown_bone_bright_whatever_their_photometric_interpretation(tmp_path, photometric):
+    film = read_film(dicom(tmp_path / "a.dcm", BEAM, **LINEAR, PhotometricInterpretation=photometric))
+    assert order(film.pixels) > 0.9
+    assert film.pixels[:, :4].max() < 1e-6
+    assert film.pixel_mm == 1.5
+    assert film.pixels.min() >= 0
+    assert film.pixels.max() <= 1
+
+
+def test_a_slope_and_a_forbidden_window_change_nothing_of_linear_pixels(tmp_path):
+    plain = read_film(dicom(tmp_path / "a.dcm", BEAM, **LINEAR)).pixels
+    window = {"WindowCenter": 100, "WindowWidth": 50}
+    for more in ({"RescaleSlope": 0.01, "RescaleIntercept": 0}, window):
+        assert_allclose(read_film(dicom(tmp_path / "b.dcm", BEAM, **LINEAR, **more)).pixels, plain, atol=1e-6)
+
+
+def test_an_intercept_is_where_the_beam_is_zero(tmp_path):
+    plain = read_film(dicom(tmp_path / "a.dcm", np.rint(BEAM), **LINEAR)).pixels
+    shifted = {"RescaleSlope": 1, "RescaleIntercept": -90}
+    assert_allclose(
+        read_film(dicom(tmp_path / "b.dcm", np.rint(BEAM) + 90, **LINEAR, **shifted)).pixels, plain, atol=1e-6
+    )
+
+
+def test_linear_pixels_are_shown_with_the_look_that_is_asked_for(tmp_path):
+    path, usual = dicom(tmp_path / "a.dcm", BEAM, **LINEAR), looks().processed
+    assert_allclose(read_film(path).pixels, read_film(path, usual).pixels)
+    other = read_film(path, msgspec.structs.replace(usual, bend=0.6))
+    assert np.abs(other.pixels - read_film(path).pixels).max() > 0.01
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_logarithms_of_the_beam_are_turned_by_their_sign(tmp_path, sign):
+    stored = np.rint(2000 - sign * 500 * DEPTH)
+    more = {**LINEAR, "PixelIntensityRelationship": "LOG", "PixelIntensityRelationshipSign": sign}
+    film = read_film(dicom(tmp_path / "a.dcm", stored, **more, RescaleSlope=1, RescaleIntercept=-1000))
+    assert_allclose(film.pixels, DEPTH / DEPTH.max(), atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("more", "why"),
+    [
+        ({"PixelIntensityRelationship": None}, "PixelIntensityRelationship = ''; allowed: LIN, LOG"),
+        ({"PixelIntensityRelationship": "DISP"}, "PixelIntensityRelationship = 'DISP'; allowed: LIN, LOG"),
+        ({"PixelIntensityRelationshipSign": None}, "PixelIntensityRelationshipSign = ''; allowed: 1, -1"),
+        ({"PixelIntensityRelationshipSign": -1}, "a value without one that is not said; allowed: sign 1"),
+        ({"ImagerPixelSpacing": None}, "ImagerPixelSpacing = none of linear pixels; allowed: one"),
+        (
+            {"RescaleSlope": -1, "RescaleIntercept": 4095},
+            "RescaleSlope = -1 of pixels FOR PROCESSING; allowed: more than 0",
+        ),
+        ({"RescaleSlope": 1, "RescaleIntercept": -5000}, "linear pixels = .* at most; allowed: more than 0"),
+        ({"ModalityLUTSequence": [pydicom.Dataset()]}, "modality LUT = of pixels FOR PROCESSING; allowed: a slope"),
+        ({"PresentationIntentType": "FOR LATER"}, "PresentationIntentType = 'FOR LATER'"),
+    ],
+)
+def test_pixels_for_processing_of_which_too_little_is_said_are_refused(tmp_path, refused, more, why):
+    dicom(tmp_path / "a.dcm", BEAM, **{name: value for name, value in {**LINEAR, **more}.items() if value is not None})
+    refused("a.dcm", why)
 
 
 @pytest.mark.parametrize(

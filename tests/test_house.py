@@ -38,7 +38,7 @@ DOORS = {
     # Files that are read or written whole.
     "cohort/labels.py": "write_labels",
     "io/dicom.py": "write read ours",
-    "io/film_dicom.py": "is_linear_by_pssf",
+    "io/film_dicom.py": "is_linear_by_pssf read",
     "io/scenes.py": "read_scene",
     "io/readme.py": "Checkout.take require_checkout write_tables",
     "io/segmentation.py": "write",

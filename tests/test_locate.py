@@ -12,10 +12,11 @@ from scipy.ndimage import gaussian_filter
 import pssf
 from pssf.core.checks import InputError
 from pssf.data.localisation import localisation
+from pssf.radiomics.candidates import Candidates, Pair
 from pssf.radiomics.edges import Pyramid, edge_field
-from pssf.radiomics.locate import _chance, _status, find_joint, locate
+from pssf.radiomics.locate import _chance, _side_of, _status, find_joint, locate
 from pssf.radiomics.patches import Template, density_of, poses
-from pssf.radiomics.search import matches
+from pssf.radiomics.search import Match, matches
 
 
 def joint_of(pixels, side="right", pixel_mm=PIXEL_MM, region_px=64, templates=(TEMPLATE,)):
@@ -139,12 +140,78 @@ def test_a_wrong_pitch_is_refused(simulated, factor):
     assert joint.status == "wrong scale"
 
 
-@pytest.mark.parametrize("weak", ["narrow", "apart_mm"])
-def test_a_compartment_that_matches_badly_or_elsewhere_has_too_low_a_score(weak):
+@pytest.mark.parametrize("weak", ["score", "narrow"])
+def test_where_the_mean_of_both_scores_is_below_the_limit_there_is_no_knee(weak):
     limits, joint = localisation().thresholds, joint_of(phantom(150, 165))
-    beyond = {"narrow": limits.narrow - 0.01, "apart_mm": limits.apart_mm + 0.1}[weak]
-    assert _status(joint, SHAPE, None, localisation()) == "found"
-    assert _status(replace(joint, **{weak: beyond}), SHAPE, None, localisation()) == "low score"
+    for off, status in ((0.01, "found"), (-0.01, "no knee")):
+        score = getattr(joint, weak) + 2 * (limits.both + off - joint.both)
+        assert _status(replace(joint, **{weak: score}), SHAPE, None, localisation()) == status
+
+
+def test_a_compartment_that_matches_elsewhere_has_too_low_a_score():
+    limits, joint = localisation().thresholds, joint_of(phantom(150, 165))
+    for off, status in ((-0.1, "found"), (0.1, "low score")):
+        apart = replace(joint, apart_mm=limits.apart_mm + off)
+        assert _status(apart, SHAPE, None, localisation()) == status
+
+
+def searched(found, rise=0.0):
+    image = Pyramid(density_of(phantom(150, 165)))
+    return Candidates(image=image, templates=(TEMPLATE,), found=found, table=localisation(), rise=rise)
+
+
+def wide_match(score, row, col, unit_mm=PIXEL_MM, side="right", way="upright", chance=0.0):
+    return Match(
+        score=score, side=side, way=way, polarity="bone bright", row=row, col=col, unit_mm=unit_mm, seen=1.0,
+        chance=chance,
+    )  # fmt: skip
+
+
+def test_of_places_that_match_alike_the_one_with_a_medial_compartment_is_taken():
+    right, decoys = wide_match(0.60, 150, 165), [wide_match(0.64, 90, 120), wide_match(0.66, 150, 165, 2.2 * PIXEL_MM)]
+    pair = searched([right, *decoys]).best("upright", "right")
+    assert pair.wide == right
+    assert np.hypot(pair.narrow.row - 150, pair.narrow.col - 165) < 1.0
+    assert pair.narrow.score > 0.9
+    assert pair.both == pytest.approx((pair.wide.score + pair.narrow.score) / 2)
+
+
+def test_a_place_that_matches_far_worse_as_a_whole_is_not_looked_at():
+    far = localisation().search.nearly + 0.01
+    right, decoy = wide_match(0.60, 150, 165), wide_match(0.60 + far, 90, 120)
+    assert searched([right, decoy]).best("upright", "right").wide == decoy
+    # What chance gives is taken off first.
+    lucky = wide_match(0.60 + far, 90, 120, chance=far)
+    assert searched([right, lucky]).best("upright", "right").wide == right
+
+
+def test_a_side_is_wrong_only_where_it_was_told():
+    joint = joint_of(phantom(150, 165))
+    mirrored = replace(joint, side_margin=-(1.0 - joint.both))
+    assert mirrored.side_evidence < -localisation().thresholds.side
+    assert _status(mirrored, SHAPE, None, localisation()) == "found"
+    assert _status(mirrored, SHAPE, None, localisation(), "right") == "wrong side"
+
+
+def test_of_two_sides_at_one_joint_the_better_whole_is_taken_and_of_two_places_the_better_by_both():
+    def pair(wide, narrow, **at):
+        return Pair(wide=wide_match(wide, **at), narrow=wide_match(narrow, **at))
+
+    here, beyond = {"row": 150, "col": 165}, {"row": 90, "col": 165}
+    right, left = pair(0.62, 0.40, **here), pair(0.60, 0.50, **here, side="left")
+    assert _side_of({"right": right, "left": left}, localisation()) == "right"
+    elsewhere = pair(0.60, 0.50, **beyond, side="left")
+    assert _side_of({"right": right, "left": elsewhere}, localisation()) == "left"
+    of_another_size = pair(0.60, 0.50, **here, side="left", unit_mm=2 * PIXEL_MM)
+    assert _side_of({"right": right, "left": of_another_size}, localisation()) == "left"
+
+
+def test_matches_of_another_side_or_way_are_no_candidates():
+    right, others = (
+        wide_match(0.60, 150, 165),
+        [wide_match(0.9, 90, 120, side="left"), wide_match(0.9, 90, 120, way="upside down")],
+    )
+    assert searched([right, *others]).best("upright", "right").wide == right
 
 
 def test_a_region_that_leaves_the_image_is_refused():

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
+from sklearn.metrics import cohen_kappa_score
 
 from pssf import study
 from pssf.core.checks import InputError
@@ -22,7 +23,7 @@ from pssf.study import FilmSet, StudySettings
 from pssf.study.external import _pitch_and_region_mm
 from pssf.study.finished import key_of
 from pssf.study.learn.modelfile import unpack
-from pssf.study.statistics.external import counted, score_films
+from pssf.study.statistics.external import counted, score_films, score_grades
 
 
 @pytest.fixture(scope="module")
@@ -238,6 +239,28 @@ def test_scores_of_films_are_of_their_subjects_and_unknown_where_there_are_too_f
     assert scores.loc["0 vs 2", "auc_low"] < 5 / 6 < scores.loc["0 vs 2", "auc_high"]
     assert scores.loc["0 vs 3+4", "auc"] == 1.0
     assert np.isnan(scores.loc["0 vs 3+4", "auc_low"])
+
+
+def test_calls_of_five_grades_are_scored_by_kappa_and_by_the_rest_where_all_grades_are_there():
+    grades = [0, 0, 1, 1, 2, 2, 3, 3, 4, 4]
+    calls = [0, 1, 1, 1, 2, 3, 3, 1, 4, 4]
+    rows = pd.DataFrame(np.eye(5)[calls], columns=[f"p{k}" for k in range(5)])
+    rows = rows.assign(subject=list("abcdefghij"), grade=grades, task="0/1/2/3/4", model="lr", selection="l1")
+    (scores,) = score_grades(rows, replicates=200, seed=0).to_dict("records")
+    assert scores["kappa"] == pytest.approx(cohen_kappa_score(grades, calls, weights="quadratic"))
+    assert scores["kappa_low"] < scores["kappa"] < scores["kappa_high"]
+    assert scores["balanced_accuracy"] == pytest.approx(0.7)
+    assert (scores["films"], scores["subjects"], scores["learnt"]) == (10, 10, "0/1/2/3/4")
+    (without,) = score_grades(rows[rows["grade"] != 4], replicates=200, seed=0).to_dict("records")
+    assert without["kappa"] == pytest.approx(cohen_kappa_score(grades[:8], calls[:8], weights="quadratic"))
+    assert np.isfinite([without["kappa_low"], without["kappa_high"]]).all()
+    assert np.isnan([without["balanced_accuracy"], without["auc_low"]]).all()
+    (single,) = score_grades(rows[1:], replicates=200, seed=0).to_dict("records")
+    assert np.isfinite(single["kappa"])
+    assert np.isnan(single["kappa_low"])
+    assert score_grades(rows[rows["grade"] == 1], replicates=200, seed=0).empty
+    three = rows[["subject", "grade", "model", "selection", "p0", "p1", "p2"]].assign(task="0/1/2")
+    assert score_grades(three, replicates=200, seed=0)["films"].tolist() == [6]
 
 
 def test_films_of_one_side_of_every_contrast_give_no_score():

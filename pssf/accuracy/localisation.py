@@ -41,7 +41,9 @@ _CASES = {
     "pitch x 1.5": ("wrong scale", 1.5),
     "pitch x 0.5": ("wrong scale", 0.5),
 }
-_MEASURES = ("score", "narrow", "side_margin", "side_evidence", "way_margin", "way_evidence", "scale", "apart_mm")
+_MEASURES = (
+    *("score", "narrow", "both", "side_margin", "side_evidence", "way_margin", "way_evidence", "scale", "apart_mm"),
+)
 
 
 def localisation_rows(count: int, workers: int) -> list[Row]:
@@ -67,8 +69,7 @@ def limit_rows(count: int, workers: int) -> list[Row]:
 
     right, enlarged = values("right", "scale", ("study",)), values("pitch x 1.5", "scale", ("study",))
     rules = [
-        ("score", values("without bones", "score").max(), limits.score, "highest without bones"),
-        ("narrow", values("without bones", "narrow").max(), limits.narrow, "highest without bones"),
+        ("both", values("without bones", "both").max(), limits.both, "highest without bones"),
         ("side", -np.quantile(values("wrong side", "side_evidence"), 0.99), limits.side, "99 % of wrong sides"),
         ("way", np.abs(values("without bones", "way_evidence")).max(), limits.way, "highest without bones"),
         ("apart_mm", sum(values(case, "apart_mm").max() for case in ("right", "without bones")) / 2, limits.apart_mm,

@@ -12,7 +12,7 @@ from typing import Any
 from ..anatomy import build
 from ..core.checks import InputError, require_choice, require_workers
 from ..core.parallel import cores, ordered_map, require_scheduler
-from ..data.code import code_digest, require_code
+from ..data.code import code_digest, data_of_pixels, require_code
 from ..geometry.view import view_of
 from ..io import atomic, records
 from ..io.images import save
@@ -28,7 +28,7 @@ Row = dict[str, Any]
 FOLDERS = ("", "images", "masks", "records")
 # What of this package pixels, files and manifest depend on.
 _CODE = (
-    *("anatomy", "cohort", "core", "data", "detector", "geometry", "io", "model", "raycast", "scatter"),
+    *("anatomy", "cohort", "core", "detector", "geometry", "io", "model", "raycast", "scatter"),
     *("simulation.py", "stages.py", "xray"),
 )
 
@@ -76,7 +76,7 @@ def make_cohort(
     if scheduler is not None:
         require_scheduler(scheduler)
     folder = Path(folder)
-    code = code_digest(_CODE)
+    code = code_digest((*_CODE, *data_of_pixels()))
     asked = {**plan.table(), "engine": engine, "versions": versions(), "code": code}
     claim = records.claim(folder / "cohort.json", asked)
     _sweep(folder)

@@ -15,6 +15,24 @@ SUFFIXES = (".py", ".toml", ".j2", ".html")
 # What only tells of results: nobody's cohort is made anew for a sentence of a README.
 TELLING = frozenset({"data/readme.toml", "data/readmes.py", "io/readme.py"})
 
+# Tables and their readers that no pixel of a radiograph hangs on, and why; a table that is not among them counts.
+NOT_OF_PIXELS = {
+    ("ibsi.toml", "ibsi.py"): "values that features are held against",
+    ("landmarks.toml", "landmarks.py"): "people's contours, beside which drawn knees are measured",
+    ("localisation.toml", "localisation.py"): "how the joint is looked for on a radiograph that is there",
+    ("progress.toml", "progress.py"): "how a knee changes over years: a plan has each knee as it is then",
+    ("reference.toml", "references.py"): "published values, beside which quality and accuracy are measured",
+    ("reporting.toml", "reporting.py"): "checklists for a study's report",
+}
+
+
+def data_of_pixels() -> tuple[str, ...]:
+    """The parts of data/ that a radiograph's pixels hang on, each by itself: all but `NOT_OF_PIXELS` and `TELLING`."""
+    apart = TELLING.union(f"data/{name}" for names in NOT_OF_PIXELS for name in names)
+    every = [path for path in (ROOT / "data").iterdir() if path.suffix in SUFFIXES or path.is_dir()]
+    names = [path.relative_to(ROOT).as_posix() for path in every if path.name != "__pycache__"]
+    return tuple(sorted(set(names) - apart))
+
 
 @cache
 def code_digest(parts: tuple[str, ...] = (".",)) -> dict[str, str]:

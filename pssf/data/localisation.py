@@ -29,6 +29,8 @@ class Search(Record, frozen=True):
     narrow_scales: Numbers
     reach_mm: float
     least_seen: float
+    candidates: int
+    nearly: float
 
 
 class Chance(Record, frozen=True):
@@ -37,6 +39,7 @@ class Chance(Record, frozen=True):
     sd: float
     cell_mm: float
     held: float
+    narrow_rise: float
 
 
 class Plateau(Record, frozen=True):
@@ -49,16 +52,14 @@ class Plateau(Record, frozen=True):
 class Thresholds(Record, frozen=True):
     """When a match is refused; each is derived by `pssf accuracy --tables localisation`.
 
-    score     least wide score
-    narrow    least narrow score
+    both      least mean of the wide and the narrow score
     side      greatest evidence for the other side than the one that is given, see `Located.side_evidence`
     way       evidence for upside down that is chance, see `Located.way_evidence`
     apart_mm  how far above or below the wide match the narrow one may be
     scale     of a knee over the standard one
     """
 
-    score: float
-    narrow: float
+    both: float
     side: float
     way: float
     apart_mm: float

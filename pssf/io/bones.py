@@ -20,7 +20,7 @@ def read_bones(path: str | Path) -> dict[str, tuple[Mesh, ...]]:
 
     path    of an .npz, of a folder with one, or of a folder with folders femur, tibia, patella of mesh files; files are
             taken in the order of their names
-    raises  InputError for no bone at all, arrays that are no meshes, or a file that cannot be read
+    raises  InputError for no bone, a folder of a bone without meshes, arrays that are none, or an unreadable file
     """
     path = Path(path)
     archives = [path] if path.suffix == ".npz" else sorted(path.glob("*.npz"))
@@ -69,6 +69,8 @@ def _from_folders(path: Path) -> dict[str, tuple[Mesh, ...]]:
     for kind in KINDS:
         folder = path / kind
         files = sorted(file for file in folder.glob("*") if file.suffix.lower() in _SUFFIXES)
+        if folder.is_dir() and not files:
+            raise InputError(f"folder {path}: {kind}: meshes = none; allowed: {_ALLOWED}")
         if files:
             meshes = [read_mesh(file) for file in files]
             bones[kind] = tuple(Mesh(np.asarray(m.vertices), np.asarray(m.faces)) for m in meshes)

@@ -10,10 +10,15 @@ from pydicom.pixels import apply_modality_lut, apply_voi_lut
 
 from ..core.checks import Array, InputError, require, require_choice
 from ..data.dicom import dicom_tables
+from ..data.looks import Processed, looks
+from ..detector.looks import processed
 
 _SIDES = {"R": "right", "L": "left"}
 # Rows and columns of a pixel that is called square.
 _SQUARE = 0.01
+_PRESENTATION, _PROCESSING = "FOR PRESENTATION", "FOR PROCESSING"
+# Grey values that linear pixels are laid out over before their logarithm is taken, as a panel of 16 bit has them.
+_GREYS = 2.0**16 - 1
 
 
 def is_linear_by_pssf(path: Path) -> bool:
@@ -24,11 +29,13 @@ def is_linear_by_pssf(path: Path) -> bool:
     return ours and item.get("PresentationIntentType") == wanted.processing["PresentationIntentType"]
 
 
-def read(path: Path, allowed_mm: tuple[float, float]) -> dict[str, Any]:
+def read(path: Path, allowed_mm: tuple[float, float], look: Processed | None) -> dict[str, Any]:
     """Pixels (rows, cols) 0 to 1 as displayed, bone bright, with pixel_mm and side where the file says so.
 
     allowed_mm  least and greatest pitch
-    raises      InputError for several frames, colour, linear pixels, a pitch that is no square; whatever pydicom raises
+    look        that linear pixels are shown with; None: the usual one
+    raises      InputError for several frames, colour, a pitch that is no square, pixels For Processing of which it is
+                not said how they hang on the beam; whatever pydicom raises
     """
     item = pydicom.dcmread(path)
     frames = int(item.get("NumberOfFrames", 1) or 1)
@@ -37,13 +44,49 @@ def read(path: Path, allowed_mm: tuple[float, float]) -> dict[str, Any]:
     kind = str(item.get("PhotometricInterpretation", ""))
     require_choice(f"file {path}: PhotometricInterpretation", kind, ("MONOCHROME1", "MONOCHROME2"))
     intent = str(item.get("PresentationIntentType", ""))
-    require_choice(f"file {path}: PresentationIntentType", intent, ("", "FOR PRESENTATION"))
-    shown = _displayed(item)
-    return {
-        "pixels": 1.0 - shown if kind == "MONOCHROME1" else shown,
-        "pixel_mm": _pixel_mm(item, path, allowed_mm),
-        "side": _SIDES.get(str(item.get("ImageLaterality", "") or item.get("Laterality", ""))),
-    }
+    require_choice(f"file {path}: PresentationIntentType", intent, ("", _PRESENTATION, _PROCESSING))
+    pixel_mm = _pixel_mm(item, path, allowed_mm)
+    if intent == _PROCESSING:
+        pixels = _processed(item, path, pixel_mm, look or looks().processed)
+    else:
+        shown = _displayed(item)
+        pixels = 1.0 - shown if kind == "MONOCHROME1" else shown
+    side = _SIDES.get(str(item.get("ImageLaterality", "") or item.get("Laterality", "")))
+    return {"pixels": pixels, "pixel_mm": pixel_mm, "side": side}
+
+
+def _processed(item: Dataset, path: Path, pixel_mm: float | None, look: Processed) -> Array:
+    """(rows, cols) 0 to 1, bone bright, of pixels For Processing; a window, which the standard forbids there, is left.
+
+    Whether bone is bright is said by the sign of the relationship and not by the photometric interpretation (DICOM
+    PS3.3, C.8.11.3.1.2). A rescale that keeps zero and order keeps the relationship; another may undo it.
+    """
+    relationship, sign = (item.get(f"PixelIntensityRelationship{end}") for end in ("", "Sign"))
+    require_choice(f"file {path}: PixelIntensityRelationship", str(relationship or ""), ("LIN", "LOG"))
+    require_choice(f"file {path}: PixelIntensityRelationshipSign", str(sign or ""), ("1", "-1"))
+    if "ModalityLUTSequence" in item:
+        raise InputError(
+            f"file {path}: modality LUT = of pixels {_PROCESSING}; allowed: a slope, which keeps {relationship}"
+        )
+    slope = float(item.get("RescaleSlope", 1))
+    if not slope > 0:
+        raise InputError(f"file {path}: RescaleSlope = {slope:g} of pixels {_PROCESSING}; allowed: more than 0")
+    values = np.asarray(apply_modality_lut(item.pixel_array, item), np.float64)
+    if relationship == "LOG":
+        share = (values - values.min()) / max(float(np.ptp(values)), 1e-12)
+        return np.asarray(1.0 - share if int(sign) == 1 else share)
+    if int(sign) == -1:
+        raise InputError(
+            f"file {path}: linear pixels fall with the beam, from a value without one that is not said; allowed: sign 1"
+        )
+    if pixel_mm is None:
+        raise InputError(
+            f"file {path}: ImagerPixelSpacing = none of linear pixels; allowed: one, which sizes are shown by"
+        )
+    if not values.max() > 0:
+        raise InputError(f"file {path}: linear pixels = {values.max():g} at most; allowed: more than 0")
+    signal = np.maximum(values * (_GREYS / values.max()), 1.0).astype(np.float32)
+    return processed(signal, pixel_mm, look).astype(np.float64)
 
 
 def _displayed(item: Dataset) -> Array:

@@ -44,7 +44,7 @@ class Film:
     side      right | left | None where it is not known
     pixel_mm  pitch at the film, None where it is not known
     sha256    of the file
-    look      that linear pixels of this package are shown with, None for that of `for_eyes`; others are shown already
+    look      that linear pixels are shown with, None for that of `for_eyes`; others are shown already
     """
 
     file: str
@@ -161,12 +161,13 @@ def _sha256(path: Path) -> str:
 
 
 def read_film(path: str | Path, look: Processed | None = None) -> FilmImage:
-    """A film as it is displayed; linear pixels of this package are rendered for eyes first.
+    """A film as it is displayed; linear pixels, and others' logarithms of them, are rendered for eyes first.
 
     look    that they are rendered with; None: as `for_eyes` has it
     path    PNG, JPEG, TIFF or DICOM of 8 to 16 bit; of colour only what is grey in truth
     raises  InputError naming a file that is missing, empty, damaged, of another kind, of several frames, coloured, of
-            one grey value or too small; one whose pixels are not square; a DICOM For Processing by others
+            one grey value or too small; one whose pixels are not square; a DICOM For Processing that does not say how
+            its pixels hang on the beam
     """
     path = Path(path)
     require_choice(f"file {path}: suffix", path.suffix.lower(), SUFFIXES)
@@ -177,7 +178,7 @@ def read_film(path: str | Path, look: Processed | None = None) -> FilmImage:
             from . import film_dicom  # pydicom is not imported before a DICOM is wanted
 
             ours = film_dicom.is_linear_by_pssf(path)
-            film = _rendered(path, look) if ours else FilmImage(**film_dicom.read(path, _PIXEL_MM))
+            film = _rendered(path, look) if ours else FilmImage(**film_dicom.read(path, _PIXEL_MM, look))
         else:
             film = _picture(path, look)
     for name, length in zip(("rows", "columns"), film.pixels.shape, strict=True):

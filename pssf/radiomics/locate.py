@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 from ..core.blocks import block_mean
 from ..core.checks import Array, InputError, require, require_choice
 from ..data.localisation import Localisation, localisation
+from .candidates import Candidates, Pair, evidence
 from .edges import Pyramid
 from .patches import LINEAR_MM, SIDES, WAYS, Template, density_of, poses
 from .region import region_fits
-from .search import Match, matches, score_maps, vertex
+from .search import Match, matches
 
 STATUSES = ("found", "no knee", "upside down", "wrong side", "wrong scale", "low score", "leaves image")
 
@@ -26,7 +27,7 @@ class Located:
     score        correlation of edges with the whole joint's, -1 to 1
     narrow       the same of the medial compartment alone
     side         right | left: as it is given, else the one that matches better
-    side_margin  by how much that side's score is above the mirrored one's
+    side_margin  by how much the mean of that side's scores is above the mirrored one's
     way          upright | upside down
     way_margin   by how much that way's score is above the other's
     polarity     bone bright | bone dark
@@ -54,17 +55,22 @@ class Located:
     seen: float
 
     @property
+    def both(self) -> float:
+        """Mean of both scores, by which it is judged whether there is a knee."""
+        return (self.score + self.narrow) / 2
+
+    @property
     def side_evidence(self) -> float:
         """The side's margin over what the better of both sides leaves unexplained; below 0 where that is the other.
 
         Where a knee's shape is not the templates', both sides match it worse and their difference tells less.
         """
-        return _evidence(self.score, self.score - self.side_margin)
+        return evidence(self.both, self.both - self.side_margin)
 
     @property
     def way_evidence(self) -> float:
         """The same of upright against upside down."""
-        return _evidence(self.score, self.score - self.way_margin)
+        return evidence(self.score, self.score - self.way_margin)
 
 
 def find_joint(
@@ -102,8 +108,8 @@ def locate(
     Directions of edges are correlated, relative to the strength of the edges about, so that any display's tone will do.
     First the whole joint is looked for at a coarse pitch: over places, sizes, both sides, upright and upside down, bone
     bright and dark; where the pitch is not known, sizes are weighed by how far a score is beyond what chance gives.
-    Then the medial compartment near that place: over templates, turns and sizes, to a fraction of a pixel. What is
-    given is checked against what is found.
+    Then the medial compartment near the best few of these: over templates, turns and sizes, to a fraction of a pixel;
+    of the few that is taken which is best by both. What is given is checked against what is found.
 
     density    (rows, cols) bone bright, any unit that is monotone: minus the logarithm of a signal, or a film as
                displayed; row 0 proximal, and a right knee's fibula on the left
@@ -121,39 +127,60 @@ def locate(
     table, image = localisation(), Pyramid(density)
     whole = poses(tuple(dict.fromkeys((templates[0], templates[-1]))), table.wide)
     units = _units(density.shape, templates[0], pixel_mm, table)
-    candidates = list(matches(image, units, whole, table.wide, table.search.least_seen))
+    matched = list(matches(image, units, whole, table.wide, table.search.least_seen))
     if pixel_mm is None:
-        candidates = [replace(match, chance=_chance(density.shape, match.unit_mm, table)) for match in candidates]
-    if not candidates:
+        matched = [replace(match, chance=_chance(density.shape, match.unit_mm, table)) for match in matched]
+    if not matched:
         raise InputError(f"image of {density.shape} pixels of {pixel_mm} mm; allowed: one that holds a knee joint")
-    best = _best(candidates, table)
-    if pixel_mm is not None and best.score < table.thresholds.score:
-        candidates += matches(image, _smaller(pixel_mm, table), whole, table.wide, table.search.least_seen)
-        best = _best(candidates, table)
-    mirrored = _best_of(candidates, way=best.way, side=SIDES[1 - SIDES.index(best.side)])
-    if side is not None and best.side != side:
-        best, mirrored = mirrored, best
-    best, flipped = _between_sizes(best, candidates), max(match.score for match in candidates if match.way != best.way)
-    pitch_mm, pixel_from, scale = _size(best, templates[0], pixel_mm, table)
-    narrow = _refined(image, tuple(templates), best, table)
+    chance = _rise(pixel_mm, table)
+    search = Candidates(image=image, templates=tuple(templates), matches=matched, table=table, rise=chance)
+    of_sides = _upright_or_not(search)
+    if pixel_mm is not None and max(pair.both for pair in of_sides.values()) < table.thresholds.both:
+        matched += matches(image, _smaller(pixel_mm, table), whole, table.wide, table.search.least_seen)
+        of_sides = _upright_or_not(search)
+    chosen = side or _side_of(of_sides, table)
+    best, mirrored = of_sides[chosen], of_sides[SIDES[1 - SIDES.index(chosen)]]
+    wide, narrow = best.wide, best.narrow
+    pitch_mm, pixel_from, scale = _size(wide, templates[0], pixel_mm, table)
     located = Located(
         row=narrow.row,
         col=narrow.col,
         status="found",
-        score=best.score,
+        score=wide.score,
         narrow=narrow.score,
-        side=best.side,
-        side_margin=best.score - mirrored.score,
-        way=best.way,
-        way_margin=best.score - flipped,
-        polarity=best.polarity,
-        seen=best.seen,
-        apart_mm=abs(narrow.row - best.row) * best.unit_mm,
+        side=chosen,
+        side_margin=best.both - mirrored.both,
+        way=wide.way,
+        way_margin=wide.score - search.highest(WAYS[1 - WAYS.index(wide.way)]),
+        polarity=wide.polarity,
+        seen=wide.seen,
+        apart_mm=abs(narrow.row - wide.row) * wide.unit_mm,
         pixel_mm=pitch_mm,
         pixel_from=pixel_from,
         scale=scale,
     )
-    return replace(located, status=_status(located, density.shape, region_px, table))
+    return replace(located, status=_status(located, density.shape, region_px, table, side))
+
+
+def _upright_or_not(search: Candidates) -> dict[str, Pair]:
+    """Side -> the best match, upright unless one upside down is better by more than chance, and the narrow one too."""
+    upright = {side: search.best(WAYS[0], side) for side in SIDES}
+    best = max(upright.values(), key=lambda pair: pair.excess)
+    if evidence(search.highest(WAYS[1]), best.wide.score) <= search.table.thresholds.way:
+        return upright
+    turned = {side: search.best(WAYS[1], side) for side in SIDES}
+    other = max(turned.values(), key=lambda pair: pair.excess)
+    return turned if other.narrow.score > best.narrow.score else upright
+
+
+def _side_of(pairs: dict[str, Pair], table: Localisation) -> str:
+    """The better side; of two at one joint the one that is better as a whole, since compartments are much alike."""
+    one, other = (pairs[side].wide for side in SIDES)
+    apart_mm = abs(one.row - other.row) * other.unit_mm
+    alike = abs(np.log(one.unit_mm / other.unit_mm)) <= 2 * np.log(table.search.scale_step)
+    if alike and apart_mm <= table.search.reach_mm:
+        return max(SIDES, key=lambda side: pairs[side].wide.excess)
+    return max(SIDES, key=lambda side: pairs[side].excess)
 
 
 def _units(shape: tuple[int, ...], template: Template, pixel_mm: float | None, table: Localisation) -> list[float]:
@@ -189,6 +216,11 @@ def _size(best: Match, template: Template, pixel_mm: float | None, table: Locali
     return best.unit_mm * scale, "plateau", scale
 
 
+def _rise(pixel_mm: float | None, table: Localisation) -> float:
+    """How the narrow score that chance gives rises with the size of a pixel; 0 where sizes are not to be weighed."""
+    return table.chance.narrow_rise if pixel_mm is None else 0.0
+
+
 def _chance(shape: tuple[int, ...], unit_mm: float, table: Localisation) -> float:
     """The best score that chance gives over a film for a knee of one size: the smaller, the more places there are.
 
@@ -201,74 +233,17 @@ def _chance(shape: tuple[int, ...], unit_mm: float, table: Localisation) -> floa
     return float(by_chance.sd * np.sqrt(2 * np.log(max(2.0, places))))
 
 
-def _evidence(score: float, other: float) -> float:
-    return (score - other) / max(1.0 - max(score, other), 1e-6)
-
-
-def _best(candidates: Sequence[Match], table: Localisation) -> Match:
-    """The best upright match, unless one upside down is better by more than chance."""
-    upright, turned = (
-        max((match for match in candidates if match.way == way), key=lambda match: match.excess) for way in WAYS
-    )
-    return turned if _evidence(turned.score, upright.score) > table.thresholds.way else upright
-
-
-def _best_of(candidates: Sequence[Match], *, way: str, side: str) -> Match:
-    return max((m for m in candidates if m.way == way and m.side == side), key=lambda match: match.excess)
-
-
-def _between_sizes(best: Match, candidates: Sequence[Match]) -> Match:
-    """The match with the size at the vertex of the scores of its own and its neighbours'."""
-    alike = [m for m in candidates if (m.side, m.way, m.polarity) == (best.side, best.way, best.polarity)]
-    sizes = sorted(alike, key=lambda match: match.unit_mm)
-    at = sizes.index(best)
-    offset = float(np.clip(vertex(np.array([match.score for match in sizes]), at), -1.0, 1.0))
-    if offset == 0.0:
-        return best
-    neighbour = sizes[at + (1 if offset > 0 else -1)].unit_mm
-    return replace(best, unit_mm=best.unit_mm * (neighbour / best.unit_mm) ** abs(offset))
-
-
-def _refined(image: Pyramid, templates: tuple[Template, ...], wide: Match, table: Localisation) -> Match:
-    """The best narrow match within reach of the wide one."""
-    law, best = table.narrow, replace(wide, score=-1.0)
-    ours = [pose for pose in poses(templates, law) if (pose.side, pose.way) == (wide.side, wide.way)]
-    extent_mm = max(law.up_mm, law.down_mm, law.lateral_mm, law.medial_mm) + table.search.reach_mm + 2 * law.tile_mm
-    top, left = (max(0, int(at - extent_mm / wide.unit_mm)) for at in (wide.row, wide.col))
-    ends = (int(at + extent_mm / wide.unit_mm) + 2 for at in (wide.row, wide.col))
-    near = Pyramid(image.levels[0][top : next(ends), left : next(ends)])
-    sign = 1.0 if wide.polarity == "bone bright" else -1.0
-    for scale in table.search.narrow_scales:
-        zoom = wide.unit_mm / scale / law.pitch_mm
-        at_pitch = near.at(zoom)
-        rows, cols = (
-            (np.arange(length) + 0.5) / zoom - 0.5 + start
-            for length, start in zip(at_pitch.shape, (top, left), strict=True)
-        )
-        away_mm = np.hypot(rows[:, None] - wide.row, cols - wide.col) * wide.unit_mm
-        for _, maps, _ in score_maps(at_pitch, ours, law):
-            allowed = np.where(away_mm <= table.search.reach_mm, sign * maps, -1.0)
-            patch, row, col = (int(at) for at in np.unravel_index(np.argmax(allowed), allowed.shape))
-            peak = allowed[patch]
-            if peak[row, col] > best.score:
-                best = replace(
-                    wide,
-                    score=float(peak[row, col]),
-                    row=float(rows[row] + vertex(peak[:, col], row) / zoom),
-                    col=float(cols[col] + vertex(peak[row], col) / zoom),
-                )
-    return best
-
-
-def _status(joint: Located, shape: tuple[int, ...], region_px: int | None, table: Localisation) -> str:
-    """The first reason to refuse, or found."""
+def _status(
+    joint: Located, shape: tuple[int, ...], region_px: int | None, table: Localisation, given: str | None = None
+) -> str:
+    """The first reason to refuse, or found; a side that nobody told cannot be wrong."""
     limit = table.thresholds
     reasons = {
-        "no knee": joint.score < limit.score,
+        "no knee": joint.both < limit.both,
         "upside down": joint.way != WAYS[0],
-        "wrong side": joint.side_evidence < -limit.side,
+        "wrong side": given is not None and joint.side_evidence < -limit.side,
         "wrong scale": joint.pixel_from == "given" and not limit.scale[0] <= joint.scale <= limit.scale[1],
-        "low score": joint.narrow < limit.narrow or joint.apart_mm > limit.apart_mm,
+        "low score": joint.apart_mm > limit.apart_mm,
         "leaves image": not region_fits(shape, joint.row, joint.col, 1 if region_px is None else region_px),
     }
     return next((reason for reason, holds in reasons.items() if holds), "found")

@@ -25,9 +25,9 @@ from ..radiomics.table import NOT_FEATURES, TEXT, Job, Record, extract_all
 from .films import REGION_MM, FilmSet
 from .learn.modelfile import TrainedOn, pack
 from .learn.refit import Kept, refitted
-from .predictions import class_names, joined
+from .predictions import GRADED, class_names, joined
 from .settings import StudySettings
-from .statistics.external import CONTRASTS, counted, score_films
+from .statistics.external import CONTRASTS, counted, score_films, score_grades
 
 # Films that pitch and region are taken from, where they are not given.
 _SAMPLE = 15
@@ -41,8 +41,9 @@ _SHOWN = ("status", "film_side", "film_polarity", "film_pixel_mm", "film_pixel_f
 class External:
     """What films gave.
 
-    tables    films: one row a film, with its probabilities; films_scores: of `external.score_films`
-    counts    of `external.counted`
+    tables    films: one row a film, with its probabilities; films_scores: of `external.score_films`; films_grades: of
+              `external.score_grades`
+    found     of `external.counted`
     how       pitch and region that films and cohort were read by
     protocol  that the models have learnt from, by so many radiographs of so many
     models    name -> file
@@ -107,10 +108,11 @@ def tested_on_films(bench: Bench, films: FilmSet, manifest: pd.DataFrame) -> Ext
     with bench.execution.timer.stage("models for films"):
         kept = list(refitted(usable, names, settings, {LABEL: (films.protocol,)}))
         models = {one.name: _file(one, how, templates, cohort, settings) for one in kept}
-    table, predictions = _predicted(listed, names, kept)
-    scores = score_films(predictions, replicates=settings.replicates, seed=settings.seed)
+    table, of_two, of_grades = _predicted(listed, names, kept)
+    bootstrap = {"replicates": settings.replicates, "seed": settings.seed}
+    scores = {"films_scores": score_films(of_two, **bootstrap), "films_grades": score_grades(of_grades, **bootstrap)}
     return External(
-        tables={"films": table, "films_scores": scores},
+        tables={"films": table, **scores},
         counts=counted(listed),
         how=how,
         protocol=films.protocol,
@@ -224,20 +226,26 @@ def trained_on(manifest: pd.DataFrame) -> tuple[TrainedOn, ...]:
     )
 
 
-def _predicted(films: pd.DataFrame, names: list[str], kept: Sequence[Kept]) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """films.csv, and the predictions of models of CONTRASTS of films whose grade is known."""
+def _predicted(
+    films: pd.DataFrame, names: list[str], kept: Sequence[Kept]
+) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
+    """films.csv, and the predictions of models of CONTRASTS and of GRADED of films whose grade is known."""
     is_found = films["status"] == "found"
     table = films.reindex(columns=["file", "subject", "grade", *_SHOWN]).copy()
-    predictions = []
+    of_two, of_grades = [], []
     for one in kept:
         probability = np.full((len(films), len(one.grades)), np.nan)
         if is_found.any():
             probability[is_found] = one.fitted.pipeline.predict_proba(films.loc[is_found, names])
         for place, grade in enumerate(one.grades):
             table[f"{one.name} grade {grade}"] = probability[:, place]
+        rows = films.loc[is_found & films["grade"].notna(), ["subject", "grade"]]
+        rows = rows.assign(task=one.task, model=one.model, selection=one.selection)
         if one.task in CONTRASTS:
-            rows = films.loc[is_found & films["grade"].notna(), ["subject", "grade"]]
-            p = probability[rows.index, 1]
-            predictions.append(rows.assign(task=one.task, model=one.model, selection=one.selection, p=p))
-    columns = ["subject", "grade", "task", "model", "selection", "p"]
-    return table, joined(predictions) if predictions else pd.DataFrame(columns=columns)
+            of_two.append(rows.assign(p=probability[rows.index, 1]))
+        if one.task in GRADED:
+            of_grades.append(
+                rows.assign(**{f"p{place}": probability[rows.index, place] for place in range(len(one.grades))})
+            )
+    none = pd.DataFrame(columns=["subject", "grade", "task", "model", "selection", "p"])
+    return table, *(joined(rows) if rows else none for rows in (of_two, of_grades))

@@ -15,7 +15,10 @@ TASKS: dict[str, Classes] = {
     "0 vs 2": ((0,), (2,)),
     "0/1/2": ((0,), (1,), (2,)),
     "0 vs 3+4": ((0,), (3, 4)),
+    "0/1/2/3/4": ((0,), (1,), (2,), (3,), (4,)),
 }
+# Those of more than two classes, the fewest first.
+GRADED = {name: classes for name, classes in TASKS.items() if len(classes) > 2}
 ARM = ["task", "scenario", "trained_on", "tested_on", "model", "selection"]
 # What a model of the image must do better than, as further models of an arm; their selection is NONE.
 BASELINES = {"chance": "Chance", "body": "Age, sex, stature", "jsw": "JSW (true)"}
@@ -26,7 +29,7 @@ NONE = "none"
 class Outcome:
     """Of one split.
 
-    predictions  ARM, repeat, radiograph, knee, subject, protocol, truth (class index), p0, p1[, p2]
+    predictions  ARM, repeat, radiograph, knee, subject, protocol, truth (class index), p0, p1 and so on, one a class
     importances  ARM without `tested_on`, repeat, feature, share
     permutation  model, selection, repeat, feature, drop: within protocol, 0 vs 2
     stable       how many features were stable across protocols in the training subjects; None with one protocol

@@ -154,9 +154,9 @@ def calibration_curves(curve: pd.DataFrame, selection: str) -> bytes:
     return png(figure)
 
 
-def confusions(predictions: pd.DataFrame, selection: str) -> bytes:
-    """Confusion matrices of 0/1/2, splits pooled: rows are scenarios, columns models; shade is the share of a row."""
-    part = predictions[(predictions["task"] == "0/1/2") & (predictions["selection"] == selection)]
+def confusions(predictions: pd.DataFrame, task: str, selection: str) -> bytes:
+    """Confusion matrices of a task, splits pooled: rows are scenarios, columns models; shade is the share of a row."""
+    part = predictions[(predictions["task"] == task) & (predictions["selection"] == selection)]
     arms = [arm for arm in dict.fromkeys(zip(part["scenario"], part["tested_on"], strict=True)) if _shown(arm)]
     models = list(dict.fromkeys(part["model"]))
     figure = Figure(figsize=(2.7 * max(1, len(models)), 2.45 * max(1, len(arms))), layout="constrained")
@@ -165,7 +165,7 @@ def confusions(predictions: pd.DataFrame, selection: str) -> bytes:
         for col, model in enumerate(models):
             axis = axes[row, col]
             chosen = part[(part["scenario"] == scenario) & (part["tested_on"] == tested_on) & (part["model"] == model)]
-            _matrix(axis, confusion(*truth_and_probability(chosen)))
+            _matrix(axis, confusion(*truth_and_probability(chosen)), least_grades(task))
             axis.set_title(f"{MODELS[model]}\n{SCENARIOS[scenario]}: {plain(tested_on)}", fontsize=9)
     for axis in axes[:, 0]:
         axis.set_ylabel("true grade")
@@ -174,13 +174,12 @@ def confusions(predictions: pd.DataFrame, selection: str) -> bytes:
     return png(figure)
 
 
-def _matrix(axis: Any, counts: NDArray[np.int64]) -> None:
+def _matrix(axis: Any, counts: NDArray[np.int64], grades: tuple[int, ...]) -> None:
     share = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
     axis.imshow(share, cmap="Blues", vmin=0, vmax=1)
     for (row, col), count in np.ndenumerate(counts):
         ink = "white" if share[row, col] > 0.6 else "black"
         axis.text(col, row, f"{share[row, col]:.2f}\n({count})", ha="center", va="center", color=ink, fontsize=8)
-    grades = least_grades("0/1/2")
     axis.set_xticks(range(len(grades)), [str(grade) for grade in grades])
     axis.set_yticks(range(len(grades)), [str(grade) for grade in grades])
 

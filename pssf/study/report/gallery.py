@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from ...core.blocks import block_mean
 from ...detector import present
 from ...radiomics.table import Load
+from ..predictions import GRADED
 from ..settings import SELECTIONS, StudySettings
 from ..statistics.importance import by_family
 from ..statistics.parameters import strongest
@@ -37,8 +38,10 @@ def gallery(
     selection = settings.selections[0]
     pictures = {"panel": _panel(located, load_pixels, settings)}
     pictures["robustness"] = _robustness(predictions, tables["scores"], selection)
-    if (predictions["task"] == "0/1/2").any():
-        pictures["confusion"] = _confusion(predictions, selection)
+    graded = [task for task in GRADED if (predictions["task"] == task).any()]
+    if graded:
+        # Of the most grades there are.
+        pictures["confusion"] = _confusion(predictions, graded[-1], selection)
     pictures["calibration"] = _calibration(tables["calibration_curve"], selection)
     if len(tables["reliability"]):
         pictures["stability"] = _stability(tables, settings, selection)
@@ -123,12 +126,12 @@ def _stability(tables: dict[str, pd.DataFrame], settings: StudySettings, selecti
     )
 
 
-def _confusion(predictions: pd.DataFrame, selection: str) -> Picture:
+def _confusion(predictions: pd.DataFrame, task: str, selection: str) -> Picture:
     return Picture(
         name="confusion",
-        png=figures.confusions(predictions, selection),
-        alt="Confusion matrices of grades 0, 1 and 2 for each scenario and model",
-        caption=f"Grades 0, 1 and 2, {SELECTIONS[selection]} selection; test predictions of all splits pooled. "
+        png=figures.confusions(predictions, task, selection),
+        alt=f"Confusion matrices of grades {task} for each scenario and model",
+        caption=f"Grades {task}, {SELECTIONS[selection]} selection; test predictions of all splits pooled. "
         "Share of the true grade, and in brackets the number of predictions (a knee is counted in each split that "
         "tests it).",
     )

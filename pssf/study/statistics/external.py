@@ -3,15 +3,21 @@
 import numpy as np
 import pandas as pd
 
-from ..predictions import TASKS
-from .metrics import METRICS, percentiles, weighted_scores
+from ...core.checks import Array
+from ..predictions import GRADED, TASKS, Classes, class_of
+from .metrics import METRICS, percentiles, weighted_kappa, weighted_scores
 from .subjects import draws, worst_grades
 
 # Contrast -> the grades of films that count as without and with osteoarthritis; of each there may be models.
 CONTRASTS = {name: classes for name, classes in TASKS.items() if len(classes) == 2}
+KAPPA = "kappa"
 COLUMNS = [
     *("films_of", "learnt", "model", "selection", "films", "subjects", "without", "with"),
     *(f"{metric}{end}" for metric in METRICS for end in ("", "_low", "_high")),
+]
+GRADED_COLUMNS = [
+    *("learnt", "model", "selection", "films", "subjects"),
+    *(f"{metric}{end}" for metric in (KAPPA, *METRICS) for end in ("", "_low", "_high")),
 ]
 _STREAM = 2**31 + 1
 # A bootstrap of one subject always draws the same.
@@ -44,15 +50,55 @@ def _counts(of: pd.DataFrame, truth: np.ndarray) -> dict[str, int]:
 
 
 def _scores(of: pd.DataFrame, truth: np.ndarray, replicates: int, seed: int) -> dict[str, float]:
+    p = of["p"].to_numpy(np.float64)
+    values = weighted_scores(truth, np.stack([1 - p, p], axis=1), _weights(of, replicates, seed))
+    enough = all(of["subject"][truth == side].nunique() >= _LEAST_SUBJECTS for side in (0, 1))
+    return _with_intervals(values, dict.fromkeys(METRICS, enough))
+
+
+def score_grades(predictions: pd.DataFrame, *, replicates: int, seed: int) -> pd.DataFrame:
+    """One row a task of GRADED, model and selection: GRADED_COLUMNS; quadratic kappa first.
+
+    Of films whose grade is one of the task's. 95 % intervals as `score_films` has them: of kappa with two grades or
+    more, of the others, which are means over all classes, with all; NaN where a grade has fewer than two subjects.
+
+    predictions  task, model, selection, subject (text), grade, p0, p1 and so on: one row a film
+    """
+    rows = []
+    for (task, model, selection), every in predictions.groupby(["task", "model", "selection"], sort=False):
+        classes = GRADED[task]
+        of = every[every["grade"].isin(sum(classes, ()))]
+        if of["grade"].nunique() > 1:
+            label = {"learnt": task, "model": model, "selection": selection}
+            counts = {"films": len(of), "subjects": of["subject"].nunique()}
+            rows.append(label | counts | _graded(of, classes, replicates, seed))
+    return pd.DataFrame(rows, columns=GRADED_COLUMNS)
+
+
+def _graded(of: pd.DataFrame, classes: Classes, replicates: int, seed: int) -> dict[str, float]:
+    truth = class_of(of["grade"].to_numpy(np.int64), classes)
+    probability = of[[f"p{place}" for place in range(len(classes))]].to_numpy(np.float64)
+    weights = _weights(of, replicates, seed)
+    values = {KAPPA: weighted_kappa(truth, probability, weights)} | weighted_scores(truth, probability, weights)
+    subjects = of["subject"].groupby(truth).nunique()
+    enough = bool((subjects >= _LEAST_SUBJECTS).all())
+    all_there = enough and len(subjects) == len(classes)
+    return _with_intervals(values, {KAPPA: enough} | dict.fromkeys(METRICS, all_there))
+
+
+def _weights(of: pd.DataFrame, replicates: int, seed: int) -> Array:
+    """(films, 1 + replicates)  how often each film is in a sample of the subjects"""
     worst = worst_grades(of["subject"], of["grade"])
     weights = draws(worst, replicates=replicates, seed=seed, stream=_STREAM)
-    p = of["p"].to_numpy(np.float64)
-    values = weighted_scores(truth, np.stack([1 - p, p], axis=1), weights[worst.index.get_indexer(of["subject"])])
-    enough = all(of["subject"][truth == side].nunique() >= _LEAST_SUBJECTS for side in (0, 1))
+    return np.asarray(weights[worst.index.get_indexer(of["subject"])])
+
+
+def _with_intervals(values: dict[str, Array], enough: dict[str, bool]) -> dict[str, float]:
+    """Each metric of all films, and its percentiles where there are enough subjects."""
     row = dict[str, float]()
-    for metric in METRICS:
-        low, high = percentiles(values[metric][1:]) if enough else (np.nan, np.nan)
-        row |= {metric: float(values[metric][0]), f"{metric}_low": low, f"{metric}_high": high}
+    for metric, of_samples in values.items():
+        low, high = percentiles(of_samples[1:]) if enough[metric] else (np.nan, np.nan)
+        row |= {metric: float(of_samples[0]), f"{metric}_low": low, f"{metric}_high": high}
     return row
 
 

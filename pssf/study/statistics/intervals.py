@@ -44,7 +44,7 @@ class Replicates:
 def resample(predictions: pd.DataFrame, *, replicates: int, seed: int) -> Replicates:
     """Score every arm on bootstrap samples of the subjects; see the module.
 
-    predictions  ARM, repeat, subject, truth, p0, p1[, p2]
+    predictions  ARM, repeat, subject, truth, p0, p1 and so on
     """
     weights = subject_weights(predictions, replicates=replicates, seed=seed)
     values = weights.to_numpy()

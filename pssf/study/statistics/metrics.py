@@ -74,9 +74,7 @@ def weighted_scores(truth: NDArray[np.int64], probability: Array, weight: Array)
     returns      metric -> (samples,); NaN for all three where a class has no weight
     """
     classes = probability.shape[1]
-    cell = np.zeros((classes * classes, len(truth)))
-    cell[truth * classes + probability.argmax(axis=1), np.arange(len(truth))] = 1.0
-    counts = (cell @ weight).reshape(classes, classes, -1)
+    counts = _weighted_counts(truth, probability, weight)
     true, called, right = counts.sum(axis=1), counts.sum(axis=0), np.einsum("kks->ks", counts)
     ones = range(classes) if classes > 2 else (1,)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -87,6 +85,32 @@ def weighted_scores(truth: NDArray[np.int64], probability: Array, weight: Array)
         }
     lacking = ~(true > 0).all(axis=0)
     return {metric: np.where(lacking, np.nan, values) for metric, values in scores.items()}
+
+
+def weighted_kappa(truth: NDArray[np.int64], probability: Array, weight: Array) -> Array:
+    """(samples,) Cohen's kappa of true and most probable class, with quadratic weights (Cohen 1968).
+
+    Classes are in an order: being two off counts four times as much as being one off.
+
+    truth        (rows,) class index
+    probability  (rows, classes)
+    weight       (rows, samples) counts
+    returns      NaN where truth and calls are all of one and the same class
+    """
+    counts = _weighted_counts(truth, probability, weight)
+    places = np.arange(len(counts))
+    off = (places[:, None] - places) ** 2
+    by_chance = counts.sum(axis=1)[:, None] * counts.sum(axis=0)[None] / counts.sum(axis=(0, 1))
+    seen, expected = (np.einsum("kl,kls->s", off, table) for table in (counts, by_chance))
+    return np.asarray(1.0 - np.divide(seen, expected, out=np.full_like(expected, np.nan), where=expected > 0))
+
+
+def _weighted_counts(truth: NDArray[np.int64], probability: Array, weight: Array) -> Array:
+    """(classes, classes, samples) `confusion` with weights; arguments as `weighted_kappa` has them"""
+    classes = probability.shape[1]
+    cell = np.zeros((classes * classes, len(truth)))
+    cell[truth * classes + probability.argmax(axis=1), np.arange(len(truth))] = 1.0
+    return np.asarray((cell @ weight).reshape(classes, classes, -1))
 
 
 def _weighted_auc(positive: NDArray[np.bool_], value: Array, weight: Array) -> Array:

@@ -1,0 +1,65 @@
+"""Models of all five grades: trained on a cohort of them, saved, scored and read on films."""
+
+import drawn
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.testing import assert_allclose
+
+from pssf import study
+from pssf.io.films import list_films
+from pssf.study.learn.modelfile import unpack
+from pssf.study.reading import read_films
+
+NAME = "lr_l1_01234_films"
+
+
+@pytest.fixture(scope="module")
+def films(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("five") / "films"
+    for place in range(15):
+        side = ("right", "left")[place % 2]
+        drawn.film(folder / str(place % 5) / f"p{place:03d}{'RL'[place % 2]}.png", place % 5, side, place)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def trained(films, tmp_path_factory):
+    cohort = drawn.Cohort(6, grades=5)
+    manifest = cohort.manifest[cohort.manifest["protocol"] == "reference"]
+    given = drawn.film_set(films, load_cohort=cohort.display)
+    folder = tmp_path_factory.mktemp("five_study")
+    return study.run(manifest, cohort.load, [drawn.TEMPLATE], drawn.LIGHT, folder / "out", films=given)
+
+
+def test_a_model_of_all_grades_is_kept_and_reads_films_with_five_probabilities(trained, films):
+    assert {NAME, "lr_l1_01234_reference"} <= set(trained.models)
+    model = unpack(trained.models[NAME].read_bytes(), NAME)
+    assert model.card.grades == (0, 1, 2, 3, 4)
+    assert model.card.grade_names[3:] == ("moderate OA", "severe OA")
+    assert (model.card.subjects, model.card.task) == (30, "0/1/2/3/4")
+    listed = list_films(films)
+    read = read_films(model, listed, films).table
+    chances = read[[f"p grade {grade}" for grade in range(5)]].to_numpy()
+    assert (read["status"] == "found").all()
+    assert_allclose(chances.sum(axis=1), 1.0)
+    off = chances @ np.arange(5) - read["grade"].to_numpy(float)
+    assert np.abs(off).mean() < 1.0
+
+
+def test_films_are_scored_by_how_far_their_grades_are_off(trained):
+    scores = pd.read_csv(trained.tables["films_grades"]).set_index("learnt")
+    assert set(scores.index) == {"0/1/2", "0/1/2/3/4"}
+    five = scores.loc["0/1/2/3/4"]
+    assert five["films"] == 15
+    assert 0.3 < five["kappa"] <= 1.0
+    assert five["kappa_low"] < five["kappa_high"]
+    assert five["balanced_accuracy_low"] <= five["balanced_accuracy"] <= five["balanced_accuracy_high"]
+    page = trained.report.read_text(encoding="utf-8")
+    assert "Quadratic kappa" in page
+    assert "Confusion matrices of grades 0/1/2/3/4" in page
+
+
+def test_a_cohort_of_five_grades_is_studied_in_every_task(trained):
+    scores = pd.read_csv(trained.tables["scores"])
+    assert set(scores["task"]) == {"0 vs 2", "0/1/2", "0 vs 3+4", "0/1/2/3/4"}
