@@ -12,6 +12,7 @@ import pytest
 import trimesh
 
 import pssf
+from pssf import cli
 from pssf.data.tables import read_toml
 from pssf.model.knee import knee_from
 
@@ -240,3 +241,17 @@ def test_the_template_of_a_knee_is_taken_as_a_knee(tmp_path):
 
 def test_the_version_is_told():
     assert run("--version").stdout == f"pssf {version('pssf')}\n"
+
+
+def test_too_little_memory_is_one_line(monkeypatch, capsys):
+    def fail(*_, **__):
+        raise MemoryError("Unable to allocate 1.00 GiB")
+
+    monkeypatch.setattr(cli, "app", fail)
+    monkeypatch.setattr(sys, "argv", ["pssf", "simulate"])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 1
+    told = capsys.readouterr().err
+    assert told.startswith("pssf: memory = too little (Unable to allocate 1.00 GiB); allowed: fewer rows and cols")
+    assert told.count("\n") == 1

@@ -85,14 +85,18 @@ def _is_list(option: Any) -> bool:
 
 def _refused(error: Exception) -> int:
     """Tell of a refusal in one line; returns the exit code. What is no refusal is raised again."""
-    from ..core.checks import InputError
+    from ..core.checks import InputError, one_line
     from ..core.workers import WorkersLostError
 
     if isinstance(error, WorkersLostError):
         print(f"pssf: {error}; run the same command to go on from there", file=sys.stderr)
         return 1
+    if isinstance(error, MemoryError):
+        reason = one_line(str(error)) or "of this process"
+        print(f"pssf: memory = too little ({reason}); allowed: fewer rows and cols, or fewer workers", file=sys.stderr)
+        return 1
     # A misused option: the parser's own classes are private, their one-line message is not.
-    message = error.format_message() if hasattr(error, "format_message") else str(error)
+    message = one_line(error.format_message()) if hasattr(error, "format_message") else str(error)
     if not (isinstance(error, InputError) or hasattr(error, "format_message")):
         raise error
     print(f"pssf: {message}{_field_hint(message)}", file=sys.stderr)
