@@ -252,7 +252,7 @@ def test_limits_of_localisation_lie_between_what_is_right_and_what_is_wrong_on_p
     made += [located("without bones", "no knee", score=score, narrow=0.2, way_evidence=-0.1) for score in (0.3, 0.4)]
     made += [located("wrong side", "wrong side", side_evidence=-0.08)]
     made += [located("pitch x 1.5", "wrong scale", scale=1.44), located("pitch x 0.5", "wrong scale", scale=0.2)]
-    monkeypatch.setattr(localisation, "_located", lambda count, workers: made)
+    monkeypatch.setattr(localisation, "_located", lambda count, workers, modes: made)
     limits = {row["limit"]: row["simulations"] for row in localisation.limit_rows(2, 1)}
     assert limits == {
         "score": 0.4, "narrow": 0.2, "side": 0.08, "way": 0.1, "apart_mm": 1.0,
@@ -273,7 +273,7 @@ def test_a_knee_is_located_in_every_case(monkeypatch):
 
     monkeypatch.setattr(localisation, "_find", find)
     monkeypatch.setattr(localisation, "_SIDE_PX", 64)
-    rows = localisation._of_knee(0, templates=())
+    rows = localisation._of_knee(0, templates=(), modes=0)
     assert [row["case"] for row in rows] == list(localisation._CASES)
     means = dict(seen)
     assert means["without bones"] > means["right"]

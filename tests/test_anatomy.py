@@ -76,7 +76,7 @@ def test_bone_stands_on_bone_without_overlap(spaces, posture):
 def test_bones_that_would_overlap_are_refused(knee, built, monkeypatch):
     pose = built.assembly.pose
     sunk = dataclasses.replace(built.assembly, pose=dataclasses.replace(pose, raise_mm=pose.raise_mm - 12.0))
-    monkeypatch.setattr("pssf.anatomy.built.assemble", lambda knee, shape, reference: sunk)
+    monkeypatch.setattr("pssf.anatomy.built.assemble", lambda *_: sunk)
     with pytest.raises(pssf.InputError, match=r"femur and tibia overlap by .* mm3"):
         pssf.build(knee)
 
