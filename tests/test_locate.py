@@ -157,7 +157,7 @@ def test_a_compartment_that_matches_elsewhere_has_too_low_a_score():
 
 def searched(found, rise=0.0):
     image = Pyramid(density_of(phantom(150, 165)))
-    return Candidates(image=image, templates=(TEMPLATE,), found=found, table=localisation(), rise=rise)
+    return Candidates(image=image, templates=(TEMPLATE,), matches=found, table=localisation(), rise=rise)
 
 
 def wide_match(score, row, col, unit_mm=PIXEL_MM, side="right", way="upright", chance=0.0):
