@@ -187,7 +187,7 @@ def test_a_place_that_matches_far_worse_as_a_whole_is_not_looked_at():
 
 def test_a_side_is_wrong_only_where_it_was_told():
     joint = joint_of(phantom(150, 165))
-    mirrored = replace(joint, side_margin=-(1.0 - joint.both))
+    mirrored = replace(joint, side_margin=-(1.0 - joint.score))
     assert mirrored.side_evidence < -localisation().thresholds.side
     assert _status(mirrored, SHAPE, None, localisation()) == "found"
     assert _status(mirrored, SHAPE, None, localisation(), "right") == "wrong side"

@@ -50,9 +50,9 @@ class Candidates:
         """
         return max((self._pair(wide) for wide in self._few(way, side)), key=lambda pair: pair.excess)
 
-    def highest(self, way: str) -> float:
-        """The highest score of a whole joint of a way."""
-        return max(match.score for match in self.matches if match.way == way)
+    def highest(self, way: str, *sides: str) -> float:
+        """The highest score of a whole joint of a way and some sides."""
+        return max(match.score for match in self.matches if match.way == way and match.side in sides)
 
     def _pair(self, wide: Match) -> Pair:
         narrow = _refined(self.image, self.templates, wide, self.table)

@@ -27,7 +27,7 @@ class Located:
     score        correlation of edges with the whole joint's, -1 to 1
     narrow       the same of the medial compartment alone
     side         right | left: as it is given, else the one that matches better
-    side_margin  by how much the mean of that side's scores is above the mirrored one's
+    side_margin  by how much the highest score of that side is above that of the other, wherever they are
     way          upright | upside down
     way_margin   by how much that way's score is above the other's
     polarity     bone bright | bone dark
@@ -65,7 +65,7 @@ class Located:
 
         Where a knee's shape is not the templates', both sides match it worse and their difference tells less.
         """
-        return evidence(self.both, self.both - self.side_margin)
+        return evidence(self.score, self.score - self.side_margin)
 
     @property
     def way_evidence(self) -> float:
@@ -139,7 +139,7 @@ def locate(
         matched += matches(image, _smaller(pixel_mm, table), whole, table.wide, table.search.least_seen)
         of_sides = _upright_or_not(search)
     chosen = side or _side_of(of_sides, table)
-    best, mirrored = of_sides[chosen], of_sides[SIDES[1 - SIDES.index(chosen)]]
+    best, mirrored = of_sides[chosen], SIDES[1 - SIDES.index(chosen)]
     wide, narrow = best.wide, best.narrow
     pitch_mm, pixel_from, scale = _size(wide, templates[0], pixel_mm, table)
     located = Located(
@@ -149,9 +149,9 @@ def locate(
         score=wide.score,
         narrow=narrow.score,
         side=chosen,
-        side_margin=best.both - mirrored.both,
+        side_margin=search.highest(wide.way, chosen) - search.highest(wide.way, mirrored),
         way=wide.way,
-        way_margin=wide.score - search.highest(WAYS[1 - WAYS.index(wide.way)]),
+        way_margin=wide.score - search.highest(WAYS[1 - WAYS.index(wide.way)], *SIDES),
         polarity=wide.polarity,
         seen=wide.seen,
         apart_mm=abs(narrow.row - wide.row) * wide.unit_mm,
@@ -166,7 +166,7 @@ def _upright_or_not(search: Candidates) -> dict[str, Pair]:
     """Side -> the best match, upright unless one upside down is better by more than chance, and the narrow one too."""
     upright = {side: search.best(WAYS[0], side) for side in SIDES}
     best = max(upright.values(), key=lambda pair: pair.excess)
-    if evidence(search.highest(WAYS[1]), best.wide.score) <= search.table.thresholds.way:
+    if evidence(search.highest(WAYS[1], *SIDES), best.wide.score) <= search.table.thresholds.way:
         return upright
     turned = {side: search.best(WAYS[1], side) for side in SIDES}
     other = max(turned.values(), key=lambda pair: pair.excess)
