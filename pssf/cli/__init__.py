@@ -1,10 +1,11 @@
 """The command line: pssf simulate | meshes | cohort | study | read | accuracy | quality | realism | grades |
-protocols.
+protocols | explore.
 
 options  what commands share
 make     simulate, meshes, cohort, study
 read     read
 measure  accuracy, quality, realism, grades, protocols
+look     explore
 
 Commands import what they need when they run, so that help does not wait for what computes.
 """
@@ -15,6 +16,7 @@ from typing import Any
 import typer
 
 from . import make, measure
+from .look import explore
 from .read import read
 
 app = typer.Typer(
@@ -27,6 +29,7 @@ app = typer.Typer(
 _COMMANDS = (
     *(make.simulate, make.meshes, make.study, read),
     *(measure.accuracy, measure.quality, measure.realism, measure.grades, measure.protocols),
+    explore,
 )
 for command in _COMMANDS:
     app.command()(command)

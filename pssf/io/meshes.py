@@ -30,6 +30,9 @@ _COLOURS = {
     "muscle": (170, 60, 55, 60),
     "adipose": (240, 214, 120, 40),
     "skin": (224, 172, 140, 40),
+    # Of a radiograph, beside the solids that it is of.
+    "beam": (86, 180, 233, 14),
+    "detector": (70, 84, 110, 170),
 }
 _OTHER = (150, 150, 160, 120)
 _CONTENT_TYPES = """<?xml version="1.0" encoding="UTF-8"?>
