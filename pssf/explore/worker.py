@@ -2,6 +2,7 @@
 
 import signal
 from collections.abc import Callable
+from contextlib import suppress
 from multiprocessing import get_context
 from typing import Any
 
@@ -22,9 +23,10 @@ class Worker:
 
     def __init__(self) -> None:
         self._context = get_context("spawn")
-        self._newer = self._context.Event()
         self._process: Any = None
         self._pipe: Any = None
+        self._stop: Any = None
+        self._number = 0
         self.started = 0
 
     @property
@@ -34,7 +36,9 @@ class Worker:
 
     def give_up(self) -> None:
         """What is being worked on is no longer wanted, and is dropped before its next stage."""
-        self._newer.set()
+        if self._stop is not None:
+            with suppress(OSError):
+                self._stop.send(self._number)
 
     def ask(self, job: str, wanted: Wanted | None) -> tuple[dict[str, Any], bytes]:
         """Header and bytes of an answer; blocks until it is there.
@@ -44,9 +48,9 @@ class Worker:
         """
         if self._process is None or not self._process.is_alive():
             self._start()
-        self._newer.clear()
+        self._number += 1
         try:
-            self._pipe.send((job, wanted))
+            self._pipe.send((self._number, job, wanted))
             outcome, header, content = self._pipe.recv()
         except (EOFError, OSError):
             self._drop()
@@ -62,19 +66,20 @@ class Worker:
     def close(self) -> None:
         """End the process."""
         if self._process is not None:
-            self._newer.set()
+            self.give_up()
             self._pipe.close()
             self._process.join(_PATIENCE_S)
             self._drop()
 
     def _start(self) -> None:
-        # Of its own, since a process that is killed may leave the event locked.
-        self._newer = self._context.Event()
+        # No lock is shared: a process that is killed would keep it.
         self._pipe, theirs = self._context.Pipe()
-        self._process = self._context.Process(target=work, args=(theirs, self._newer), daemon=True)
+        heard, self._stop = self._context.Pipe(duplex=False)
+        self._process = self._context.Process(target=work, args=(theirs, heard), daemon=True)
         self._process.start()
         self.started += 1
         theirs.close()
+        heard.close()
 
     def _drop(self) -> None:
         process, self._process = self._process, None
@@ -83,21 +88,30 @@ class Worker:
             process.join()
 
 
-def work(pipe: Any, newer: Any) -> None:
-    """Answer until the pipe is closed; what runs in the process."""
+def work(pipe: Any, stop: Any) -> None:
+    """Answer until the pipe is closed; what runs in the process.
+
+    pipe  brings numbered requests, takes answers
+    stop  brings the numbers of requests that are no longer wanted
+    """
     # The terminal's Ctrl-C is the server's, which then closes the pipe.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     keep_memory()
     from .warm import Warm
 
+    number = given_up = 0
+
     def step() -> None:
-        if newer.is_set():
+        nonlocal given_up
+        while stop.poll():
+            given_up = stop.recv()
+        if given_up >= number:
             raise SupersededError
 
     warm = Warm(step)
     while True:
         try:
-            job, wanted = pipe.recv()
+            number, job, wanted = pipe.recv()
         except (EOFError, OSError):
             return
         pipe.send(_outcome(lambda job=job, wanted=wanted: _answer(warm, job, wanted)))  # type: ignore[misc]
