@@ -9,6 +9,7 @@ worker    the process that answers
 dispatch  one worker, many tabs; the latest request wins
 guard     who may ask
 server    the addresses
+browser   Chromium, without a window
 latency   seconds from a slider to the picture, in a real browser
 """
 

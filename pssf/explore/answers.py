@@ -1,6 +1,7 @@
 """Answers: a request, and what is kept, -> a header and bytes."""
 
 from collections.abc import Callable
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,7 @@ _TOLERANCE_MM = 0.1
 
 def radiograph(warm: Warm, wanted: Wanted) -> Answer:
     """Pixels of the look, uint16 little-endian, and all figures of the exposure."""
+    began = process_time()
     made = warm.exposed(wanted.knee, wanted.protocol, wanted.seed)
     whole = wanted.protocol == wanted.whole
     pixels = made.image.pixels
@@ -52,7 +54,8 @@ def radiograph(warm: Warm, wanted: Wanted) -> Answer:
         **_figures(made),
         "truth": _told(made.truth) if whole else None,
     }
-    return header, _shown(pixels, made, wanted).astype("<u2", copy=False).tobytes()
+    content = _shown(pixels, made, wanted).astype("<u2", copy=False).tobytes()
+    return {**header, "cpu_s": process_time() - began}, content
 
 
 def _shown(pixels: NDArray[np.uint16], made: Exposed, wanted: Wanted) -> NDArray[np.uint16]:

@@ -177,6 +177,7 @@ def serve(port: int = 0, *, browser: bool = True, told: Callable[[str], None] = 
     app = application(token, port, Worker())
     config = uvicorn.Config(app, log_level="warning", server_header=False, date_header=False, ws="none")
     told(link)
+    sys.stdout.flush()
     if browser and not open_new_tab(link):
         print("pssf: no browser found; open the link above", file=sys.stderr)
     uvicorn.Server(config).run(sockets=[held])
@@ -187,6 +188,8 @@ def _bound(port: int) -> socket.socket:
     held.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         held.bind((HOST, port))
+        # From here on a browser that has the link waits, and is not refused.
+        held.listen()
     except OSError as error:
         held.close()
         raise InputError(f"port = {port} ({error.strerror}); allowed: a free one, or 0 for any") from None

@@ -10,8 +10,9 @@ import * as server from "./server.js";
 import { Store } from "./state.js";
 
 const COARSE_PX = 512;
-const film = new Film();
-let store, show, truth = null, path = null, busy = false, again = false, coarse = "", pictures = 0;
+export const film = new Film();
+export let store;
+let show, truth = null, path = null, busy = false, again = false, coarse = "", pictures = 0;
 let maskedAs = "", solidsAs = "", probing = 0;
 
 const told = (text) => { find("#status").textContent = text; };

@@ -36,6 +36,7 @@ export function showFigures({ header }, roundTripS) {
   ]);
   table(box, "Seconds", [
     ...Object.entries(seconds).map(([name, value]) => [name, value.toFixed(3)]),
+    ["processor, all threads", header.cpu_s.toFixed(3)],
     ["from request to picture", roundTripS.toFixed(3)],
   ]);
   if (truth) table(box, "Truth", [
