@@ -22,7 +22,7 @@ import pssf
 from pssf.core.checks import InputError
 from pssf.data.explore import explored
 from pssf.data.fields import field_laws
-from pssf.explore import answers
+from pssf.explore import ahead, answers
 from pssf.explore.asked import LOOKS, coarser, read_state, resolve
 from pssf.explore.guard import MOST_BYTES, policy_of
 from pssf.explore.listing import listing, page_knee
@@ -295,13 +295,6 @@ class Site:
         header = json.loads(content[4 : 4 + length])
         return header, np.frombuffer(content[4 + length :], "<u2").reshape(header["rows"], header["cols"])
 
-    def workers(self):
-        """Processes below the server that answer."""
-        children = subprocess.run(
-            ["ps", "--ppid", str(self.process.pid), "-o", "pid=,args="], capture_output=True, text=True
-        )
-        return [int(line.split()[0]) for line in children.stdout.splitlines() if "spawn_main" in line]
-
 
 @pytest.fixture(scope="module")
 def site():
@@ -432,15 +425,12 @@ def test_it_listens_on_this_machine_alone():
 
 
 def test_a_killed_worker_comes_back(site):
-    site.shot()
-    before = site.workers()
-    assert len(before) == 1
-    os.kill(before[0], signal.SIGKILL)
+    before = site.shot()[0]["process"]
+    os.kill(before, signal.SIGKILL)
     header, pixels = site.shot(seed=9)
     assert header["rays_traced"] > 0
     assert (pixels == pssf.simulate(Knee(), small(), seed=9, engine=ENGINE).pixels).all()
-    assert len(site.workers()) == 1
-    assert site.workers() != before
+    assert header["process"] != before
 
 
 def test_the_latest_request_of_a_tab_wins_and_other_tabs_are_answered(site):
@@ -477,3 +467,13 @@ def test_without_the_extra_it_is_refused_by_name(monkeypatch):
     monkeypatch.setattr(explore, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"missing = starlette, uvicorn, tomli_w; allowed: the extra explore"):
         explore.require_extra()
+
+
+def test_spectra_are_computed_ahead_from_the_protocols_own_voltage_outwards(monkeypatch):
+    asked = []
+    monkeypatch.setattr(ahead.os, "nice", lambda by: None)
+    monkeypatch.setattr(ahead.signal, "signal", lambda *given: None)
+    monkeypatch.setattr("pssf.xray.spectrum.tube_spectrum", lambda *beam: asked.append(beam))
+    ahead.compute_spectra("reference")
+    assert asked[0] == (70.0, 12.0, 3.0)
+    assert sorted(kv for kv, _, _ in asked) == list(range(40, 121))

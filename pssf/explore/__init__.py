@@ -6,6 +6,7 @@ warm      what stays: knees built, paths traced, stages run
 answers   a request -> its answer
 python    the lines that make an image again
 worker    the process that answers
+ahead     spectra that a kV slider will ask for
 dispatch  one worker, many tabs; the latest request wins
 guard     who may ask
 server    the addresses

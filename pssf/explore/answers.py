@@ -1,6 +1,7 @@
 """Answers: a request, and what is kept, -> a header and bytes."""
 
 from collections.abc import Callable
+from os import getpid
 from time import process_time
 from typing import Any
 
@@ -55,7 +56,7 @@ def radiograph(warm: Warm, wanted: Wanted) -> Answer:
         "truth": _told(made.truth) if whole else None,
     }
     content = _shown(pixels, made, wanted).astype("<u2", copy=False).tobytes()
-    return {**header, "cpu_s": process_time() - began}, content
+    return {**header, "cpu_s": process_time() - began, "process": getpid()}, content
 
 
 def _shown(pixels: NDArray[np.uint16], made: Exposed, wanted: Wanted) -> NDArray[np.uint16]:

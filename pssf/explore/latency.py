@@ -13,7 +13,7 @@ from .browser import FLAGS, chromium
 
 Row = dict[str, str | float | int]
 _WAIT_MS = 300_000.0
-_TIMES = 5
+_TIMES = 3
 # What is moved: name, selector, first value and step, and the seconds that are aimed at on two quiet cores.
 _SLIDERS = (
     ("exposure: mAs", "#exposure [data-field=mas] input[type=range]", 1.0, 0.5, 0.15),

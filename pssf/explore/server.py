@@ -22,6 +22,7 @@ from ..core.workers import WorkersLostError
 from ..data.explore import page_files
 from ..model.knee import Knee
 from ..model.protocol import load_protocol
+from .ahead import start_spectra
 from .asked import Wanted, coarser, drawn, read_state, resolve
 from .dispatch import Dispatch
 from .guard import Guard, RefusedError, body_of, policy_of, refusal
@@ -124,8 +125,10 @@ def application(token: str, port: int, worker: Worker) -> Guard:
     @asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
         warming = asyncio.create_task(desk.warm_up())
+        spectra = start_spectra()
         yield
         warming.cancel()
+        spectra.kill()
         worker.close()
 
     app = Starlette(

@@ -27,7 +27,7 @@ const shapeOf = ({ knee, protocol }) => JSON.stringify([knee, ["projection", "fl
   "tilt_deg", "beam_along", "beam_angle_deg", "sdd_mm", "sod_mm", "centre_x_mm", "centre_z_mm", "rows", "cols", "pixel_mm",
 ].map((name) => protocol[name])]);
 
-/** One picture; true where it was shown. */
+/** One picture: "whole" or "coarse" as it was shown, "" where it was not. */
 async function picture(side) {
   const began = performance.now(), state = asked(side), key = JSON.stringify({ ...state, side: 0 });
   try {
@@ -45,10 +45,10 @@ async function picture(side) {
     // For who waits for a picture: how many came, and of what kind the last one is.
     document.documentElement.dataset.picture = `${++pictures} ${whole ? "whole" : "coarse"}`;
     showCursorNow();
-    return whole;
+    return whole ? "whole" : "coarse";
   } catch (error) {
     failed(error);
-    return false;
+    return "";
   }
 }
 
@@ -68,12 +68,13 @@ async function rest() {
   again = false;
   told("Making the picture …");
   if (coarse !== JSON.stringify(asked(0))) {
-    const began = JSON.stringify(asked(0));
-    if (await picture(COARSE_PX)) return settled();
-    if (JSON.stringify(asked(0)) !== began) return undefined;
+    const shown = await picture(COARSE_PX);
+    if (shown !== "coarse") {
+      if (shown) settled();
+      return;
+    }
   }
   if (await picture(0)) settled();
-  return undefined;
 }
 
 /** Beside the picture, once it is whole: masks, solids, lines of Python. */
