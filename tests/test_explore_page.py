@@ -383,13 +383,9 @@ def test_the_solids_stand_with_beam_and_detector_and_keep_their_camera(page):
     frame = page.frame_locator("#solids-frame")
     frame.locator("text=Detector").first.wait_for()
     frame.locator("[data-turn='90 0']").click()
-    page.wait_for_function(
-        "() => document.querySelector('#solids-frame').contentWindow.location.hash.startsWith('#90,0,')"
-    )
+    page.wait_for_function(turned)
     before = page.evaluate("document.documentElement.dataset.solids")
     act(page, lambda: set_number(page, "varus_deg", 2))
     page.wait_for_function("before => document.documentElement.dataset.solids !== before", arg=before)
-    page.wait_for_function(
-        "() => document.querySelector('#solids-frame').contentWindow.location.hash.startsWith('#90,0,')"
-    )
+    page.wait_for_function(turned)
     page.click("#solids-open > summary")

@@ -55,10 +55,11 @@ function quantile(counts, share, most = 65536) {
   return 65535;
 }
 
-/** Width and level of a window that holds what the limb lets through: less than half of the open beam. */
+/** Width and level of a window for bone: up to what most of the limb lets through, which is less than half of the open
+ *  beam; linear signals of soft tissue reach so far that bone would be one white else. */
 export function automatic(pixels) {
   const counts = histogram(pixels, 65536), open = Math.max(2, Math.round(quantile(counts, 0.999) / 2));
-  const low = quantile(counts, 0.005, open), high = quantile(counts, 0.995, open);
+  const low = quantile(counts, 0.005, open), high = quantile(counts, 0.6, open);
   return { width: Math.max(1, high - low), level: Math.round((low + high) / 2) };
 }
 
