@@ -17,6 +17,7 @@ radiomics   radiograph           -> region and features              (extra "stu
 study       features             -> models, statistics, report       (extra "study")
 experiment  a cohort, then its study
 quality     a protocol beside references
+explore     a page with sliders in the browser                (extra "explore")
 accuracy    error against run time
 realism     knees beside people's bones and contours  (extra "study")
 cli         the command line

@@ -229,13 +229,17 @@ STAGES = (
 )
 
 
+def stages_of(protocol: Protocol) -> list[Stage]:
+    """The stages that a protocol asks for, in their order."""
+    return [stage for stage in STAGES if stage.wanted(protocol)]
+
+
 def expose(image: LatentImage, chain: Chain) -> dict[str, float]:
     """Run the stages that the chain's protocol asks for; returns stage -> seconds."""
     clock = Timer()
-    for stage in STAGES:
-        if stage.wanted(chain.technique.protocol):
-            stage.run(image, chain)
-            clock.lap(stage.name)
+    for stage in stages_of(chain.technique.protocol):
+        stage.run(image, chain)
+        clock.lap(stage.name)
     image.kept["primary"] = image.straight.kev
     if image.scatter is not None:
         image.kept["scatter"] = image.scatter

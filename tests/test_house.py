@@ -40,6 +40,10 @@ DOORS = {
     "io/dicom.py": "write read ours",
     "io/film_dicom.py": "is_linear_by_pssf read",
     "io/scenes.py": "read_scene",
+    # What the page asks for, what it lists, what is made ahead of it.
+    "explore/ahead.py": "compute_spectra",
+    "explore/asked.py": "resolve",
+    "explore/listing.py": "listing",
     "io/readme.py": "Checkout.take require_checkout write_tables",
     "io/segmentation.py": "write",
     # Beginnings of a cohort and of a study, and parts of one that are called by themselves.

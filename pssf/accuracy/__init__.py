@@ -17,6 +17,7 @@ focal      blur of the focal spot against rays from points of it
 localisation  the joint found and refused: simulations right and wrong on purpose  (extra "study"; not among "all")
 ablation   run time of the study against what is left out of it  (extra "study"; not among "all")
 gvxr       the ray caster beside gVirtualXray           (group "peers"; not among "all")
+latency    from a slider of pssf explore to the picture (extra "explore"; not among "all")
 figure     error against run time, drawn                      (extra "study")
 """
 
@@ -27,6 +28,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from ..core.checks import require_choice
+from ..explore.latency import latency_rows
 from ..io.atomic import folder, write_bytes
 from ..io.readme import open_checkout
 from ..io.records import write_csv, write_json
@@ -53,8 +55,8 @@ TABLES = (
     "engines", "growth", "nested", "stages", "chain", "agreement", "spectrum", "focal_spot", "physics",
     "monte_carlo", "scatter", "tessellation", "texture_steps", "texture", "builds", "knees", "views", "view_scatter",
 )  # fmt: skip
-# Only by name: minutes long and about the study rather than about a radiograph; and one that needs another package.
-BY_NAME = ("localisation", "localisation_limits", "ablation", "gvxr")
+# Only by name: minutes long and about the study rather than about a radiograph; and those that need another package.
+BY_NAME = ("localisation", "localisation_limits", "ablation", "gvxr", "latency")
 
 
 def measure(
@@ -125,6 +127,7 @@ def _jobs(engines: list[Row], knees: int, workers: int) -> dict[str, Callable[[]
         "localisation_limits": lambda: limit_rows(knees, workers),
         "ablation": lambda: _ablation(workers),
         "gvxr": lambda: gvxr_rows(workers),
+        "latency": latency_rows,
     }
 
 

@@ -1,10 +1,11 @@
 """The command line: pssf simulate | meshes | cohort | study | read | accuracy | quality | realism | grades |
-protocols | knees.
+protocols | knees | explore.
 
 options  what commands share
 make     simulate, meshes, cohort, study
 read     read
 measure  accuracy, quality, realism, grades, protocols, knees
+look     explore
 
 Commands import what they need when they run, so that help does not wait for what computes.
 """
@@ -17,6 +18,7 @@ from typing import Annotated, Any
 import typer
 
 from . import make, measure
+from .look import explore
 from .read import read
 
 app = typer.Typer(
@@ -28,6 +30,7 @@ app = typer.Typer(
 _COMMANDS = (
     *(make.simulate, make.meshes, make.study, read),
     *(measure.accuracy, measure.quality, measure.realism, measure.grades, measure.protocols, measure.knees),
+    explore,
 )
 
 

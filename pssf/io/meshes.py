@@ -31,6 +31,9 @@ _COLOURS = {
     "muscle": (170, 60, 55, 60),
     "adipose": (240, 214, 120, 40),
     "skin": (224, 172, 140, 40),
+    # Of a radiograph, beside the solids that it is of.
+    "beam": (86, 180, 233, 14),
+    "detector": (70, 84, 110, 170),
 }
 _MILLIMETRES, _M_PER_MM = "millimetres", 0.001
 _OTHER = (150, 150, 160, 120)

@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..core.blocks import block_mean
+from ..core.checks import Array
 from ..detector import present
 from ..geometry.scene import Scene, Surface
+from ..geometry.view import View
 from ..model.knee import knee_table
 from ..model.protocol import protocol_table
 from ..model.radiograph import Radiograph
@@ -29,6 +31,8 @@ TEMPLATE = Path(__file__).with_name("viewer.html")
 SIDE_PX = 1024
 # Where a face is turned away from its neighbours by more, an edge is seen.
 _CREASE_DEG = 40.0
+# How far before the limb the beam is drawn from, and how thick the detector.
+_BEFORE_MM, _PLATE_MM = 40.0, 6.0
 Triples = NDArray[np.floating]
 
 
@@ -41,19 +45,47 @@ def write_viewer(
     returns       its path
     raises        InputError for a mesh that bounds no solid, a tolerance out of range, or a disk that cannot be written
     """
-    content = {
-        "bounds": scene.bounds_mm.round(3).tolist(),
-        "layers": _layers(simplified(scene, tolerance_mm)),
-        "radiograph": _picture(radiograph),
-        "parameters": _parameters(radiograph),
-    }
+    content = {"radiograph": _picture(radiograph), "parameters": _parameters(radiograph)}
+    page = _page(_solids(scene, tolerance_mm) | content, title, _facts(radiograph))
+    write_bytes(Path(path), page.encode("utf-8"))
+    return Path(path)
+
+
+def solids_page(scene: Scene, view: View, *, tolerance_mm: float = 0.05) -> str:
+    """The page with solids alone, and with the beam and the detector of a view among them.
+
+    Arguments, and what it needs and raises, as `write_viewer`.
+    """
+    whole = Scene([*scene.surfaces, *_taken_by(view, scene.bounds_mm)], scene.ambient, scene.size_mm)
+    return _page(_solids(whole, tolerance_mm) | {"radiograph": None, "parameters": {}}, "Solids", "")
+
+
+def _page(content: dict[str, Any], title: str, facts: str) -> str:
     # "<" in a name must not end the script that it is in.
     data = json.dumps(content, separators=(",", ":")).replace("<", "\\u003c")
     page = TEMPLATE.read_text(encoding="utf-8")
-    for mark, text in (("TITLE", escape(title)), ("FACTS", escape(_facts(radiograph))), ("DATA", data)):
+    for mark, text in (("TITLE", escape(title)), ("FACTS", escape(facts)), ("DATA", data)):
         page = page.replace(f"[[{mark}]]", text)
-    write_bytes(Path(path), page.encode("utf-8"))
-    return Path(path)
+    return page
+
+
+def _solids(scene: Scene, tolerance_mm: float) -> dict[str, Any]:
+    return {"bounds": scene.bounds_mm.round(3).tolist(), "layers": _layers(simplified(scene, tolerance_mm))}
+
+
+def _taken_by(view: View, bounds_mm: Array) -> list[Surface]:
+    """The detector as a plate, and the beam from shortly before the limb to it.
+
+    bounds_mm  (2, 3)  of the limb
+    """
+    source, centre = np.array(view.source_mm), np.array(view.centre_mm)
+    half = np.array([view.cols, view.rows]) / 2 * view.pixel_mm
+    corners = [centre + np.array([x * half[0], 0.0, z * half[1]]) for x in (-1, 1) for z in (-1, 1)]
+    near = (bounds_mm[0][1] - _BEFORE_MM - source[1]) / (centre[1] - source[1])
+    fan = [source + share * (corner - source) for share in (max(near, 0.01), 0.999) for corner in corners]
+    plate = [corner + np.array([0.0, depth, 0.0]) for depth in (0.0, _PLATE_MM) for corner in corners]
+    hulls = {"beam": fan, "detector": plate}
+    return [Surface(trimesh.convex.convex_hull(np.array(at)), name, "air", name=name) for name, at in hulls.items()]
 
 
 def shaded(mesh: trimesh.Trimesh) -> tuple[Triples, Triples, NDArray[np.int64]]:

@@ -1,5 +1,7 @@
 """The beam: half-value layers, mean energy, air kerma, photons; by xraylib alone, apart from SpekPy's own figures."""
 
+from dataclasses import replace
+
 import numpy as np
 import xraylib
 from scipy.optimize import brentq
@@ -77,7 +79,6 @@ def beam_quantities(protocol: Protocol) -> dict[str, float]:
     first, second = half_value_layers_mm_al(air, energies, photons)
     kerma = air_kerma_ugy(air, energies, photons)
     at_detector = (1000.0 / protocol.sdd_mm) ** 2
-    skin_mm = protocol.sod_mm - 60.0
     return {
         "hvl1_mm_al": first,
         "hvl2_mm_al": second,
@@ -86,8 +87,20 @@ def beam_quantities(protocol: Protocol) -> dict[str, float]:
         "air_kerma_ugy_mas_1m": kerma,
         "photons_per_mm2_detector": float(photons.sum() * protocol.mas * at_detector),
         "air_kerma_ugy_detector": kerma * protocol.mas * at_detector,
-        "entrance_kerma_ugy": kerma * protocol.mas * (1000.0 / skin_mm) ** 2,
+        "entrance_kerma_ugy": _at_skin_ugy(kerma, protocol),
         "magnification": magnification(view_of(protocol)),
         "penumbra_mm": protocol.focal_spot_mm * (magnification(view_of(protocol)) - 1),
         "nyquist_per_mm": 0.5 / protocol.pixel_mm,
     }
+
+
+def entrance_kerma_ugy(protocol: Protocol) -> float:
+    """Air kerma of a protocol's open beam where it enters the limb, without what is scattered back; uGy."""
+    technique = technique_of(replace(protocol, mas=1.0))
+    beam, air = beam_of(technique), technique.material("air")
+    return _at_skin_ugy(air_kerma_ugy(air, beam.energies_kev, beam.photons_per_mm2), protocol)
+
+
+def _at_skin_ugy(air_kerma_ugy_mas_1m: float, protocol: Protocol) -> float:
+    skin_mm = protocol.sod_mm - 60.0
+    return air_kerma_ugy_mas_1m * protocol.mas * (1000.0 / skin_mm) ** 2

@@ -44,13 +44,21 @@ def exposure_quantities(protocol: Protocol) -> tuple[dict[str, float], Array]:
     step = max(1, round(_CELL_MM / protocol.pixel_mm))
     spr = block_mean(scatter, step) / np.maximum(block_mean(primary, step), 1e-30)
     return {
-        "exposure_index": 100 * float(np.median(total[limb])) / _kev_per_ugy(protocol),
+        "exposure_index": exposure_index(total[limb], protocol),
         "spr_joint": float(scatter[joint].sum() / primary[joint].sum()),
         "spr_bone": float(scatter[bone].sum() / primary[bone].sum()),
         "spr_limb": float(scatter[limb].sum() / primary[limb].sum()),
         "dynamic_range": float(total.max() / total[bone].mean()),
         "noise_bone": float((noisy - quiet).std() / (quiet.mean() - offset)),
     }, spr
+
+
+def exposure_index(limb_kev: Array, protocol: Protocol) -> float:
+    """100 per uGy of air kerma that an RQA5 beam needs for the median signal behind the limb (IEC 62494-1).
+
+    limb_kev  (pixels,)  signal of the pixels behind the limb, keV a pixel
+    """
+    return 100 * float(np.median(limb_kev)) / _kev_per_ugy(protocol)
 
 
 def _kev_per_ugy(protocol: Protocol) -> float:

@@ -1,0 +1,137 @@
+// Controls of fields: a slider with a number, a list of words, a name; each with unit, range and sentence.
+
+import { make, words } from "./dom.js";
+
+let count = 0;
+
+const stepOf = ([low, high], whole) => {
+  const step = 10 ** Math.floor(Math.log10((high - low) / 50));
+  return whole ? Math.max(1, step) : step;
+};
+
+function heading(parent, field) {
+  const id = `f${++count}`, label = make(parent, "label", { for: id });
+  label.append(words(field.name));
+  if (field.unit) label.append(" "), make(label, "span", { class: "unit" }, field.unit);
+  return id;
+}
+
+function hint(parent, field, id) {
+  const range = field.low === null ? "" : ` (${field.low} to ${field.high})`;
+  make(parent, "p", { class: "hint", id: `${id}h` }, `${field.what}${range}`).title = field.source ?? "";
+}
+
+function numeric(parent, field, id, told) {
+  const step = stepOf(field.slider, field.whole), described = { "aria-describedby": `${id}h` };
+  const [low, high] = field.slider;
+  const slider = make(parent, "input", { type: "range", min: low, max: high, step,
+    "aria-label": `${words(field.name)}, slider`, ...described });
+  const box = make(parent, "input", { type: "number", id, min: field.low, max: field.high, step: field.whole ? 1 : "any",
+    ...described });
+  let open = null;
+  if (field.optional) {
+    const label = make(parent, "label", { class: "open" });
+    open = make(label, "input", { type: "checkbox" });
+    label.append("given");
+    open.onchange = () => told(open.checked ? +slider.value : null, true);
+  }
+  slider.oninput = () => { box.value = slider.value; told(+slider.value, false); };
+  slider.onchange = () => told(+slider.value, true);
+  box.onchange = () => {
+    if (box.value !== "" && box.validity.valid) told(+box.value, true);
+    else box.reportValidity();
+  };
+  return (value) => {
+    const given = value !== null;
+    if (open) open.checked = given;
+    slider.disabled = box.disabled = !given;
+    if (given) slider.value = value;
+    box.value = given ? value : "";
+  };
+}
+
+function chosen(parent, field, id, told) {
+  const select = make(parent, "select", { id, "aria-describedby": `${id}h` });
+  const pairs = field.choices.map((value) => [JSON.stringify(value), words(String(value))]);
+  for (const [value, text] of field.optional ? [["null", "none"], ...pairs] : pairs) make(select, "option", { value }, text);
+  select.onchange = () => told(JSON.parse(select.value), true);
+  return (value) => { select.value = JSON.stringify(value); };
+}
+
+function written(parent, field, id, told) {
+  const pattern = field.named ? "[\\w\\-]{1,64}" : "[0-9]{1,19}";
+  const box = make(parent, "input", { type: "text", id, pattern, "aria-describedby": `${id}h`, required: true });
+  box.onchange = () => { if (box.validity.valid) told(box.value, true); else box.reportValidity(); };
+  return (value) => { box.value = value; };
+}
+
+/** A control; `told(value, whole)` hears of changes. Returns what shows a value. */
+export function control(parent, field, told) {
+  const box = make(parent, "div", { class: "field", "data-field": field.name }), id = heading(box, field);
+  const kind = field.choices ? chosen : field.named || field.text ? written : numeric;
+  const show = kind(box, field, id, told);
+  hint(box, field, id);
+  return show;
+}
+
+/** Groups of fields of "knee" or "protocol"; returns what shows all values. */
+export function groups(parent, listed, kind, store) {
+  const shows = [];
+  listed.forEach(({ title, fields }, place) => {
+    const box = make(parent, "details", { class: "group", open: place === 0, "data-group": `${kind} ${title}` });
+    make(box, "summary", {}, title);
+    for (const field of fields) {
+      const show = control(box, field, (value, whole) => store.part(kind, field.name, value, whole));
+      shows.push((values) => show(values[field.name]));
+    }
+  });
+  return (values) => shows.forEach((show) => show(values));
+}
+
+/** Scores of the bones' shape, by name. */
+export function shapes(parent, modes, store) {
+  const box = make(parent, "details", { class: "group", "data-group": "knee Shape" });
+  make(box, "summary", {}, "Shape scores");
+  const shows = modes.map((mode, place) => {
+    const field = { name: `shape_${place}`, what: `also ${mode.also}`, unit: "SD", low: mode.low, high: mode.high,
+      slider: [mode.low, mode.high], whole: false, choices: null };
+    return control(box, { ...field, name: mode.name }, (value, whole) => {
+      const scores = modes.map((_, k) => store.now.knee.shape[k] ?? 0);
+      scores[place] = value;
+      store.part("knee", "shape", scores, whole);
+    });
+  });
+  return (scores) => shows.forEach((show, place) => show(scores[place] ?? 0));
+}
+
+/** Osteophytes or cysts: any number, each with its fields. */
+export function items(parent, name, fields, most, store) {
+  const box = make(parent, "details", { class: "group", "data-group": `knee ${name}` });
+  const title = make(box, "summary"), list = make(box, "div");
+  const add = make(box, "button", { type: "button" }, `Add to ${name}`);
+  const change = (given, whole) => store.part("knee", name, given, whole);
+  add.onclick = () => {
+    const given = store.now.knee[name], start = Object.fromEntries(fields.map((field) => [field.name, field.start]));
+    const free = fields[0].choices.find((site) => !given.some((one) => one.site === site));
+    change([...given, { ...start, site: free ?? start.site }], true);
+  };
+  let shown = null, shows = [];
+  return (given) => {
+    title.textContent = `${name[0].toUpperCase()}${name.slice(1)} (${given.length})`;
+    add.disabled = given.length >= most;
+    // Made anew only where their number changed, so that a slider stays under the hand.
+    if (shown !== given.length) {
+      list.textContent = "";
+      shows = given.map((_, place) => {
+        const one = make(list, "div", { class: "item", role: "group", "aria-label": `${name} ${place + 1}` });
+        const parts = fields.map((field) => control(one, field, (value, whole) =>
+          change(store.now.knee[name].map((old, k) => (k === place ? { ...old, [field.name]: value } : old)), whole)));
+        const remove = make(one, "button", { type: "button" }, "Remove");
+        remove.onclick = () => change(store.now.knee[name].filter((_, k) => k !== place), true);
+        return (values) => parts.forEach((part, k) => part(values[fields[k].name]));
+      });
+      shown = given.length;
+    }
+    shows.forEach((show, place) => show(given[place]));
+  };
+}

@@ -1,0 +1,71 @@
+// Pixels: window and level, histogram, differences. Plain functions on arrays.
+
+/** Grey of each of 65536 values, as RGBA in a Uint32: the window's lower edge black, its upper edge white. */
+export function greys(width, level, invert) {
+  const table = new Uint32Array(65536), low = level - width / 2;
+  for (let value = 0; value < 65536; value++) {
+    const share = Math.min(1, Math.max(0, (value - low) / width));
+    const grey = Math.round(255 * (invert ? 1 - share : share));
+    table[value] = 0xff000000 | (grey << 16) | (grey << 8) | grey;
+  }
+  return table;
+}
+
+/** Blue below nothing, orange above it: colours that the colour-blind tell apart; index 32768 + difference. */
+export function differences(width) {
+  const table = new Uint32Array(65536);
+  for (let k = 0; k < 65536; k++) {
+    const share = Math.max(-1, Math.min(1, (k - 32768) / (width / 2))), far = Math.abs(share);
+    const end = share < 0 ? [86, 180, 233] : [230, 159, 0];
+    const [red, green, blue] = end.map((part) => Math.round(32 + (part - 32) * far));
+    table[k] = 0xff000000 | (blue << 16) | (green << 8) | red;
+  }
+  return table;
+}
+
+/** B - A, held within 16 bits; 32768 is none. */
+export function subtract(b, a) {
+  const out = new Uint16Array(b.length);
+  for (let k = 0; k < out.length; k++) out[k] = Math.min(65535, Math.max(0, 32768 + b[k] - a[k]));
+  return out;
+}
+
+/** Every so-manieth pixel, for a picture that is compared with a coarser one. */
+export function reduced({ header, pixels }, rows, cols) {
+  if (header.rows === rows && header.cols === cols) return pixels;
+  const out = new Uint16Array(rows * cols), down = header.rows / rows, across = header.cols / cols;
+  for (let row = 0, k = 0; row < rows; row++) {
+    const start = Math.floor((row + 0.5) * down) * header.cols;
+    for (let col = 0; col < cols; col++, k++) out[k] = pixels[start + Math.floor((col + 0.5) * across)];
+  }
+  return out;
+}
+
+export function histogram(pixels, bins) {
+  const counts = new Uint32Array(bins), step = Math.max(1, Math.floor(pixels.length / 500000));
+  for (let k = 0; k < pixels.length; k += step) counts[Math.floor((pixels[k] * bins) / 65536)]++;
+  return counts;
+}
+
+/** Value below which a share of the pixels of a histogram (65536 bins) lies, of those below `most`. */
+function quantile(counts, share, most = 65536) {
+  const wanted = share * counts.subarray(0, most).reduce((sum, value) => sum + value, 0);
+  let sum = 0;
+  for (let value = 0; value < most; value++) if ((sum += counts[value]) >= wanted) return value;
+  return 65535;
+}
+
+/** Width and level of a window for bone: up to what most of the limb lets through, which is less than half of the open
+ *  beam; linear signals of soft tissue reach so far that bone would be one white else. */
+export function automatic(pixels) {
+  const counts = histogram(pixels, 65536), open = Math.max(2, Math.round(quantile(counts, 0.999) / 2));
+  const low = quantile(counts, 0.005, open), high = quantile(counts, 0.6, open);
+  return { width: Math.max(1, high - low), level: Math.round((low + high) / 2) };
+}
+
+/** RGBA of pixels by a table of colours. */
+export function painted(pixels, table, image) {
+  const out = new Uint32Array(image.data.buffer);
+  for (let k = 0; k < out.length; k++) out[k] = table[pixels[k]];
+  return image;
+}

@@ -1,0 +1,78 @@
+// Requests to the server that the page came from. The token is part of every address, since all are relative.
+
+const tab = Array.from(crypto.getRandomValues(new Uint8Array(12)), (byte) => byte.toString(16).padStart(2, "0")).join("");
+const running = new Map();
+
+/** A newer request took this one's place; nothing is wrong. */
+export class Superseded extends Error {}
+
+async function sent(address, body, signal) {
+  let answer;
+  try {
+    answer = await fetch(address, {
+      method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body), signal,
+    });
+  } catch (error) {
+    if (error.name === "AbortError") throw new Superseded();
+    throw new Error("pssf explore does not answer; is it still running?");
+  }
+  if (answer.ok) return answer;
+  if (answer.status === 409) throw new Superseded();
+  const told = await answer.json().catch(() => ({ error: `status ${answer.status}` }));
+  throw new Error(told.error);
+}
+
+/** The latest request of a kind wins: the one before it is aborted. */
+async function latest(kind, address, body) {
+  running.get(kind)?.abort();
+  const control = new AbortController();
+  running.set(kind, control);
+  try {
+    return await sent(address, { tab, ...body }, control.signal);
+  } finally {
+    if (running.get(kind) === control) running.delete(kind);
+  }
+}
+
+async function unpacked(answer) {
+  const bytes = await answer.arrayBuffer();
+  const length = new DataView(bytes).getUint32(0, true);
+  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(bytes, 4, length)));
+  return { header, content: bytes.slice(4 + length) };
+}
+
+/** Header and pixels (Uint16Array, row by row) of a state. */
+export async function radiograph(state) {
+  const { header, content } = await unpacked(await latest("radiograph", "answer/radiograph", state));
+  // The bytes are little-endian, as are all machines that browsers run on today.
+  return { header, pixels: new Uint16Array(content) };
+}
+
+export async function masks(state) {
+  const { header, content } = await unpacked(await latest("masks", "answer/masks", state));
+  return { ...header, bits: new Uint8Array(content) };
+}
+
+export async function probe(state) {
+  return (await unpacked(await latest("probe", "answer/probe", state))).header;
+}
+
+export async function solids(state) {
+  return (await (await latest("solids", "solids", state)).json()).page;
+}
+
+export async function draw(wanted) {
+  return (await sent("draw", wanted)).json();
+}
+
+export async function file(state) {
+  const answer = await sent("file", { tab, ...state });
+  const named = /filename="([^"]+)"/.exec(answer.headers.get("Content-Disposition") ?? "");
+  return { name: named?.[1] ?? "pssf", blob: await answer.blob() };
+}
+
+export async function fields() {
+  const answer = await fetch("fields");
+  if (!answer.ok) throw new Error((await answer.json()).error);
+  return answer.json();
+}

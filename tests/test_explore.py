@@ -1,0 +1,479 @@
+"""The page of `pssf explore`: the server and its worker by plain HTTP, and what is kept between requests."""
+
+import dataclasses
+import http.client
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import tomllib
+import zipfile
+from contextlib import suppress
+from io import BytesIO
+
+import numpy as np
+import pytest
+
+import pssf
+from pssf.core.checks import InputError
+from pssf.data.explore import explored
+from pssf.data.fields import field_laws
+from pssf.explore import ahead, answers
+from pssf.explore.asked import LOOKS, coarser, read_state, resolve
+from pssf.explore.guard import MOST_BYTES, policy_of
+from pssf.explore.listing import listing, page_knee
+from pssf.explore.python import python_lines
+from pssf.explore.server import _bound
+from pssf.explore.warm import ENGINE, Warm
+from pssf.explore.worker import SupersededError
+from pssf.io import viewer
+from pssf.model.knee import Cyst, Knee, Osteophyte
+from pssf.model.protocol import protocol_table
+from pssf.simulation import simulate
+
+SIDE = 96
+
+
+def small(**changes):
+    """The reference protocol on a coarse detector of the same field."""
+    protocol = pssf.load_protocol("reference")
+    return dataclasses.replace(protocol, rows=SIDE, cols=SIDE, pixel_mm=307.2 / SIDE, **changes)
+
+
+def state(**changes):
+    knee = {**page_knee(Knee()), "limb_ap_mm": None, "fat_mm": None}
+    return {"tab": "t", "knee": knee, "protocol": protocol_table(small()), "seed": 0, "look": "linear", **changes}
+
+
+def wanted(**changes):
+    return resolve(read_state(json.dumps(state(**changes)).encode()))
+
+
+@pytest.fixture(scope="module")
+def warm():
+    return Warm()
+
+
+# --- what is kept between requests ---
+
+
+def test_an_exposure_slider_traces_no_rays_and_a_knee_slider_does(warm):
+    first = warm.exposed(Knee(), small(), 0)
+    again = [warm.exposed(Knee(), small(tube_kv=80.0), 0), warm.exposed(Knee(), small(mas=4.0), 5)]
+    assert all(made.traced is first.traced and made.rays == 0 for made in again)
+    other = warm.exposed(Knee(), small(sod_mm=900.0), 0)
+    assert other.rays > 0
+    assert other.built is first.built
+
+
+def test_noise_alone_is_drawn_again_for_another_seed(warm):
+    warm.exposed(Knee(), small(), 0)
+    made = warm.exposed(Knee(), small(), 1)
+    assert set(made.seconds) == {"anatomy", "rays", "quantum noise", "detector blur", "readout"}
+    assert (made.image.pixels == simulate(made.built, small(), seed=1, engine=ENGINE).pixels).all()
+
+
+OTHER = {
+    "name": "other", "tube_kv": 82.0, "mas": 3.0, "filtration_mm_al": 4.0, "anode_angle_deg": 15.0,
+    "focal_spot_mm": 1.4, "sdd_mm": 1200.0, "sod_mm": 940.0, "beam_angle_deg": 4.0, "rows": 80, "cols": 88,
+    "pixel_mm": 3.0, "mono_kev": 50.0, "heel": "anode_distal", "projection": "PA", "flexion_deg": 10.0,
+    "tibia_forward_deg": 5.0, "rotation_deg": 5.0, "tilt_deg": 3.0, "beam_along": "medial_plateau",
+    "centre_x_mm": 9.0, "centre_z_mm": -9.0, "field_width_mm": 150.0, "field_height_mm": 160.0, "marker": "R",
+    "texture": "none", "focal_spot": "sampled", "scatter": "none", "scatter_photons": 4000,
+    "grid_ratio": 10.0, "grid_lines_per_cm": 60.0, "detector": "gos", "detector_blur": "none",
+    "dead_pixels": 0.01, "noise": "none",
+}  # fmt: skip
+# With everything on that a later stage could have been kept from.
+FULL = {"grid_ratio": 8.0, "marker": "L", "dead_pixels": 0.005, "field_width_mm": 200.0, "field_height_mm": 210.0}
+
+
+@pytest.mark.parametrize("name", [one.name for one in dataclasses.fields(pssf.Protocol) if one.name != "apart_mm"])
+def test_whatever_field_changes_the_pixels_are_those_of_simulate(name, warm):
+    assert set(OTHER) == {one.name for one in dataclasses.fields(pssf.Protocol)} - {"apart_mm"}
+    before = small(**FULL)
+    after = dataclasses.replace(before, **{name: OTHER[name]})
+    for protocol in (before, after, before):
+        made = warm.exposed(Knee(), protocol, 3)
+        direct = simulate(made.built, protocol, seed=3, engine=ENGINE)
+        assert (made.image.pixels == direct.pixels).all()
+
+
+@pytest.mark.parametrize("changes", [{}, {"scatter": "monte_carlo", "scatter_photons": 4000}])
+def test_another_seed_gives_the_pixels_of_simulate_with_every_kind_of_scatter(changes, warm):
+    for seed in (1, 2, 1):
+        made = warm.exposed(Knee(), small(**changes), seed)
+        assert (made.image.pixels == simulate(made.built, small(**changes), seed=seed, engine=ENGINE).pixels).all()
+
+
+def test_what_is_given_up_stops_before_its_next_stage_and_leaves_nothing_wrong():
+    left = [100]
+
+    def step():
+        left[0] -= 1
+        if left[0] < 0:
+            raise SupersededError
+
+    warm = Warm(step)
+    warm.exposed(Knee(), small(), 0)
+    for stages in range(4):
+        left[0] = stages
+        with pytest.raises(SupersededError):
+            warm.exposed(Knee(), small(tube_kv=75.0 + stages), 0)
+    left[0] = 100
+    made = warm.exposed(Knee(), small(), 0)
+    assert (made.image.pixels == simulate(made.built, small(), engine=ENGINE).pixels).all()
+
+
+def test_only_so_many_pixels_are_kept(warm, monkeypatch):
+    monkeypatch.setattr("pssf.explore.warm._MOST_PIXELS", 3 * SIDE**2)
+    for angle in range(6):
+        warm.exposed(Knee(), small(beam_angle_deg=float(angle)), 0)
+    assert len(warm._traced) == 3
+    assert warm.exposed(Knee(), small(beam_angle_deg=5.0), 0).rays == 0
+
+
+# --- answers ---
+
+
+def test_coarse_pixels_are_of_the_same_field():
+    whole = pssf.load_protocol("fixed_flexion")
+    coarse = coarser(dataclasses.replace(whole, scatter="monte_carlo"), 512)
+    assert max(coarse.rows, coarse.cols) == 512
+    assert coarse.rows * coarse.pixel_mm == pytest.approx(whole.rows * whole.pixel_mm)
+    assert coarse.scatter == "kernel"
+    assert coarser(whole, 0) is whole
+
+
+@pytest.mark.parametrize("look", LOOKS)
+def test_the_pixels_of_a_look_are_what_present_gives(look, warm):
+    header, content = answers.radiograph(warm, wanted(look=look))
+    shown = np.frombuffer(content, "<u2").reshape(header["rows"], header["cols"])
+    direct = pssf.simulate(Knee(), small(), engine=ENGINE).pixels
+    if look != "linear":
+        direct = pssf.present(direct, bits=16, look=look, pixel_mm=small().pixel_mm)
+    assert (shown == direct).all()
+
+
+def test_the_figures_are_those_of_the_exposure(warm):
+    header, _ = answers.radiograph(warm, wanted())
+    twice, _ = answers.radiograph(warm, wanted(protocol=protocol_table(small(mas=4.0))))
+    for name in ("exposure_index", "entrance_kerma_ugy"):
+        assert twice[name] == pytest.approx(2 * header[name], rel=1e-5)
+    assert twice["spr_limb"] == pytest.approx(header["spr_limb"], rel=1e-5)
+    none, _ = answers.radiograph(warm, wanted(protocol=protocol_table(small(scatter="none"))))
+    assert none["spr_limb"] is none["spr_joint"] is None
+    assert header["audit"]["unrepaired"] == 0
+    assert header["truth"]["jsw_medial_mm"] == 5.0
+
+
+def test_the_paths_under_the_cursor_are_those_that_were_traced(warm):
+    answers.radiograph(warm, wanted())
+    header, _ = answers.probe(warm, wanted(row=40, col=45))
+    paths = pssf.trace(pssf.build(Knee()).scene, small(), engine=ENGINE).path_mm
+    along = {name: float(values[40, 45]) for name, values in paths.items() if values[40, 45] > 5e-4}
+    assert header["path_mm"] == pytest.approx(along, abs=1e-3)
+    assert answers.probe(warm, wanted(row=SIDE, col=0))[0]["path_mm"] is None
+    assert answers.probe(warm, wanted(knee=page_knee(Knee(varus_deg=1.0))))[0]["path_mm"] is None
+
+
+def test_masks_are_those_of_the_truth(warm):
+    header, content = answers.masks(warm, wanted())
+    masks = pssf.simulate(Knee(), small(), keep=("masks",), engine=ENGINE).truth.masks
+    assert header["names"] == list(masks)
+    bits = np.unpackbits(np.frombuffer(content, np.uint8)).reshape(len(masks), -1)[:, : SIDE * SIDE]
+    for got, mask in zip(bits, masks.values(), strict=True):
+        assert (got.reshape(SIDE, SIDE) == mask).all()
+
+
+def test_the_solids_have_the_beam_and_the_detector_where_they_are(warm):
+    _, content = answers.solids(warm, wanted())
+    page = content.decode()
+    data = json.loads(page.split('id="data">')[1].split("</script>")[0])
+    low, high = np.array(data["bounds"])
+    assert high[1] == pytest.approx(200.0 + viewer._PLATE_MM)  # the plane of the detector, and its thickness
+    assert high[0] - low[0] == pytest.approx(307.2)
+    assert {"beam", "detector"} <= {layer["label"] for layer in data["layers"]}
+    assert data["radiograph"] is None
+    assert "unsafe" not in policy_of(page)
+
+
+@pytest.mark.parametrize("kind", ["tif", "dcm"])
+def test_a_file_holds_the_radiograph_with_all_its_pixels(kind, warm, tmp_path):
+    header, content = answers.file(warm, wanted(kind=kind, side=32, seed=4))
+    path = tmp_path / header["name"]
+    path.write_bytes(content)
+    loaded = pssf.load(path)
+    assert loaded == pssf.simulate(Knee(), small(), seed=4, engine=ENGINE)
+
+
+def test_tables_of_knee_and_protocol_give_them_back(warm, tmp_path):
+    for kind, given, read in (
+        ("knee.toml", Knee(), lambda path: pssf.Knee(**tomllib.loads(path.read_text()))),
+        ("protocol.toml", small(), pssf.load_protocol),
+    ):
+        path = tmp_path / kind
+        path.write_bytes(answers.file(warm, wanted(kind=kind))[1])
+        assert dataclasses.replace(read(path), name=given.name) == given if kind[0] == "p" else read(path) == given
+
+
+def test_meshes_come_as_one_file(warm):
+    header, content = answers.file(warm, wanted(kind="stl"))
+    assert header["name"] == "knee_stl.zip"
+    assert "knee-femur.stl" in zipfile.ZipFile(BytesIO(content)).namelist()
+    assert answers.file(warm, wanted(kind="glb"))[1][:4] == b"glTF"
+
+
+def test_the_lines_of_python_make_this_very_image(warm):
+    knee = Knee(
+        osteophytes=(Osteophyte(site="medial_tibia", size_mm=2.0),),
+        cysts=(Cyst(site="medial_tibia", diameter_mm=4.0),),
+        shape=(0.5, -1.0),
+        texture_seed=2**62 + 1,
+        grade=2,
+    )
+    lines = python_lines(knee, small(mono_kev=55.0), 2**53 + 7)
+    assert len(lines.splitlines()) == 3
+    names = {}
+    exec(lines, names)
+    made = warm.exposed(knee, small(mono_kev=55.0), 2**53 + 7)
+    assert (names["radiograph"].pixels == made.image.pixels).all()
+
+
+# --- what the page shows ---
+
+
+@pytest.mark.parametrize(("kind", "of"), [("knee", Knee), ("protocol", pssf.Protocol)])
+def test_every_field_is_on_the_page_once_or_left_out_by_name(kind, of):
+    groups = getattr(explored(), kind)
+    shown = [name for group in groups for name in group.fields]
+    assert sorted([*shown, *explored().left_out[kind]]) == sorted(one.name for one in dataclasses.fields(of))
+    laws = field_laws(kind)
+    listed = {field["name"]: field for group in listing()[kind] for field in group["fields"]}
+    assert all(listed[name]["what"] == laws[name].what and listed[name]["unit"] == laws[name].unit for name in shown)
+
+
+def test_every_preset_and_protocol_on_the_page_is_one_that_the_server_takes():
+    page = json.loads(json.dumps(listing()))
+    for preset in page["presets"].values():
+        wanted(knee=preset["knee"], protocol=page["protocols"][preset["protocol"]])
+    for protocol in page["protocols"].values():
+        wanted(protocol=protocol)
+    assert "bilateral" not in page["protocols"]
+
+
+def test_a_large_seed_is_not_rounded_on_its_way_through_a_browser():
+    knee = Knee(texture_seed=2**63 - 1)
+    assert wanted(knee=json.loads(json.dumps(page_knee(knee)))).knee == knee
+
+
+# --- the server ---
+
+
+class Site:
+    """A server that runs, and requests to it."""
+
+    def __init__(self, process, link):
+        self.process, self.link = process, link
+        self.port, self.token = int(link.split(":")[2].split("/")[0]), link.split("/")[3]
+
+    def call(self, method, path, body=None, headers=None, base=None):
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=300)
+        content = body if isinstance(body, bytes | None) else json.dumps(body).encode()
+        given = {"Content-Type": "application/json"} if content is not None else {}
+        connection.request(method, f"/{base or self.token}/{path}", content, {**given, **(headers or {})})
+        answer = connection.getresponse()
+        return answer, answer.read()
+
+    def shot(self, **changes):
+        answer, content = self.call("POST", "answer/radiograph", state(**changes))
+        assert answer.status == 200, content
+        length = int.from_bytes(content[:4], "little")
+        header = json.loads(content[4 : 4 + length])
+        return header, np.frombuffer(content[4 + length :], "<u2").reshape(header["rows"], header["cols"])
+
+
+@pytest.fixture(scope="module")
+def site():
+    process = subprocess.Popen(
+        [sys.executable, "-m", "pssf", "explore", "--no-browser"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    yield Site(process, process.stdout.readline().strip())
+    process.send_signal(signal.SIGINT)
+    _, told = process.communicate(timeout=60)
+    assert told == ""
+
+
+def test_pixels_of_the_server_are_those_of_simulate(site):
+    header, pixels = site.shot(seed=7)
+    assert header["whole"]
+    assert (pixels == pssf.simulate(Knee(), small(), seed=7, engine=ENGINE).pixels).all()
+    coarse, _ = site.shot(side=32)
+    assert (coarse["rows"], coarse["whole"], coarse["truth"]) == (32, False, None)
+    assert site.shot(seed=8)[0]["rays_traced"] == 0
+
+
+def test_every_answer_forbids_what_is_not_the_page_own(site):
+    for path in ("", "page/app.js", "page/style.css", "fields", "nothing"):
+        answer, _ = site.call("GET", path)
+        policy = answer.getheader("Content-Security-Policy")
+        assert "default-src 'none'" in policy
+        assert "unsafe" not in policy
+        assert "http" not in policy
+        assert answer.getheader("X-Content-Type-Options") == "nosniff"
+        assert answer.getheader("Referrer-Policy") == "no-referrer"
+
+
+def test_the_page_asks_nothing_of_a_network_and_has_nothing_inline(site):
+    _, page = site.call("GET", "")
+    text = page.decode()
+    assert "<style" not in text
+    assert " style=" not in text
+    assert " onclick" not in text
+    assert text.count("<script") == text.count('<script type="module" src="page/app.js">') == 1
+    assert "://" not in text
+
+
+STATE = json.dumps(state()).encode()
+HOSTILE = {
+    "another token": (("GET", "", None, {}), {"base": "x" * 32}, 403, "token = another"),
+    "no token": (("GET", "", None, {}), {"base": "fields"}, 403, "token = another"),
+    "another host": (("GET", "", None, {"Host": "evil.example:80"}), {}, 403, "host = 'evil.example:80'"),
+    "another origin": (("POST", "draw", STATE, {"Origin": "http://evil.example"}), {}, 403, "origin = 'http://evil"),
+    "a null origin": (("POST", "draw", STATE, {"Origin": "null"}), {}, 403, "origin = 'null'"),
+    "another site": (("POST", "draw", STATE, {"Sec-Fetch-Site": "same-site"}), {}, 403, "sec-fetch-site = 'same-site'"),
+    "no JSON": (("POST", "answer/radiograph", b"{", {}), {}, 400, "request = 1 bytes"),
+    "not UTF-8": (("POST", "answer/radiograph", b'{"tab": "\xff"}', {}), {}, 400, "request = "),
+    "nested": (("POST", "answer/radiograph", b"[" * 60_000, {}), {}, 400, "request = 60000 bytes"),
+    "a list": (("POST", "answer/radiograph", b"[]", {}), {}, 400, "Expected `object`"),
+    "unknown entry": (("POST", "draw", b'{"grade": 1, "table": "paper", "seed": 1, "x": 1}', {}), {}, 400, "`x`"),
+    "another type": (("POST", "draw", b"a=1", {"Content-Type": "text/plain"}), {}, 400, "content-type = 'text/plain'"),
+    "too large": (("POST", "draw", b" " * (MOST_BYTES + 1), {}), {}, 413, f"request = more than {MOST_BYTES} bytes"),
+    "a path": (("GET", "page/../../../etc/passwd", None, {}), {}, 404, "address"),
+    "an encoded path": (("GET", "page/..%2f..%2fserver.py", None, {}), {}, 404, "address"),
+    "unknown answer": (("POST", "answer/file", STATE, {}), {}, 404, "address"),
+    "another method": (("DELETE", "fields", None, {}), {}, 405, "method"),
+    "a table that is a path": (
+        ("POST", "draw", b'{"grade": 1, "table": "/etc/x.toml", "seed": 1}', {}), {}, 400, "table = '/etc/x.toml'",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", HOSTILE)
+def test_what_is_hostile_or_malformed_gets_one_clear_error(what, site):
+    (method, path, body, headers), more, status, says = HOSTILE[what]
+    answer, content = site.call(method, path, body, headers, **more)
+    assert answer.status == status
+    told = json.loads(content)
+    assert list(told) == ["error"]
+    assert says in told["error"]
+    assert "allowed: " in told["error"]
+    assert len(told["error"].splitlines()) == 1
+    assert site.token not in content.decode()
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"knee": {"varus_deg": 99}}, "varus_deg = 99 deg; allowed: -8 to 8 deg"),
+        ({"knee": {"varus": 1}}, "unknown field 'varus'"),
+        ({"knee": {"osteophytes": [3]}}, "osteophytes = [3]"),
+        ({"protocol": {**protocol_table(small()), "rows": 8192}}, "rows of the page = 8192 pixels"),
+        ({"protocol": protocol_table(small()) | {"apart_mm": 210.0}}, "apart_mm = 210 mm"),
+        ({"protocol": {}}, "is missing"),
+        ({"seed": -1}, "seed = -1"),
+        ({"seed": "1e9"}, "seed = '1e9'"),
+        ({"look": "xray"}, "look = 'xray'"),
+        ({"side": 7}, "side = 7 pixels"),
+        ({"tab": ""}, "tab = ''"),
+    ],
+)
+def test_a_value_that_is_not_allowed_is_refused_by_name(changes, says, site):
+    answer, content = site.call("POST", "answer/radiograph", state(**changes))
+    assert answer.status == 400
+    assert says in json.loads(content)["error"]
+
+
+def test_a_knee_that_cannot_be_built_is_refused_and_the_worker_goes_on(site):
+    crowded = [{"site": "medial_tibia", "size_mm": 2.0, "place": place} for place in (0.0, 0.1)]
+    answer, content = site.call("POST", "answer/radiograph", state(knee={"osteophytes": crowded}))
+    assert answer.status == 400
+    assert "osteophytes at medial_tibia" in json.loads(content)["error"]
+    assert site.shot()[0]["whole"]
+
+
+def test_a_body_without_a_length_is_limited_too(site):
+    with socket.create_connection(("127.0.0.1", site.port), timeout=60) as raw:
+        head = f"POST /{site.token}/draw HTTP/1.1\r\nHost: 127.0.0.1:{site.port}\r\nContent-Type: application/json\r\n"
+        raw.sendall((head + "Transfer-Encoding: chunked\r\nConnection: close\r\n\r\n").encode())
+        with suppress(OSError):  # the server may hang up before all is sent
+            for _ in range(70):
+                raw.sendall(b"400\r\n" + b" " * 1024 + b"\r\n")
+        answer = raw.recv(4096).decode()
+    assert " 413 " in answer.splitlines()[0]
+
+
+def test_it_listens_on_this_machine_alone():
+    with _bound(0) as held:
+        assert held.getsockname()[0] == "127.0.0.1"
+
+
+def test_a_killed_worker_comes_back(site):
+    before = site.shot()[0]["process"]
+    os.kill(before, signal.SIGKILL)
+    header, pixels = site.shot(seed=9)
+    assert header["rays_traced"] > 0
+    assert (pixels == pssf.simulate(Knee(), small(), seed=9, engine=ENGINE).pixels).all()
+    assert header["process"] != before
+
+
+def test_the_latest_request_of_a_tab_wins_and_other_tabs_are_answered(site):
+    found = {}
+
+    def ask(name, **changes):
+        found[name] = site.call("POST", "answer/radiograph", state(**changes))[0].status
+
+    threads = []
+    for number in range(5):
+        knee = page_knee(Knee(jsw_medial_mm=3.0 + 0.1 * number))
+        threads.append(threading.Thread(target=ask, args=(number,), kwargs={"knee": knee, "tab": "one"}))
+    threads.append(threading.Thread(target=ask, args=("other",), kwargs={"tab": "two"}))
+    for thread in threads:
+        thread.start()
+        time.sleep(0.15)
+    for thread in threads:
+        thread.join()
+    assert found[4] == found["other"] == 200
+    assert [found[number] for number in range(1, 4)] == [409, 409, 409]
+
+
+def test_a_port_that_is_taken_is_refused_in_one_line(site):
+    command = [sys.executable, "-m", "pssf", "explore", "--no-browser", "--port", str(site.port)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"pssf: port = {site.port} (")
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_without_the_extra_it_is_refused_by_name(monkeypatch):
+    from pssf import explore
+
+    monkeypatch.setattr(explore, "find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"missing = starlette, uvicorn, tomli_w; allowed: the extra explore"):
+        explore.require_extra()
+
+
+def test_spectra_are_computed_ahead_from_the_protocols_own_voltage_outwards(monkeypatch):
+    asked = []
+    monkeypatch.setattr(ahead.os, "nice", lambda by: None)
+    monkeypatch.setattr(ahead.signal, "signal", lambda *given: None)
+    monkeypatch.setattr("pssf.xray.spectrum.tube_spectrum", lambda *beam: asked.append(beam))
+    ahead.compute_spectra("reference")
+    assert asked[0] == (70.0, 12.0, 3.0)
+    assert sorted(kv for kv, _, _ in asked) == list(range(40, 121))
