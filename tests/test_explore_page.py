@@ -23,7 +23,7 @@ sync_api = pytest.importorskip("playwright.sync_api", reason="no playwright, whi
 CHROMIUM = chromium()
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium (apt-get install chromium)")
 SIDE = 96
-WAIT_MS = 90_000
+WAIT_MS = 240_000
 # A small detector of the same field, so that a picture takes a moment.
 # The page's own module, as the page has loaded it.
 APP = "await import(new URL('page/app.js', document.baseURI).href)"
