@@ -84,7 +84,7 @@ def run_study(
         tables = tables_of_models(outcomes, settings)
     with timer.stage("reliability and figures"):
         tables = tables_of_features(located, repeated, names, settings) | tables
-        tables |= tables_of_truth(manifest, usable, names, predictions, settings)
+        tables |= tables_of_truth(manifest, usable, names, predictions, tables["subjects"], settings)
         pictures = gallery(located, run.load_pixels, settings, predictions, tables)
     with timer.stage("claims"):
         importances = joined(outcome.importances for outcome in outcomes)

@@ -31,6 +31,7 @@ _HIGH = 0.80
 _ASKED = ("auc", "balanced_accuracy")
 _FAMILIES = ("glcm", "glszm")
 _STREAM = 2**31 + 1  # beside that of `intervals`
+LEAST_TESTED = 6
 
 
 def claims(
