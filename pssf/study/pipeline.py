@@ -88,7 +88,8 @@ def run_study(
         pictures = gallery(located, run.load_pixels, settings, predictions, tables)
     with timer.stage("claims"):
         importances = joined(outcome.importances for outcome in outcomes)
-        tables["claims"] = claims(usable, predictions, importances, tables, settings)
+        offered = joined(outcome.offered for outcome in outcomes)
+        tables["claims"] = claims(usable, predictions, importances, offered, tables, settings)
     with timer.stage("models refitted"):
         models = _models(run, usable, names, manifest, localisation_law())
     external = None
