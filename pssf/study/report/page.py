@@ -11,6 +11,7 @@ import pandas as pd
 from ..external import External
 from ..predictions import BASELINES, GRADES, NONE, TASKS
 from ..settings import MODELS, SELECTIONS
+from ..statistics.claims import LEAST_TESTED
 from ..statistics.intervals import MINUS_JSW
 from ..statistics.localisation import GROSS_MM
 from ..statistics.metrics import METRICS
@@ -105,6 +106,7 @@ def render(findings: Findings) -> str:
         f=findings,
         tasks=_score_tables(findings.scores),
         metrics=METRICS,
+        least_tested=LEAST_TESTED,
         compared=_compared(findings.differences),
         models=MODELS | BASELINES,
         selections=SELECTIONS | {NONE: "baseline"},

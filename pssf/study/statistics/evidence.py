@@ -58,7 +58,7 @@ def tables_of_features(
     chance = {"replicates": settings.replicates, "seed": settings.seed}
     across = reliability(usable, names, settings.reference, **chance)
     if len(retest):
-        repeated = repeatability(usable, retest, names, settings.reference)
+        repeated = repeatability(usable, retest, names, settings.reference, **chance)
         across = joined([across, repeated]) if len(across) else repeated
     return {
         "localisation": localisation.summarise(located),
