@@ -7,6 +7,7 @@ import scipy.stats
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from scipy.special import logit
 from statsmodels.stats.multitest import multipletests
 
 from pssf.study.predictions import ARM
@@ -60,6 +61,22 @@ def test_the_interval_of_a_mean_is_that_of_nadeau_and_bengio_written_out():
     assert intervals.estimate(values, 0.0).p == pytest.approx(plain.pvalue)
 
 
+def test_the_interval_of_a_share_is_the_plain_one_on_the_logit_scale_and_stays_inside():
+    narrow = 0.9 + 1e-4 * np.array([-1.0, 0.0, 1.0])
+    plain, found = intervals.estimate(narrow, 0.2), intervals.estimate_share(narrow, 0.2)
+    assert_allclose([found.low, found.high], [plain.low, plain.high], atol=1e-5)
+    wide = intervals.estimate_share(np.array([1.0, 1.0, 0.8]), 0.2)
+    assert 0 < wide.low < wide.value < wide.high < 1
+    assert wide.value - wide.low > wide.high - wide.value
+
+
+@given(values=st.lists(st.sampled_from([0.0, 0.25, 0.5, 1.0]), min_size=1, max_size=8), ratio=st.floats(0, 1))
+def test_an_interval_of_a_share_is_finite_and_inside_for_all_splits(values, ratio):
+    found = intervals.estimate_share(np.array(values), ratio)
+    assert 0 <= found.value <= 1
+    assert len(values) == 1 or 0 <= found.low <= found.value + 1e-12 <= found.high + 2e-12 <= 1 + 3e-12
+
+
 def test_the_share_tested_is_counted_in_subjects():
     parts = pd.DataFrame(
         {"repeat": [0] * 10, "subject": range(10), "part": ["training"] * 7 + ["validation"] + ["test"] * 2}
@@ -71,7 +88,7 @@ def test_the_middle_of_an_interval_is_the_score_of_the_table():
     table = predictions()
     found = intervals.intervals(score_splits(table), 0.0).set_index(ARM)
     scores = summarise(score_splits(table)).set_index(ARM)
-    assert_allclose((found["auc_low"] + found["auc_high"]) / 2, scores["auc"], rtol=1e-12)
+    assert_allclose((logit(found["auc_low"]) + logit(found["auc_high"])) / 2, logit(scores["auc"]), rtol=1e-9)
 
 
 def test_one_split_has_no_interval():

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ...core.checks import Array
 from ..predictions import TASKS, truth_and_probability
 from ..settings import MODELS, SELECTIONS, StudySettings
-from .intervals import estimate, tested_over_trained
+from .intervals import estimate, estimate_share, tested_over_trained
 from .metrics import METRICS, confusion, percentiles
 from .reliability import ICC_FORMS, THRESHOLD
 from .subjects import draws, worst_grades
@@ -160,7 +160,7 @@ def _families(
         shares = (of_model["share"] * _of_families(of_model)).groupby(of_model["repeat"]).sum()
         of_selection = given[given["selection"] == selection]
         by_chance = float(_of_families(of_selection).groupby(of_selection["repeat"]).mean().mean())
-        found = estimate(shares.to_numpy(), ratio, least=0.0)
+        found = estimate_share(shares.to_numpy(), ratio)
         measure = f"share of GLCM and GLSZM in the importance of {_arm(model, selection)}; {by_chance:.2f} by chance"
         claim = "The most important features are of GLCM and GLSZM"
         numbers, bound = (found.value, found.low, found.high), max(0.5, by_chance)

@@ -3,14 +3,16 @@
 A split trains anew and tests others, so the splits' scores hold the chance of who is trained on and of who is tested;
 but their parts overlap, and their mean varies more than that of independent splits. Nadeau and Bengio 2003 (Machine
 Learning 52, 239) put the variance of the mean of R splits at s^2 (1/R + tested/trained subjects); the quantile is of t
-with R - 1 degrees of freedom.
+with R - 1 degrees of freedom. Scores, which end at 1, have their interval on the logit scale (Pepe 2003):
+where a small cohort happens to be told apart well its splits hardly vary, and a plain one would lie above the truth.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
+from scipy.special import expit, logit
 from scipy.stats import t as t_distribution
 
 from ...core.checks import Array
@@ -71,6 +73,19 @@ def estimate(splits: Array, ratio: float, least: float = -1.0, most: float = 1.0
     return Estimate(value, max(least, value - half), min(most, value + half), p)
 
 
+def estimate_share(splits: Array, ratio: float) -> Estimate:
+    """`estimate` of a measure from 0 to 1, with an interval that is symmetric on the logit scale (delta method).
+
+    splits, ratio  as for `estimate`
+    """
+    found = estimate(splits, ratio, -np.inf, np.inf)
+    if not found.high > found.low:
+        return found
+    # What varies between 0 and 1 has a mean inside, so that both are finite.
+    middle, half = logit(found.value), (found.high - found.low) / 2 / (found.value * (1 - found.value))
+    return replace(found, low=float(expit(middle - half)), high=float(expit(middle + half)))
+
+
 def bounds(splits: pd.DataFrame, ratio: float) -> dict[str, float]:
     """<metric>_low and <metric>_high of every metric.
 
@@ -78,7 +93,7 @@ def bounds(splits: pd.DataFrame, ratio: float) -> dict[str, float]:
     """
     row = dict[str, float]()
     for metric in METRICS:
-        found = estimate(splits[metric].to_numpy(np.float64), ratio, least=0.0)
+        found = estimate_share(splits[metric].to_numpy(np.float64), ratio)
         row |= {f"{metric}_low": found.low, f"{metric}_high": found.high}
     return row
 
