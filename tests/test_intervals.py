@@ -134,6 +134,19 @@ def test_holm_is_that_of_statsmodels(p):
     assert_allclose(intervals.holm(np.array(p)), multipletests(p, method="holm")[1], rtol=1e-12)
 
 
+@pytest.mark.parametrize("protocols", [2, 4, 12])
+def test_a_clear_difference_stays_below_005_after_holm_with_any_number_of_protocols(protocols):
+    rng, rows = np.random.default_rng(0), []
+    for k in range(protocols):
+        arm = ("0 vs 2", "cross" if k else "within", "p0", f"p{k}", "lr", "l1")
+        for repeat in range(20):
+            score = 0.9 - 0.3 * (k > 0) + 0.02 * rng.normal()
+            rows.append(dict(zip(ARM, arm, strict=True)) | dict.fromkeys(metrics.METRICS, score) | {"repeat": repeat})
+    found = intervals.differences(pd.DataFrame(rows).assign(test_subjects=20), 15 / 70)
+    assert len(found) == 3 * (protocols - 1)
+    assert (found["p_holm"] < 0.05).all()
+
+
 def test_classes_that_are_perfectly_told_apart_have_an_interval_of_no_width():
     table = predictions(shift=200.0)
     row = intervals.intervals(score_splits(table), 0.2).iloc[0]

@@ -160,10 +160,10 @@ def _families(
         shares = (of_model["share"] * _of_families(of_model)).groupby(of_model["repeat"]).sum()
         of_selection = given[given["selection"] == selection]
         by_chance = float(_of_families(of_selection).groupby(of_selection["repeat"]).mean().mean())
-        found = estimate_share(shares.to_numpy(), ratio)
+        of_splits = estimate_share(shares.to_numpy(), ratio)
         measure = f"share of GLCM and GLSZM in the importance of {_arm(model, selection)}; {by_chance:.2f} by chance"
         claim = "The most important features are of GLCM and GLSZM"
-        numbers, bound = (found.value, found.low, found.high), max(0.5, by_chance)
+        numbers, bound = (of_splits.value, of_splits.low, of_splits.high), max(0.5, by_chance)
         rows.append(_row(claim, measure, numbers, bound, tested=tested))
     return rows
 
@@ -188,12 +188,16 @@ def _between(predictions: pd.DataFrame, settings: StudySettings, ratio: float) -
     tested = int(part.groupby("repeat")["subject"].nunique().median())
     rows = []
     for upper in (1, 2):
-        found = estimate(by_split[:, upper - 1], ratio, -2.0, 2.0)
+        of_splits = estimate(by_split[:, upper - 1], ratio, -2.0, 2.0)
         measure = f"predicted grade of grade {upper} less that of {upper - 1}, {arm}"
-        rows.append(_row("Grade 1 lies in between", measure, (found.value, found.low, found.high), 0.0, tested=tested))
-    found = estimate(np.array(spared), ratio)
+        rows.append(
+            _row(
+                "Grade 1 lies in between", measure, (of_splits.value, of_splits.low, of_splits.high), 0.0, tested=tested
+            )
+        )
+    of_splits = estimate(np.array(spared), ratio)
     measure = f"share that chance would confuse by two grades, with the same calls, less the share confused, {arm}"
-    estimated = found.value, found.low, found.high
+    estimated = of_splits.value, of_splits.low, of_splits.high
     rows.append(_row("The extreme grades are seldom confused", measure, estimated, 0.0, tested=tested))
     return rows
 

@@ -54,7 +54,7 @@ def tested_over_trained(subjects: pd.DataFrame) -> float:
 def estimate(splits: Array, ratio: float, least: float = -1.0, most: float = 1.0) -> Estimate:
     """Mean of a measure over the splits, with its interval; see the module.
 
-    splits       (splits,) one value of each; those that are not finite are left out
+    splits       (splits,) one value of each, dimensionless; those that are not finite are left out
     ratio        of `tested_over_trained`
     least, most  that the measure can be
     returns      no interval and no p of a single value. Where all are the same the interval has no width, and p is 1
@@ -76,14 +76,18 @@ def estimate(splits: Array, ratio: float, least: float = -1.0, most: float = 1.0
 def estimate_share(splits: Array, ratio: float) -> Estimate:
     """`estimate` of a measure from 0 to 1, with an interval that is symmetric on the logit scale (delta method).
 
-    splits, ratio  as for `estimate`
+    splits  (splits,) one share of each, dimensionless; those that are not finite are left out
+    ratio   of `tested_over_trained`
     """
-    found = estimate(splits, ratio, -np.inf, np.inf)
-    if not found.high > found.low:
-        return found
+    of_splits = estimate(splits, ratio, -np.inf, np.inf)
+    if not of_splits.high > of_splits.low:
+        return of_splits
     # What varies between 0 and 1 has a mean inside, so that both are finite.
-    middle, half = logit(found.value), (found.high - found.low) / 2 / (found.value * (1 - found.value))
-    return replace(found, low=float(expit(middle - half)), high=float(expit(middle + half)))
+    middle, half = (
+        logit(of_splits.value),
+        (of_splits.high - of_splits.low) / 2 / (of_splits.value * (1 - of_splits.value)),
+    )
+    return replace(of_splits, low=float(expit(middle - half)), high=float(expit(middle + half)))
 
 
 def bounds(splits: pd.DataFrame, ratio: float) -> dict[str, float]:
@@ -93,8 +97,8 @@ def bounds(splits: pd.DataFrame, ratio: float) -> dict[str, float]:
     """
     row = dict[str, float]()
     for metric in METRICS:
-        found = estimate_share(splits[metric].to_numpy(np.float64), ratio)
-        row |= {f"{metric}_low": found.low, f"{metric}_high": found.high}
+        of_splits = estimate_share(splits[metric].to_numpy(np.float64), ratio)
+        row |= {f"{metric}_low": of_splits.low, f"{metric}_high": of_splits.high}
     return row
 
 
@@ -123,8 +127,8 @@ def differences(splits: pd.DataFrame, ratio: float) -> pd.DataFrame:
         label, one, two = dict(zip(ARM, names[this], strict=True)), arms[names[this]], arms[names[other]]
         tested = int(np.minimum(one["test_subjects"], two["test_subjects"]).median())
         for metric in METRICS:
-            found = estimate((one[metric] - two[metric]).to_numpy(np.float64), ratio)
-            values = {"difference": found.value, "low": found.low, "high": found.high, "p": found.p}
+            of_splits = estimate((one[metric] - two[metric]).to_numpy(np.float64), ratio)
+            values = {"difference": of_splits.value, "low": of_splits.low, "high": of_splits.high, "p": of_splits.p}
             rows.append({"comparison": comparison, **label, "metric": metric, **values, "test_subjects": tested})
     table = pd.DataFrame(rows, columns=[*_LABELS, "difference", "low", "high", "p", "test_subjects"])
     table.insert(len(table.columns) - 1, "p_holm", np.nan)

@@ -30,10 +30,10 @@ def require_one_of_each(manifest: pd.DataFrame) -> None:
             if (counts > 1).any():
                 first = counts.index[counts > 1][0]
                 rows = manifest[manifest[column] == first].drop_duplicates(other).head(2)
-                found = " and ".join(f"{value}" for value in rows[other])
+                given = " and ".join(f"{value}" for value in rows[other])
                 of = f"{first[:12]}..." if column == "sha256" else first
                 raise InputError(
-                    f"manifest: {_CALLED[column]} {of} has {other} = {found} ({int((counts > 1).sum())} such); "
+                    f"manifest: {_CALLED[column]} {of} has {other} = {given} ({int((counts > 1).sum())} such); "
                     f"allowed: one {other}"
                 )
 
@@ -64,10 +64,10 @@ def _by_order(manifest: pd.DataFrame) -> list[str]:
     people = manifest.groupby("subject")["grade"].max().sort_index()
     if len(people) < 3 or people.nunique() < 2:
         return []
-    found = spearmanr(np.arange(len(people)), people.to_numpy())
-    if not found.pvalue < _ALPHA:
+    rho, p = spearmanr(np.arange(len(people)), people.to_numpy())
+    if not p < _ALPHA:
         return []
     return [
-        f"Subjects are numbered by their grade (Spearman's rho {found.statistic:+.2f}). No model is given the number, "
+        f"Subjects are numbered by their grade (Spearman's rho {rho:+.2f}). No model is given the number, "
         "but who reads or orders by it knows the grade."
     ]
