@@ -80,6 +80,7 @@ def test_a_grade_that_is_missing_from_training_under_one_protocol_leaves_its_arm
     outcomes, tables = study(cohort[~lost], dataclasses.replace(LIGHT, repeats=1))
     found = outcomes[0].predictions
     assert set(found["trained_on"]) == {"all"}
+    assert outcomes[0].offered.columns.tolist() == ["task", "trained_on", "selection", "repeat", "feature"]
     for name in ("calibration", "calibration_curve", "importance", "permutation"):
         assert tables[name].empty, name
     shown = tables["importance"].merge(tables["permutation"], on=["model", "selection", "feature"], how="left")

@@ -73,7 +73,7 @@ def one_split(repeat: int, *, table: pd.DataFrame, names: list[str], settings: S
     return Outcome(
         predictions=joined(gathered.predictions) if gathered.predictions else pd.DataFrame(),
         importances=pd.DataFrame(gathered.importances),
-        offered=pd.DataFrame(gathered.offered),
+        offered=pd.DataFrame(gathered.offered, columns=["task", "trained_on", "selection", "repeat", "feature"]),
         permutation=pd.DataFrame(gathered.permutation),
         stable=None if stable is None else len(stable),
         subjects=split.table().assign(repeat=repeat),
