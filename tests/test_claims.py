@@ -4,7 +4,7 @@ import pytest
 import scipy.stats
 
 from pssf.study import StudySettings
-from pssf.study.statistics.claims import COLUMNS, claims, spearman, verdict
+from pssf.study.statistics.claims import COLUMNS, LEAST_TESTED, _spared, claims, spearman, verdict
 
 SETTINGS = StudySettings(replicates=200, models=("lr",), selections=("l1",))
 
@@ -18,7 +18,7 @@ def radiographs(rise, seed=3, subjects=90):
     return pd.DataFrame({"subject": np.arange(subjects), "grade": grade, "protocol": "reference", **values})
 
 
-def told(rise, score_step=0.0):
+def told(rise, score_step=0.0, *, tested=30, p_holm=0.01, texture=(0.8, 0.7)):
     table = radiographs(rise)
     rng = np.random.default_rng(4)
     middle = table["grade"] * score_step + 0.3 * rng.standard_normal(len(table))
@@ -26,30 +26,36 @@ def told(rise, score_step=0.0):
     p /= p.sum(axis=1, keepdims=True)
     predictions = pd.DataFrame({
         "task": "0/1/2", "scenario": "within", "model": "lr", "selection": "l1", "subject": table["subject"],
-        "truth": table["grade"], "p0": p[:, 0], "p1": p[:, 1], "p2": p[:, 2],
+        "repeat": table["subject"] % 5, "truth": table["grade"], "p0": p[:, 0], "p1": p[:, 1], "p2": p[:, 2],
     })  # fmt: skip
     importances = pd.DataFrame({
         "task": "0 vs 2", "trained_on": "reference", "model": "lr", "selection": "l1",
         "repeat": np.repeat(np.arange(10), 2), "feature": ["glcm_Contrast", "shape2D_Sphericity"] * 10,
-        "share": [0.8, 0.2] * 10,
+        "share": [value for share in texture for value in (share, 1 - share)] * 5,
     })  # fmt: skip
+    offered = pd.DataFrame({
+        "task": "0 vs 2", "trained_on": "reference", "selection": "l1",
+        "repeat": np.repeat(np.arange(10), 4), "feature": ["glcm_Contrast", "glcm_Id", "gldm_a", "gldm_b"] * 10,
+    })  # fmt: skip
+    subjects = pd.DataFrame({"repeat": 0, "subject": range(6), "part": ["training"] * 4 + ["validation", "test"]})
     scores = pd.DataFrame([{
         "task": "0 vs 2", "scenario": "within", "trained_on": "reference", "tested_on": "reference", "model": "lr",
-        "selection": "l1", "auc": 0.9, "auc_low": 0.85, "auc_high": 0.95,
+        "selection": "l1", "test_subjects": tested, "auc": 0.9, "auc_low": 0.85, "auc_high": 0.95,
         "balanced_accuracy": 0.7, "balanced_accuracy_low": 0.6, "balanced_accuracy_high": 0.78,
     }])  # fmt: skip
     differences = pd.DataFrame([
         {"comparison": name, "task": "0 vs 2", "metric": metric, "selection": "l1", "model": "lr",
-         "tested_on": "low_dose", "difference": d, "low": low, "high": high}
-        for name, d, low, high in (("cross minus within", -0.1, -0.2, -0.05), ("multi minus cross", 0.02, -0.1, 0.1))
+         "tested_on": "low_dose", "difference": d, "low": low, "high": high, "p_holm": p, "test_subjects": tested}
+        for name, d, low, high, p in (
+            ("cross minus within", -0.1, -0.2, -0.05, p_holm), ("multi minus cross", 0.02, -0.1, 0.1, 0.5))
         for metric in ("auc", "balanced_accuracy", "macro_f1")
     ])  # fmt: skip
     reliability = pd.DataFrame({
         "feature": ["a", "b"], "across": "all protocols",
         "ICC(2,1)": [0.95, 0.5], "ICC(2,1) low": [0.92, 0.3], "ICC(2,1) high": [0.97, 0.7],
     })  # fmt: skip
-    tables = {"scores": scores, "differences": differences, "reliability": reliability}
-    found = claims(table, predictions, importances, tables, SETTINGS)
+    tables = {"subjects": subjects, "scores": scores, "differences": differences, "reliability": reliability}
+    found = claims(table, predictions, importances, offered, tables, SETTINGS)
     assert list(found.columns) == COLUMNS
     return found
 
@@ -66,15 +72,41 @@ def test_an_interval_beyond_a_bound_holds_and_one_across_it_decides_nothing():
     assert verdict(float("nan"), 0.1, 0.0) == "not decidable"
 
 
+def test_an_interval_without_width_decides_nothing():
+    assert verdict(1.0, 1.0, 0.8) == "not decidable"
+
+
+def test_too_few_tested_subjects_decide_nothing():
+    starts = ("Within a protocol", "Logistic regression is strong", "Another protocol", "The most important")
+    for tested, expected in ((LEAST_TESTED, {"holds", "does not hold"}), (LEAST_TESTED - 1, {"not decidable"})):
+        found = told(rise=1.0, tested=tested)
+        decided = {one for start in starts for one in verdicts(found, start)}
+        assert decided == expected
+
+
+def test_a_difference_that_is_gone_after_holm_decides_nothing():
+    assert verdicts(told(rise=1.0, p_holm=0.06), "Another protocol") == {"not decidable"}
+
+
+def test_what_features_weigh_is_held_against_what_was_offered():
+    found = told(rise=1.0, texture=(0.45, 0.40))
+    row = found[found["claim"].str.startswith("The most important")].iloc[0]
+    assert (row["bound"], row["verdict"]) == (0.5, "does not hold")
+
+
+def test_calls_at_random_spare_the_extreme_grades_by_nothing():
+    counts = np.outer([30, 20, 50], [10, 60, 30])
+    assert _spared(counts) == pytest.approx(0)
+    assert _spared(np.diag([30, 20, 50])) == pytest.approx(2 * 30 * 50 / 100**2)
+
+
 def test_claims_follow_what_is_in_the_tables():
     found = told(rise=1.0, score_step=1.0)
     assert verdicts(found, "GLCM contrast") == {"holds"}
     # Of a linear signal: more of it is darker to the eye.
     assert verdicts(found, "First-order mean") == {"does not hold"}
     assert verdicts(found, "Grade 1") == {"holds"}
-    assert verdicts(found, "The extreme grades") == {"holds"} or verdicts(found, "The extreme grades") == {
-        "not decidable"
-    }
+    assert verdicts(found, "The extreme grades") == {"holds"}
     assert verdicts(found, "A subset") == {"holds"}
     assert verdicts(found, "The most important") == {"holds"}
     strong = found[found["claim"].str.startswith("Logistic regression is strong")].set_index("measure")["verdict"]

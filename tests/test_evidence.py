@@ -43,10 +43,9 @@ def study(cohort: pd.DataFrame, settings: StudySettings = ALL) -> tuple[list[Out
 
 
 def test_three_subjects_of_a_grade_are_enough_and_two_are_refused():
-    _, tables = study(table(3))
+    _, tables = study(table(3), dataclasses.replace(ALL, repeats=2))
     scores = tables["scores"]
     assert (scores["test_subjects"] == scores["task"].map({"0 vs 2": 2, "0/1/2": 3})).all()
-    # With one test subject a grade a resampled cohort is the cohort, or lacks a grade.
     assert (scores["auc_low"] <= scores["auc"]).all()
     assert (scores["auc"] <= scores["auc_high"]).all()
     with pytest.raises(InputError, match="has 2 subjects"):
@@ -81,6 +80,7 @@ def test_a_grade_that_is_missing_from_training_under_one_protocol_leaves_its_arm
     outcomes, tables = study(cohort[~lost], dataclasses.replace(LIGHT, repeats=1))
     found = outcomes[0].predictions
     assert set(found["trained_on"]) == {"all"}
+    assert outcomes[0].offered.columns.tolist() == ["task", "trained_on", "selection", "repeat", "feature"]
     for name in ("calibration", "calibration_curve", "importance", "permutation"):
         assert tables[name].empty, name
     shown = tables["importance"].merge(tables["permutation"], on=["model", "selection", "feature"], how="left")
@@ -89,14 +89,14 @@ def test_a_grade_that_is_missing_from_training_under_one_protocol_leaves_its_arm
 
 @pytest.mark.parametrize("selection", ["l1", "mrmr"])
 def test_features_that_are_all_constant_give_chance_in_every_scenario(selection):
-    settings = StudySettings(models=("lr", "rf", "xgb"), selections=(selection,), repeats=1, replicates=100)
+    settings = StudySettings(models=("lr", "rf", "xgb"), selections=(selection,), repeats=2, replicates=100)
     cohort = table(5).assign(**dict.fromkeys(NAMES, 4.0))
     outcomes, tables = study(cohort, settings)
     models = tables["scores"][tables["scores"]["selection"] != "none"]
     assert (models["auc"] == 0.5).all()
     assert (models["auc_low"] == 0.5).all()
     assert set(models["scenario"]) == {"within", "cross", "cross_harmonised", "multi"}  # no feature is stable
-    assert [outcome.stable for outcome in outcomes] == [0]
+    assert [outcome.stable for outcome in outcomes] == [0, 0]
     assert tables["calibration"].query("selection != 'none'")["slope"].fillna(0).abs().max() < 1e-6
     assert (tables["permutation"]["drop"] == 0).all()
 

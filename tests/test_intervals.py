@@ -1,11 +1,13 @@
-"""Intervals and differences by the bootstrap of subjects."""
+"""Intervals and differences from the splits."""
 
 import numpy as np
 import pandas as pd
 import pytest
+import scipy.stats
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
+from scipy.special import logit
 from statsmodels.stats.multitest import multipletests
 
 from pssf.study.predictions import ARM
@@ -46,69 +48,71 @@ def test_weighted_scores_are_those_of_rows_written_out(classes, rows, seed):
             assert_allclose(values[sample], expected[metric], rtol=1e-12, err_msg=metric)
 
 
-def test_replicates_are_those_of_a_plain_loop_over_samples_and_splits():
-    table = predictions()
-    weights = intervals.subject_weights(table, replicates=12, seed=3)
-    replicates = intervals.resample(table, replicates=12, seed=3)
-    for index, arm in enumerate(replicates.arms):
-        part = table[(table[ARM] == list(arm)).all(axis=1)]
-        for sample in range(13):
-            of_splits = []
-            for _, split in part.groupby("repeat"):
-                drawn = np.repeat(np.arange(len(split)), weights.loc[split["subject"], sample].astype(int))
-                rows = split.iloc[drawn]
-                of_splits.append(metrics.score(rows["truth"].to_numpy(), rows[["p0", "p1"]].to_numpy())["auc"])
-            assert_allclose(replicates.scores["auc"][index, sample], np.nanmean(of_splits), rtol=1e-12)
+def test_the_interval_of_a_mean_is_that_of_nadeau_and_bengio_written_out():
+    values = np.array([0.8, 0.9, 0.7, np.nan, 0.85])
+    found = intervals.estimate(values, 15 / 70)
+    error = np.std([0.8, 0.9, 0.7, 0.85], ddof=1) * np.sqrt(1 / 4 + 15 / 70)
+    assert found.value == pytest.approx(0.8125)
+    low, high = scipy.stats.t.interval(0.95, 3, 0.8125, error)
+    assert_allclose([found.low, found.high], [low, min(high, 1.0)], rtol=1e-12)
+    assert found.p == pytest.approx(2 * scipy.stats.t.sf(0.8125 / error, 3))
+    # Without an overlap it is that of a plain mean.
+    plain = scipy.stats.ttest_1samp(values, 0, nan_policy="omit")
+    assert intervals.estimate(values, 0.0).p == pytest.approx(plain.pvalue)
 
 
-def test_the_first_sample_is_the_cohort_and_its_scores_are_those_of_the_table():
+def test_the_interval_of_a_share_is_the_plain_one_on_the_logit_scale_and_stays_inside():
+    narrow = 0.9 + 1e-4 * np.array([-1.0, 0.0, 1.0])
+    plain, found = intervals.estimate(narrow, 0.2), intervals.estimate_share(narrow, 0.2)
+    assert_allclose([found.low, found.high], [plain.low, plain.high], atol=1e-5)
+    wide = intervals.estimate_share(np.array([1.0, 1.0, 0.8]), 0.2)
+    assert 0 < wide.low < wide.value < wide.high < 1
+    assert wide.value - wide.low > wide.high - wide.value
+
+
+@given(values=st.lists(st.sampled_from([0.0, 0.25, 0.5, 1.0]), min_size=1, max_size=8), ratio=st.floats(0, 1))
+def test_an_interval_of_a_share_is_finite_and_inside_for_all_splits(values, ratio):
+    found = intervals.estimate_share(np.array(values), ratio)
+    assert 0 <= found.value <= 1
+    assert len(values) == 1 or 0 <= found.low <= found.value + 1e-12 <= found.high + 2e-12 <= 1 + 3e-12
+
+
+def test_the_share_tested_is_counted_in_subjects():
+    parts = pd.DataFrame(
+        {"repeat": [0] * 10, "subject": range(10), "part": ["training"] * 7 + ["validation"] + ["test"] * 2}
+    )
+    assert intervals.tested_over_trained(parts) == pytest.approx(2 / 7)
+
+
+def test_the_middle_of_an_interval_is_the_score_of_the_table():
     table = predictions()
-    found = intervals.resample(table, replicates=100, seed=0)
+    found = intervals.intervals(score_splits(table), 0.0).set_index(ARM)
     scores = summarise(score_splits(table)).set_index(ARM)
-    for index, arm in enumerate(found.arms):
-        assert_allclose(found.scores["macro_f1"][index, 0], scores.loc[arm, "macro_f1"], rtol=1e-12)
+    assert_allclose((logit(found["auc_low"]) + logit(found["auc_high"])) / 2, logit(scores["auc"]), rtol=1e-9)
 
 
-def test_samples_keep_the_number_of_subjects_of_each_grade_and_all_rows_of_a_subject():
-    table = predictions()
-    weights = intervals.subject_weights(table, replicates=50, seed=1)
-    truth = table.groupby("subject")["truth"].max()
-    for grade in (0, 1):
-        assert_array_equal(weights[truth == grade].sum(axis=0), (truth == grade).sum())
-    assert len(weights) == table["subject"].nunique()
-
-
-def test_an_interval_of_the_auc_covers_the_true_one_as_often_as_it_says():
-    # Normal scores a distance d apart have AUC Phi(d / sqrt 2); 120 cohorts at 95 % miss 6 +- 2.4, bound at 4 sd.
-    from scipy.stats import norm
-
-    missed = 0
-    for seed in range(120):
-        rng = np.random.default_rng(seed)
-        truth = np.arange(80) % 2
-        p1 = 1 / (1 + np.exp(-(1.0 * truth + rng.normal(size=80))))
-        table = pd.DataFrame({"subject": np.arange(80), "truth": truth, "p0": 1 - p1, "p1": p1, "repeat": 0})
-        table = table.assign(**dict(zip(ARM, ("0 vs 2", "within", "r", "r", "lr", "l1"), strict=True)))
-        row = intervals.intervals(intervals.resample(table, replicates=400, seed=seed)).iloc[0]
-        missed += not row["auc_low"] <= norm.cdf(1 / np.sqrt(2)) <= row["auc_high"]
-    assert missed <= 6 + 4 * 2.4
-    assert missed >= 1  # an interval that is far too wide misses none: 0.95 ** 120 = 0.002
+def test_one_split_has_no_interval():
+    row = intervals.intervals(score_splits(predictions(splits=1)), 0.2).iloc[0]
+    assert np.isnan(row[["auc_low", "auc_high", "macro_f1_low"]].astype(float)).all()
+    assert np.isnan(intervals.estimate(np.array([np.nan]), 0.2).value)
 
 
 def test_more_subjects_narrow_an_interval_as_the_root_of_their_number():
     widths = []
     for subjects in (60, 960):
-        row = intervals.intervals(intervals.resample(predictions(subjects=subjects), replicates=400, seed=0)).iloc[0]
+        table = score_splits(predictions(subjects=subjects, splits=60, shift=0.8))
+        row = intervals.intervals(table, 0.2).iloc[0]
         widths.append(row["auc_high"] - row["auc_low"])
     assert widths[0] / widths[1] == pytest.approx(4, rel=0.5)
 
 
 def test_differences_are_paired_and_find_the_worse_arm():
-    table = intervals.differences(intervals.resample(predictions(subjects=200), replicates=500, seed=0))
+    table = intervals.differences(score_splits(predictions(subjects=200, splits=10)), 15 / 70)
     found = table[table["metric"] == "auc"].set_index(["comparison", "model"])
     cross = found.loc[("cross minus within", "lr")]
     assert cross["high"] < 0
-    assert cross["p"] == pytest.approx(2 / 501)
+    assert cross["p"] < 1e-4
+    assert cross["test_subjects"] == 100
     assert found.loc[("model minus JSW (true)", "rf")]["high"] < 0
     assert found.loc[("model minus JSW (true)", "lr"), "p"].item() > 0.01  # same strength, other noise
 
@@ -117,26 +121,11 @@ def test_an_arm_does_not_differ_from_itself():
     table = predictions()
     twin = table[(table["scenario"] == "within") & (table["model"] == "lr")].assign(scenario="cross", tested_on="x")
     both = pd.concat([table[table["scenario"] == "within"], twin], ignore_index=True)
-    found = intervals.differences(intervals.resample(both, replicates=200, seed=0))
+    found = intervals.differences(score_splits(both), 0.2)
     found = found[found["comparison"] == "cross minus within"]
     assert len(found) == 3
     assert (found[["difference", "low", "high"]] == 0).all(axis=None)
     assert (found["p"] == 1).all()
-
-
-def test_p_is_uniform_where_nothing_differs():
-    # 200 p-values of chance: below 0.05 fall 10 +- 3.1; the bootstrap of a mean of 60 is near that, bound at 4 sd.
-    rng = np.random.default_rng(0)
-    small = 0
-    for _ in range(200):
-        sample = rng.normal(size=60)
-        means = sample[rng.integers(60, size=(400, 60))].mean(axis=1)
-        small += intervals.p_value(means) < 0.05
-    assert 1 <= small <= 23
-
-
-def test_p_without_any_replicate_is_undefined():
-    assert np.isnan(intervals.p_value(np.full(5, np.nan)))
 
 
 @settings(max_examples=30)
@@ -145,7 +134,20 @@ def test_holm_is_that_of_statsmodels(p):
     assert_allclose(intervals.holm(np.array(p)), multipletests(p, method="holm")[1], rtol=1e-12)
 
 
+@pytest.mark.parametrize("protocols", [2, 4, 12])
+def test_a_clear_difference_stays_below_005_after_holm_with_any_number_of_protocols(protocols):
+    rng, rows = np.random.default_rng(0), []
+    for k in range(protocols):
+        arm = ("0 vs 2", "cross" if k else "within", "p0", f"p{k}", "lr", "l1")
+        for repeat in range(20):
+            score = 0.9 - 0.3 * (k > 0) + 0.02 * rng.normal()
+            rows.append(dict(zip(ARM, arm, strict=True)) | dict.fromkeys(metrics.METRICS, score) | {"repeat": repeat})
+    found = intervals.differences(pd.DataFrame(rows).assign(test_subjects=20), 15 / 70)
+    assert len(found) == 3 * (protocols - 1)
+    assert (found["p_holm"] < 0.05).all()
+
+
 def test_classes_that_are_perfectly_told_apart_have_an_interval_of_no_width():
     table = predictions(shift=200.0)
-    row = intervals.intervals(intervals.resample(table, replicates=200, seed=0)).iloc[0]
+    row = intervals.intervals(score_splits(table), 0.2).iloc[0]
     assert (row["auc_low"], row["auc_high"]) == (1.0, 1.0)

@@ -147,8 +147,9 @@ def test_repeats_that_cannot_serve_are_refused_by_name(tmp_path):
             study.run(manifest, cohort().load, [TEMPLATE], SMALL, tmp_path, retest=broken)
 
 
-def test_refused_regions_are_counted_and_left_out(tmp_path):
+def test_refused_regions_are_counted_and_left_out_and_subjects_numbered_by_grade_are_told(tmp_path):
     manifest = cohort().manifest
+    manifest = manifest.assign(subject=5 * manifest["grade"] + manifest["subject"] // 3)
     blank = set(manifest[manifest["subject"] == 14]["file"])
 
     def load(file: str) -> np.ndarray:
@@ -159,6 +160,7 @@ def test_refused_regions_are_counted_and_left_out(tmp_path):
     found = study.run(manifest, load, [TEMPLATE], SMALL, tmp_path)
     assert found.localisation.iloc[-1]["refused"] == 3
     assert "14" not in set(pd.read_csv(found.tables["predictions"])["subject"].astype(str))
+    assert "<strong>Mind:</strong> Subjects are numbered by their grade" in found.report.read_text(encoding="utf-8")
 
 
 def test_a_cohort_of_one_protocol_and_two_grades_has_a_report_too(tmp_path):
@@ -179,6 +181,7 @@ def test_a_manifest_that_cannot_serve_is_refused_by_name(tmp_path):
         (manifest.drop(columns="sha256"), "sha256"),
         (manifest[manifest["protocol"] != "reference"], "reference"),
         (pd.concat([manifest, manifest.head(1)]), "listed twice"),
+        (manifest.assign(sha256=manifest["sha256"].iloc[0]), "has subject = 0 and 1"),
     ):
         with pytest.raises(InputError, match=told):
             study.run(broken, cohort().load, [TEMPLATE], SMALL, tmp_path)

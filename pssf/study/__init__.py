@@ -10,7 +10,7 @@ statistics/    numbers from numbers; no model is trained
   subjects     rows of subjects                -> grade that a subject counts under; samples of subjects
   metrics      truth, probability              -> AUC, balanced accuracy, macro F1
   scores       predictions                     -> scores by split and arm
-  intervals    predictions                     -> 95 % intervals; paired differences with p
+  intervals    scores by split                 -> 95 % intervals from the splits; paired differences with p
   calibration  predictions                     -> slope, Brier score; confusion
   subgroups    predictions                     -> scores of women and men, of younger and older subjects
   importance   importances                     -> share of each feature and family
@@ -18,6 +18,7 @@ statistics/    numbers from numbers; no model is trained
   icc_by_subject   pairs of knees              -> intervals of ICCs by a bootstrap of subjects
   localisation joint line located and known    -> error by protocol and grade
   parameters   manifest, features              -> what the knees were built with; what each feature follows
+  provenance   manifest                        -> refused, or sentences on how grades may leak
   claims       all of these                    -> what the paper says, and whether it holds here
   evidence     outcomes, features              -> all tables
   external     films' probabilities            -> scores with intervals

@@ -37,6 +37,7 @@ from .statistics.degenerate import is_degenerate
 from .statistics.evidence import Tables, tables_of_features, tables_of_models, tables_of_truth
 from .statistics.importance import by_family
 from .statistics.parameters import composition, with_measures
+from .statistics.provenance import require_one_of_each, warnings_of
 from .statistics.reliability import REPEATS, count_stable, protocols_of
 
 _COLUMNS = (
@@ -84,11 +85,12 @@ def run_study(
         tables = tables_of_models(outcomes, settings)
     with timer.stage("reliability and figures"):
         tables = tables_of_features(located, repeated, names, settings) | tables
-        tables |= tables_of_truth(manifest, usable, names, predictions, settings)
+        tables |= tables_of_truth(manifest, usable, names, predictions, tables["subjects"], settings)
         pictures = gallery(located, run.load_pixels, settings, predictions, tables)
     with timer.stage("claims"):
         importances = joined(outcome.importances for outcome in outcomes)
-        tables["claims"] = claims(usable, predictions, importances, tables, settings)
+        offered = joined(outcome.offered for outcome in outcomes)
+        tables["claims"] = claims(usable, predictions, importances, offered, tables, settings)
     with timer.stage("models refitted"):
         models = _models(run, usable, names, manifest, localisation_law())
     external = None
@@ -130,7 +132,7 @@ def _models(
 
 
 def check_manifest(manifest: pd.DataFrame, settings: StudySettings) -> None:
-    """Refuse a manifest that lacks a column, has no reference protocol, or names a radiograph twice.
+    """Refuse a manifest that lacks a column, has no reference protocol, names a radiograph twice, or knows it as two.
 
     raises  InputError
     """
@@ -141,6 +143,7 @@ def check_manifest(manifest: pd.DataFrame, settings: StudySettings) -> None:
     twice = manifest["radiograph"][manifest["radiograph"].duplicated()]
     if len(twice):
         raise InputError(f"manifest: radiograph {twice.iloc[0]} is listed twice; allowed: once")
+    require_one_of_each(manifest)
 
 
 def _with_retest(manifest: pd.DataFrame, retest: pd.DataFrame | None) -> pd.DataFrame:
@@ -219,6 +222,7 @@ def _findings(
     return Findings(
         counts=counts | {"regions refused": len(located) - len(usable)},
         composition=composition(located),
+        warnings=warnings_of(located),
         localisation=tables["localisation"],
         morphology=tables["morphology"],
         subgroups=tables["subgroups"],
@@ -254,7 +258,7 @@ def _write(out: Path, findings: Findings, tables: Tables, files: dict[str, bytes
     models = {name: out / "models" / f"{name}{SUFFIX}" for name in sorted(files)}
     for name, path in models.items():
         results.save_bytes(path, files[name])
-    facts = ("counts", "features", "degenerate", "settings", "versions", "cost", "workers")
+    facts = ("counts", "warnings", "features", "degenerate", "settings", "versions", "cost", "workers")
     results.save_json(out / "study.json", {name: getattr(findings, name) for name in facts})
     results.save_json(out / "environment.json", environment())
     results.save_text(out / "report.html", render(findings))

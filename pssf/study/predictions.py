@@ -31,6 +31,7 @@ class Outcome:
 
     predictions  ARM, repeat, radiograph, knee, subject, protocol, truth (class index), p0, p1 and so on, one a class
     importances  ARM without `tested_on`, repeat, feature, share
+    offered      task, trained_on, selection, repeat, feature: what pruning left to select from
     permutation  model, selection, repeat, feature, drop: within protocol, 0 vs 2
     stable       how many features were stable across protocols in the training subjects; None with one protocol
     subjects     repeat, subject, part
@@ -38,6 +39,7 @@ class Outcome:
 
     predictions: pd.DataFrame
     importances: pd.DataFrame
+    offered: pd.DataFrame
     permutation: pd.DataFrame
     stable: int | None
     subjects: pd.DataFrame

@@ -19,7 +19,7 @@ class StudySettings:
     repeats        splits of the subjects
     rho            |Spearman's rho| above which the later of two features is left out
     most_features  that a selection may keep
-    replicates     of the bootstrap; the least p is 2 / (replicates + 1)
+    replicates     of the bootstraps of subjects: of trends, ICCs and films
     families       of features; one that is left out costs nothing
     selections     of SELECTIONS
     models         of MODELS

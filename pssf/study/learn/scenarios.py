@@ -47,6 +47,7 @@ class _Recipe:
 class _Gathered:
     predictions: list[pd.DataFrame] = field(default_factory=list)
     importances: list[dict[str, Any]] = field(default_factory=list)
+    offered: list[dict[str, Any]] = field(default_factory=list)
     permutation: list[dict[str, Any]] = field(default_factory=list)
 
 
@@ -72,6 +73,7 @@ def one_split(repeat: int, *, table: pd.DataFrame, names: list[str], settings: S
     return Outcome(
         predictions=joined(gathered.predictions) if gathered.predictions else pd.DataFrame(),
         importances=pd.DataFrame(gathered.importances),
+        offered=pd.DataFrame(gathered.offered, columns=["task", "trained_on", "selection", "repeat", "feature"]),
         permutation=pd.DataFrame(gathered.permutation),
         stable=None if stable is None else len(stable),
         subjects=split.table().assign(repeat=repeat),
@@ -112,6 +114,9 @@ def _follow(
         return  # all regions of a grade were refused under this protocol
     prepared = preparation(recipe.selection, rho=settings.rho, most=settings.most_features, seed=seed)
     prepared.fit(*fit_on)
+    if recipe.selection != NONE and recipe.tests[0][0] == "within":
+        of = {"task": parts.task, "trained_on": recipe.trained_on, "selection": recipe.selection, "repeat": repeat}
+        gathered.offered += [{**of, "feature": name} for name in prepared.named_steps["drop"].kept_]
     tested = joined(rows.assign(scenario=name, tested_on=on) for name, on, rows in recipe.tests)
     for label, classifier in recipe.models.items():
         arm = {"task": parts.task, "trained_on": recipe.trained_on, "model": label, "selection": recipe.selection}

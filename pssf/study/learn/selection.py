@@ -4,8 +4,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from feature_engine.selection import MRMR, DropCorrelatedFeatures
+from feature_engine.selection import MRMR
 from numpy.typing import NDArray
+from scipy.stats import rankdata
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.linear_model import LogisticRegression
 from sklearn.pipeline import Pipeline
@@ -20,9 +21,12 @@ _INVERSE_STRENGTHS = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 
 
 class DropRedundant(TransformerMixin, BaseEstimator):
-    """Leaves out features that carry nothing, and those that repeat an earlier one: |Spearman's rho| above `rho`.
+    """Leaves out features that carry nothing, and those that repeat another one: |Spearman's rho| above `rho`.
 
-    fit  X (rows, features) table; kept_ are the names that stay, in their order
+    Of features that repeat each other the one stays that repeats the most others, the closest; of equals the first by
+    name. So neither the order of the columns nor a family's place in it decides, here or in the steps that follow.
+
+    fit  X (rows, features) table; kept_ are the names that stay, by name
     """
 
     def __init__(self, rho: float = 0.9) -> None:
@@ -30,20 +34,26 @@ class DropRedundant(TransformerMixin, BaseEstimator):
 
     def fit(self, X: pd.DataFrame, y: Any = None) -> "DropRedundant":
         # Not by DropConstantFeatures, to which what varies in the last bit, as the mean of a z-score, is no constant.
-        names = [name for name in X.columns if not is_degenerate(X[name].to_numpy())]
-        repeating = self._repeating(X[names])
+        names = [name for name in sorted(X.columns) if not is_degenerate(X[name].to_numpy())]
         # Where nothing varies at all, a model still needs a column: it will learn the shares of the classes.
-        self.kept_ = [name for name in names if name not in repeating] or [X.columns[0]]
+        self.kept_ = self._distinct(X[names]) or [min(X.columns)]
         self.median_ = X[self.kept_].median().fillna(0.0)
         return self
 
-    def _repeating(self, X: pd.DataFrame) -> set[str]:
+    def _distinct(self, X: pd.DataFrame) -> list[str]:
         if X.shape[1] < 2:
-            return set()
-        # Numbered, since of two that repeat each other the library keeps the first by the alphabet.
-        numbered = X.set_axis([f"{place:06d}" for place in range(X.shape[1])], axis=1)
-        chooser = DropCorrelatedFeatures(method="spearman", threshold=self.rho).fit(numbered)
-        return {X.columns[int(place)] for place in chooser.features_to_drop_}
+            return list(X.columns)
+        # Rounded, so that what repeats equally well is a tie whatever the order of adding.
+        rho = np.abs(np.corrcoef(rankdata(X.to_numpy(np.float64), axis=0), rowvar=False)).round(9)
+        kept, left = [], np.ones(len(rho), bool)
+        while left.any():
+            near = (rho > self.rho) & left
+            worth = near.sum(axis=1) + (rho * near).sum(axis=1) / (len(rho) + 1)
+            best = int(np.where(left, worth.round(9), -1.0).argmax())
+            kept.append(best)
+            left &= ~near[best]
+            left[best] = False
+        return [X.columns[index] for index in sorted(kept)]
 
     def transform(self, X: pd.DataFrame) -> pd.DataFrame:
         # A feature may be undefined in a radiograph met later, such as the elongation of a mask that is a line.

@@ -117,7 +117,7 @@ def _intervals(axis: Any, scores: pd.DataFrame, tests: list[str], published: str
             axis.plot(at, value, "o", color=COLOURS[model], markersize=5, label=MODELS[model] if not place else None)
             axis.annotate(
                 f"{value:.2f}",
-                (at, high),
+                (at, high if np.isfinite(high) else value),  # of one split there is no interval
                 xytext=(0, 3),
                 textcoords="offset points",
                 ha="center",

@@ -11,6 +11,7 @@ import pandas as pd
 from ..external import External
 from ..predictions import BASELINES, GRADES, NONE, TASKS
 from ..settings import MODELS, SELECTIONS
+from ..statistics.claims import LEAST_TESTED
 from ..statistics.intervals import MINUS_JSW
 from ..statistics.localisation import GROSS_MM
 from ..statistics.metrics import METRICS
@@ -44,6 +45,7 @@ class Findings:
 
     counts        label -> number, of the cohort
     composition   grade, subjects, knees, protocols, radiographs; the last row is of all
+    warnings      of `provenance.warnings_of`
     morphology    of `parameters.morphology`
     subgroups     of `subgroups.subgroups`
     localisation  of `localisation.summarise`
@@ -64,6 +66,7 @@ class Findings:
 
     counts: dict[str, int]
     composition: pd.DataFrame
+    warnings: list[str]
     localisation: pd.DataFrame
     morphology: pd.DataFrame
     subgroups: pd.DataFrame
@@ -105,6 +108,7 @@ def render(findings: Findings) -> str:
         f=findings,
         tasks=_score_tables(findings.scores),
         metrics=METRICS,
+        least_tested=LEAST_TESTED,
         compared=_compared(findings.differences),
         models=MODELS | BASELINES,
         selections=SELECTIONS | {NONE: "baseline"},

@@ -1,16 +1,20 @@
 """What the paper says of its own cohort, asked of this one: holds, does not hold, or cannot be decided from it.
 
 Alzubaidi and Al-Bayaty, arXiv 2601.11642, sections 3.2 to 3.4. A claim holds when the whole 95 per cent interval of its
-number lies on the claimed side of the bound, does not hold when all of it lies on the other, and is not decidable else.
+number lies on the claimed side of the bound, does not hold when all of it lies on the other, and is not decidable else;
+nor is it where the interval has no width, or splits test fewer than LEAST_TESTED subjects. Differences between arms are
+decided only where they stay after Holm's correction for the arms compared, since a claim is asked of many.
 """
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from ...core.checks import Array
-from ..predictions import TASKS
+from ..predictions import TASKS, truth_and_probability
 from ..settings import MODELS, SELECTIONS, StudySettings
-from .metrics import METRICS, percentiles
+from .intervals import estimate, estimate_share, tested_over_trained
+from .metrics import METRICS, confusion, percentiles
 from .reliability import ICC_FORMS, THRESHOLD
 from .subjects import draws, worst_grades
 
@@ -31,12 +35,17 @@ _HIGH = 0.80
 _ASKED = ("auc", "balanced_accuracy")
 _FAMILIES = ("glcm", "glszm")
 _STREAM = 2**31 + 1  # beside that of `intervals`
+# Of a split and task. With fewer, intervals miss too often and some have no width; see tests/test_coverage.py.
+LEAST_TESTED = 6
+UNDECIDED = "not decidable"
+_LEVEL = 0.05  # of p after Holm
 
 
 def claims(
     usable: pd.DataFrame,
     predictions: pd.DataFrame,
     importances: pd.DataFrame,
+    offered: pd.DataFrame,
     tables: dict[str, pd.DataFrame],
     settings: StudySettings,
 ) -> pd.DataFrame:
@@ -45,13 +54,15 @@ def claims(
     usable       radiographs with a region found: subject, grade, protocol, features
     predictions  of all splits, see `predictions`
     importances  of the same: task, trained_on, model, selection, repeat, feature, share
-    tables       scores, differences, reliability
+    offered      of the same: task, trained_on, selection, repeat, feature
+    tables       scores, differences, reliability, subjects
     """
+    ratio = tested_over_trained(tables["subjects"])
     rows = [
         *_trends(usable, settings),
         *_stable(tables["reliability"]),
-        *_families(importances, settings),
-        *_between(predictions, settings),
+        *_families(importances, offered, tables["scores"], settings, ratio),
+        *_between(predictions, settings, ratio),
         *_performance(tables["scores"], settings),
         *_changes(tables["differences"], settings),
     ]
@@ -61,16 +72,19 @@ def claims(
 
 def verdict(low: float, high: float, bound: float, side: int = +1) -> str:
     """Whether an interval lies beyond a bound; side +1: above it is claimed, -1: below it."""
-    if not np.isfinite([low, high]).all():
-        return "not decidable"
+    if not np.isfinite([low, high]).all() or high <= low:
+        return UNDECIDED
     beyond, short = (low > bound, high < bound) if side > 0 else (high < bound, low > bound)
-    return "holds" if beyond else "does not hold" if short else "not decidable"
+    return "holds" if beyond else "does not hold" if short else UNDECIDED
 
 
-def _row(claim: str, measure: str, estimate: Estimate, bound: float, side: int = +1) -> dict[str, object]:
+def _row(
+    claim: str, measure: str, estimate: Estimate, bound: float, side: int = +1, *, tested: int
+) -> dict[str, object]:
     value, low, high = estimate
-    decided = {"bound": bound, "verdict": verdict(low, high, bound, side)}
-    return {"claim": claim, "measure": measure, "value": value, "low": low, "high": high, **decided}
+    decided = verdict(low, high, bound, side) if tested >= LEAST_TESTED else UNDECIDED
+    row = {"claim": claim, "measure": measure, "value": value, "low": low, "high": high}
+    return row | {"bound": bound, "verdict": decided}
 
 
 def _trends(usable: pd.DataFrame, settings: StudySettings) -> list[dict[str, object]]:
@@ -82,7 +96,7 @@ def _trends(usable: pd.DataFrame, settings: StudySettings) -> list[dict[str, obj
         if feature in part:
             rho = spearman(part["grade"].to_numpy(float), part[feature].to_numpy(float), weights)
             measure = f"Spearman's ρ of grade and {feature}, {settings.reference}"
-            rows.append(_row(claim, measure, _interval(rho), 0.0, side))
+            rows.append(_row(claim, measure, _interval(rho), 0.0, side, tested=part["subject"].nunique()))
     return rows
 
 
@@ -125,46 +139,88 @@ def _stable(reliability: pd.DataFrame) -> list[dict[str, object]]:
     for across, part in reliability.dropna(subset=form).groupby("across", sort=False):
         share = [float((part[column] >= THRESHOLD).mean()) for column in (form, f"{form} low", f"{form} high")]
         measure = f"share of {len(part)} features with {form} ≥ {THRESHOLD:.2f}, {across} (paper: 43 of 107)"
-        rows.append(_row("A subset of features is stable", measure, (share[0], share[1], share[2]), 0.0))
+        # By the interval of each feature, so one without width is no lack of knowledge: all or none are stable.
+        decided = "holds" if share[1] > 0 else "does not hold" if share[2] == 0 else UNDECIDED
+        row = dict(zip(("value", "low", "high"), share, strict=True)) | {"bound": 0.0, "verdict": decided}
+        rows.append({"claim": "A subset of features is stable", "measure": measure, **row})
     return rows
 
 
-def _families(importances: pd.DataFrame, settings: StudySettings) -> list[dict[str, object]]:
-    part = importances[(importances["task"] == "0 vs 2") & (importances["trained_on"] == settings.reference)]
+def _families(
+    importances: pd.DataFrame, offered: pd.DataFrame, scores: pd.DataFrame, settings: StudySettings, ratio: float
+) -> list[dict[str, object]]:
+    """Their share in the importance, against a half, or what a draw from the features offered would give if more."""
+    part, given = (
+        table[(table["task"] == "0 vs 2") & (table["trained_on"] == settings.reference)]
+        for table in (importances, offered)
+    )
     rows = []
+    tested = int(_within(scores)["test_subjects"].max()) if len(part) else 0
     for (model, selection), of_model in part.groupby(["model", "selection"], sort=False):
-        ours = of_model["feature"].str.split("_").str[0].isin(_FAMILIES)
-        shares = (of_model["share"] * ours).groupby(of_model["repeat"]).sum()
-        low, high = np.percentile(shares, (2.5, 97.5))
-        estimate = float(shares.mean()), float(low), float(high)
-        measure = f"share of GLCM and GLSZM in the importance of {_arm(model, selection)}; interval over the splits"
-        rows.append(_row("The most important features are of GLCM and GLSZM", measure, estimate, 0.5))
+        shares = (of_model["share"] * _of_families(of_model)).groupby(of_model["repeat"]).sum()
+        of_selection = given[given["selection"] == selection]
+        by_chance = float(_of_families(of_selection).groupby(of_selection["repeat"]).mean().mean())
+        of_splits = estimate_share(shares.to_numpy(), ratio)
+        measure = f"share of GLCM and GLSZM in the importance of {_arm(model, selection)}; {by_chance:.2f} by chance"
+        claim = "The most important features are of GLCM and GLSZM"
+        numbers, bound = (of_splits.value, of_splits.low, of_splits.high), max(0.5, by_chance)
+        rows.append(_row(claim, measure, numbers, bound, tested=tested))
     return rows
 
 
-def _between(predictions: pd.DataFrame, settings: StudySettings) -> list[dict[str, object]]:
+def _of_families(table: pd.DataFrame) -> pd.Series:
+    return table["feature"].str.split("_").str[0].isin(_FAMILIES)
+
+
+def _between(predictions: pd.DataFrame, settings: StudySettings, ratio: float) -> list[dict[str, object]]:
     part = predictions[(predictions["task"] == "0/1/2") & (predictions["scenario"] == "within")]
     part = part[(part["model"] == settings.models[0]) & (part["selection"] == settings.selections[0])]
     if part.empty:
         return []
-    arm, grade = _arm(settings.models[0], settings.selections[0]), part["truth"].to_numpy(int)
-    weights = _weights(part.assign(grade=grade), settings)
-    score = (part["p1"] + 2 * part["p2"]).to_numpy(float)
-    with np.errstate(invalid="ignore"):
-        means = [(weights @ (score * (grade == k))) / (weights @ (grade == k)) for k in range(3)]
+    arm, steps, spared = _arm(settings.models[0], settings.selections[0]), [], []
+    for _, split in part.groupby("repeat", sort=False):
+        truth, probability = truth_and_probability(split)
+        if len(set(truth)) == 3:
+            score = probability @ np.arange(3)
+            steps.append(np.diff([score[truth == grade].mean() for grade in range(3)]))
+            spared.append(_spared(confusion(truth, probability)))
+    by_split = np.array(steps).reshape(-1, 2)
+    tested = int(part.groupby("repeat")["subject"].nunique().median())
     rows = []
     for upper in (1, 2):
+        of_splits = estimate(by_split[:, upper - 1], ratio, -2.0, 2.0)
         measure = f"predicted grade of grade {upper} less that of {upper - 1}, {arm}"
-        rows.append(_row("Grade 1 lies in between", measure, _interval(means[upper] - means[upper - 1]), 0.0))
-    off = np.abs(part[["p0", "p1", "p2"]].to_numpy().argmax(axis=1) - grade)
-    spared = (weights @ ((off == 1) * 1.0 - (off == 2))) / weights.sum(axis=1)
-    measure = f"share confused by one grade less share confused by two, {arm}"
-    rows.append(_row("The extreme grades are seldom confused", measure, _interval(spared), 0.0))
+        rows.append(
+            _row(
+                "Grade 1 lies in between", measure, (of_splits.value, of_splits.low, of_splits.high), 0.0, tested=tested
+            )
+        )
+    of_splits = estimate(np.array(spared), ratio)
+    measure = f"share that chance would confuse by two grades, with the same calls, less the share confused, {arm}"
+    estimated = of_splits.value, of_splits.low, of_splits.high
+    rows.append(_row("The extreme grades are seldom confused", measure, estimated, 0.0, tested=tested))
     return rows
 
 
+def _spared(counts: NDArray[np.int64]) -> float:
+    """Share of rows confused between the first and last class that chance gives, less the share that is.
+
+    By chance: calls as often as they are, spread over the rows without regard to the class. A comparison with the share
+    confused by one grade would not do: there are twice as many ways to it, so that random calls have it larger.
+
+    counts  (3, 3) of `confusion`
+    """
+    true, called, rows = counts.sum(axis=1), counts.sum(axis=0), counts.sum()
+    by_chance = (true[0] * called[2] + true[2] * called[0]) / rows**2
+    return float(by_chance - (counts[0, 2] + counts[2, 0]) / rows)
+
+
+def _within(scores: pd.DataFrame) -> pd.DataFrame:
+    return scores[(scores["task"] == "0 vs 2") & (scores["scenario"] == "within")]
+
+
 def _performance(scores: pd.DataFrame, settings: StudySettings) -> list[dict[str, object]]:
-    part = scores[(scores["task"] == "0 vs 2") & (scores["scenario"] == "within")]
+    part = _within(scores)
     part = part[part["selection"].isin(settings.selections) & part["model"].isin(settings.models)]
     rows = []
     for line in part.to_dict("records"):
@@ -172,9 +228,9 @@ def _performance(scores: pd.DataFrame, settings: StudySettings) -> list[dict[str
         if line["model"] == "lr":
             claim = f"Logistic regression is strong with few features (at most {settings.most_features})"
         for metric in _ASKED:
-            estimate = (line[metric], line[f"{metric}_low"], line[f"{metric}_high"])
-            arm = _arm(line["model"], line["selection"])
-            rows.append(_row(claim, f"{METRICS[metric]}, 0 vs 2, {arm} (paper: 0.92)", estimate, _HIGH))
+            numbers = (line[metric], line[f"{metric}_low"], line[f"{metric}_high"])
+            measure = f"{METRICS[metric]}, 0 vs 2, {_arm(line['model'], line['selection'])} (paper: 0.92)"
+            rows.append(_row(claim, measure, numbers, _HIGH, tested=line["test_subjects"]))
     return rows
 
 
@@ -195,7 +251,9 @@ def _changes(differences: pd.DataFrame, settings: StudySettings) -> list[dict[st
             on = line["tested_on"].replace("_", " ")
             arm = _arm(line["model"], line["selection"])
             measure = f"{METRICS[line['metric']]}, {comparison}, {arm}, {on}"
-            rows.append(_row(claim, measure, (line["difference"], line["low"], line["high"]), 0.0, side))
+            tested = line["test_subjects"] if line["p_holm"] < _LEVEL else 0
+            numbers = (line["difference"], line["low"], line["high"])
+            rows.append(_row(claim, measure, numbers, 0.0, side, tested=tested))
     return rows
 
 

@@ -11,7 +11,7 @@ from . import localisation
 from .calibration import calibration, confusions, reliability_curve
 from .degenerate import is_degenerate
 from .importance import by_feature
-from .intervals import differences, intervals, resample
+from .intervals import differences, intervals, tested_over_trained
 from .parameters import follows, morphology, parameters_of, table_of
 from .reliability import reliability, repeatability
 from .scores import score_splits, summarise
@@ -30,13 +30,14 @@ def tables_of_models(outcomes: list[Outcome], settings: StudySettings) -> Tables
     importances = joined([outcome.importances for outcome in outcomes])
     permutation = joined([outcome.permutation for outcome in outcomes])
     splits = score_splits(predictions)
-    replicates = resample(predictions, replicates=settings.replicates, seed=settings.seed)
+    subjects = joined([outcome.subjects for outcome in outcomes])
+    ratio = tested_over_trained(subjects)
     within = importances[(importances["task"] == "0 vs 2") & (importances["trained_on"] == settings.reference)]
     return {
-        "subjects": joined([outcome.subjects for outcome in outcomes]),
+        "subjects": subjects,
         "splits": splits,
-        "scores": summarise(splits).merge(intervals(replicates), on=ARM, how="left", validate="one_to_one"),
-        "differences": differences(replicates),
+        "scores": summarise(splits).merge(intervals(splits, ratio), on=ARM, how="left", validate="one_to_one"),
+        "differences": differences(splits, ratio),
         "confusion": confusions(predictions),
         "calibration": calibration(predictions),
         "calibration_curve": reliability_curve(predictions),
@@ -57,7 +58,7 @@ def tables_of_features(
     chance = {"replicates": settings.replicates, "seed": settings.seed}
     across = reliability(usable, names, settings.reference, **chance)
     if len(retest):
-        repeated = repeatability(usable, retest, names, settings.reference)
+        repeated = repeatability(usable, retest, names, settings.reference, **chance)
         across = joined([across, repeated]) if len(across) else repeated
     return {
         "localisation": localisation.summarise(located),
@@ -87,12 +88,20 @@ def dictionary(usable: pd.DataFrame, names: list[str], tags: Tags) -> pd.DataFra
 
 
 def tables_of_truth(
-    manifest: pd.DataFrame, usable: pd.DataFrame, names: list[str], predictions: pd.DataFrame, settings: StudySettings
+    manifest: pd.DataFrame,
+    usable: pd.DataFrame,
+    names: list[str],
+    predictions: pd.DataFrame,
+    subjects: pd.DataFrame,
+    settings: StudySettings,
 ) -> Tables:
-    """morphology (what was drawn, by grade), follows (features against what the knees were built with), subgroups."""
+    """morphology (what was drawn, by grade), follows (features against what the knees were built with), subgroups.
+
+    subjects  of `tables_of_models`
+    """
     parameters = parameters_of(manifest)
     return {
         "morphology": morphology(parameters, table_of(manifest)),
         "follows": follows(usable, names, parameters, settings.reference),
-        "subgroups": subgroups(predictions, parameters, settings),
+        "subgroups": subgroups(predictions, parameters, settings, tested_over_trained(subjects)),
     }

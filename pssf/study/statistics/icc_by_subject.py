@@ -1,4 +1,4 @@
-"""Intervals of ICCs where subjects give two knees: a bootstrap of subjects, each drawn with all its knees."""
+"""Intervals of ICCs by a bootstrap of subjects, each drawn with all its knees; the conditions are held fixed."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,22 +1,24 @@
-"""95 per cent intervals of the scores, and of their differences, by a bootstrap of subjects.
+"""95 per cent intervals of the scores, and of their differences, from how the splits vary.
 
-A replicate draws subjects with replacement within their grade, each with all its knees, radiographs and the splits that
-tested it; it scores every split with these weights and takes the mean over the splits. The models stay as they were
-fitted, so an interval holds the chance of who is tested, and not that of who was trained on.
+A split trains anew and tests others, so the splits' scores hold the chance of who is trained on and of who is tested;
+but their parts overlap, and their mean varies more than that of independent splits. Nadeau and Bengio 2003 (Machine
+Learning 52, 239) put the variance of the mean of R splits at s^2 (1/R + tested/trained subjects); the quantile is of t
+with R - 1 degrees of freedom. Scores, which end at 1, have their interval on the logit scale (Pepe 2003):
+where a small cohort happens to be told apart well its splits hardly vary, and a plain one would lie above the truth.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
+from scipy.special import expit, logit
+from scipy.stats import t as t_distribution
 
 from ...core.checks import Array
-from ..predictions import ARM, NONE, TASKS, least_grades, truth_and_probability
-from .metrics import METRICS, percentiles, weighted_scores
-from .subjects import draws, worst_grades
+from ..predictions import ARM, NONE
+from .metrics import METRICS
 
-_STREAM = 2**31  # keys below it are those of the splits
 # Comparison -> a scenario, and the one that is taken from it.
 COMPARISONS = {
     "cross minus within": ("cross", "within"),
@@ -27,98 +29,112 @@ COMPARISONS = {
 }
 MINUS_JSW = "model minus JSW (true)"
 _LABELS = ["comparison", "task", "scenario", "tested_on", "model", "selection", "metric"]
+_LEVEL = 0.95
 
 
-@dataclass(frozen=True, eq=False)
-class Replicates:
-    """The mean score over the splits of every arm in every replicate.
+@dataclass(frozen=True)
+class Estimate:
+    """Mean over the splits, its 95 per cent interval, and the two-sided p of its being 0."""
 
-    arms    values of ARM
-    scores  metric -> (arms, 1 + replicates); first the cohort as it is
+    value: float
+    low: float
+    high: float
+    p: float
+
+
+def tested_over_trained(subjects: pd.DataFrame) -> float:
+    """Subjects that a split tests over those that it trains on; the mean of the splits.
+
+    subjects  repeat, subject, part
     """
+    counts = subjects.groupby(["repeat", "part"]).size().unstack("part")
+    return float((counts["test"] / counts["training"]).mean())
 
-    arms: list[tuple[str, ...]]
-    scores: dict[str, Array]
 
+def estimate(splits: Array, ratio: float, least: float = -1.0, most: float = 1.0) -> Estimate:
+    """Mean of a measure over the splits, with its interval; see the module.
 
-def resample(predictions: pd.DataFrame, *, replicates: int, seed: int) -> Replicates:
-    """Score every arm on bootstrap samples of the subjects; see the module.
-
-    predictions  ARM, repeat, subject, truth, p0, p1 and so on
+    splits       (splits,) one value of each, dimensionless; those that are not finite are left out
+    ratio        of `tested_over_trained`
+    least, most  that the measure can be
+    returns      no interval and no p of a single value. Where all are the same the interval has no width, and p is 1
+                 for 0 and else undefined, since nothing says how far they could have differed
     """
-    weights = subject_weights(predictions, replicates=replicates, seed=seed)
-    values = weights.to_numpy()
-    arms: list[tuple[str, ...]] = []
-    scores: dict[str, list[Array]] = {metric: [] for metric in METRICS}
-    for arm, part in predictions.groupby(ARM, sort=False):
-        of_splits = []
-        for _, split in part.groupby("repeat", sort=False):
-            rows = weights.index.get_indexer(split["subject"])
-            of_splits.append(weighted_scores(*truth_and_probability(split), values[rows]))
-        arms.append(tuple(arm))
+    known = splits[np.isfinite(splits)]
+    nothing = float("nan")
+    if len(known) < 2:
+        return Estimate(float(known[0]) if len(known) else nothing, nothing, nothing, nothing)
+    value, free = float(known.mean()), len(known) - 1
+    if np.ptp(known) < 1e-12:
+        return Estimate(value, value, value, 1.0 if abs(value) < 1e-12 else nothing)
+    error = float(known.std(ddof=1) * np.sqrt(1 / len(known) + ratio))
+    half = error * float(t_distribution.ppf((1 + _LEVEL) / 2, free))
+    p = 2 * float(t_distribution.sf(abs(value) / error, free))
+    return Estimate(value, max(least, value - half), min(most, value + half), p)
+
+
+def estimate_share(splits: Array, ratio: float) -> Estimate:
+    """`estimate` of a measure from 0 to 1, with an interval that is symmetric on the logit scale (delta method).
+
+    splits  (splits,) one share of each, dimensionless; those that are not finite are left out
+    ratio   of `tested_over_trained`
+    """
+    of_splits = estimate(splits, ratio, -np.inf, np.inf)
+    if not of_splits.high > of_splits.low:
+        return of_splits
+    # What varies between 0 and 1 has a mean inside, so that both are finite.
+    middle, half = (
+        logit(of_splits.value),
+        (of_splits.high - of_splits.low) / 2 / (of_splits.value * (1 - of_splits.value)),
+    )
+    return replace(of_splits, low=float(expit(middle - half)), high=float(expit(middle + half)))
+
+
+def bounds(splits: pd.DataFrame, ratio: float) -> dict[str, float]:
+    """<metric>_low and <metric>_high of every metric.
+
+    splits  one row a split, with the METRICS
+    """
+    row = dict[str, float]()
+    for metric in METRICS:
+        of_splits = estimate_share(splits[metric].to_numpy(np.float64), ratio)
+        row |= {f"{metric}_low": of_splits.low, f"{metric}_high": of_splits.high}
+    return row
+
+
+def intervals(splits: pd.DataFrame, ratio: float) -> pd.DataFrame:
+    """ARM, <metric>_low, <metric>_high: one row an arm.
+
+    splits  of `scores.score_splits`
+    ratio   of `tested_over_trained`
+    """
+    return pd.DataFrame(
+        [dict(zip(ARM, arm, strict=True)) | bounds(part, ratio) for arm, part in splits.groupby(ARM, sort=False)]
+    )
+
+
+def differences(splits: pd.DataFrame, ratio: float) -> pd.DataFrame:
+    """Paired differences of arms: in every split both are trained and tested on the same subjects.
+
+    splits, ratio  as for `intervals`
+    returns        comparison, task, scenario, tested_on, model, selection, metric, difference, low, high, p, p_holm,
+                   test_subjects. p is two-sided, and has no floor that more tests of a family could lift above 0.05;
+                   p_holm is corrected within a comparison, task and metric (Holm 1979)
+    """
+    arms = {tuple(arm): part.set_index("repeat") for arm, part in splits.groupby(ARM, sort=False)}
+    names, rows = list(arms), []
+    for comparison, this, other in _pairs(names):
+        label, one, two = dict(zip(ARM, names[this], strict=True)), arms[names[this]], arms[names[other]]
+        tested = int(np.minimum(one["test_subjects"], two["test_subjects"]).median())
         for metric in METRICS:
-            scores[metric].append(mean_of_splits(np.array([one[metric] for one in of_splits])))
-    return Replicates(arms, {metric: np.array(rows) for metric, rows in scores.items()})
-
-
-def subject_weights(predictions: pd.DataFrame, *, replicates: int, seed: int) -> pd.DataFrame:
-    """(subjects, 1 + replicates) how often each subject is drawn; ones in the first column.
-
-    Drawn within the subject's grade, the highest of its knees, so that the share of each grade stays.
-    """
-    grades = predictions["truth"].astype(int).copy()
-    for task in TASKS:
-        rows = predictions["task"] == task
-        grades[rows] = np.array(least_grades(task))[grades[rows]]
-    worst = worst_grades(predictions["subject"], grades)
-    return pd.DataFrame(draws(worst, replicates=replicates, seed=seed, stream=_STREAM), index=worst.index)
-
-
-def intervals(replicates: Replicates) -> pd.DataFrame:
-    """ARM, and the 2.5th and 97.5th percentile of each metric over the replicates: <metric>_low, <metric>_high."""
-    rows = []
-    for index, arm in enumerate(replicates.arms):
-        row: dict[str, object] = dict(zip(ARM, arm, strict=True))
-        for metric in METRICS:
-            low, high = percentiles(replicates.scores[metric][index, 1:])
-            row |= {f"{metric}_low": low, f"{metric}_high": high}
-        rows.append(row)
-    return pd.DataFrame(rows)
-
-
-def differences(replicates: Replicates) -> pd.DataFrame:
-    """Paired differences of arms: in every replicate both are scored on the same subjects.
-
-    returns  comparison, task, scenario, tested_on, model, selection, metric, difference, low, high, p, p_holm. p is
-             two-sided: twice the share of replicates on the farther side of 0, at least 2 / (replicates + 1); p_holm
-             is corrected within a comparison, task and metric (Holm 1979)
-    """
-    rows = []
-    for comparison, this, other in _pairs(replicates.arms):
-        label = dict(zip(ARM, replicates.arms[this], strict=True))
-        for metric, scores in replicates.scores.items():
-            difference = scores[this] - scores[other]
-            low, high = percentiles(difference[1:])
-            estimate = {"difference": difference[0], "low": low, "high": high, "p": p_value(difference[1:])}
-            rows.append({"comparison": comparison, **label, "metric": metric, **estimate})
-    table = pd.DataFrame(rows, columns=[*_LABELS, "difference", "low", "high", "p"])
-    table["p_holm"] = np.nan
+            of_splits = estimate((one[metric] - two[metric]).to_numpy(np.float64), ratio)
+            values = {"difference": of_splits.value, "low": of_splits.low, "high": of_splits.high, "p": of_splits.p}
+            rows.append({"comparison": comparison, **label, "metric": metric, **values, "test_subjects": tested})
+    table = pd.DataFrame(rows, columns=[*_LABELS, "difference", "low", "high", "p", "test_subjects"])
+    table.insert(len(table.columns) - 1, "p_holm", np.nan)
     for _, part in table.dropna(subset="p").groupby(["comparison", "task", "metric"], sort=False):
         table.loc[part.index, "p_holm"] = holm(part["p"].to_numpy())
     return table
-
-
-def p_value(differences: Array) -> float:
-    """Two-sided p of a difference (Davison & Hinkley 1997, with one added to both counts).
-
-    differences  (replicates,) of any unit; those that are not finite are left out
-    returns      NaN where none is
-    """
-    known = differences[np.isfinite(differences)]
-    if not len(known):
-        return float("nan")
-    farther = min((known <= 0).sum(), (known >= 0).sum())
-    return float(min(1.0, 2 * (farther + 1) / (len(known) + 1)))
 
 
 def holm(p: Array) -> Array:
@@ -150,13 +166,3 @@ def _pairs(arms: list[tuple[str, ...]]) -> Iterator[tuple[str, int, int]]:
         partner = known.get((task, scenario, tested_on, "jsw", NONE))
         if selection != NONE and partner is not None:
             yield MINUS_JSW, index, partner
-
-
-def mean_of_splits(splits: Array) -> Array:
-    """(samples,) mean over the splits that have a score; NaN where none has.
-
-    splits  (splits, samples)  scores, dimensionless
-    """
-    known = np.isfinite(splits)
-    with np.errstate(invalid="ignore"):
-        return np.where(known, splits, 0.0).sum(axis=0) / known.sum(axis=0)

@@ -6,7 +6,6 @@ from itertools import combinations
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.stats import f as f_distribution
 
 from ...core.checks import Array
 from .degenerate import is_degenerate
@@ -17,6 +16,7 @@ THRESHOLD = 0.90  # "excellent" in Koo & Li 2016, and what the paper counts
 _BANDS = ((0.90, "excellent"), (0.75, "good"), (0.50, "moderate"))
 _COLUMNS = ["feature", "across", "knees", *(f"{form}{end}" for form in ICC_FORMS for end in ("", " low", " high"))]
 _COLUMNS += ["class", "share_knee", "share_condition", "share_residual"]
+_UNKNOWN = ((float("nan"),) * 2,) * 2
 REPEATS = {"noise": "repeated noise", "perturbation": "small perturbations"}
 
 
@@ -32,12 +32,12 @@ class Squares:
 
 
 def squares(values: Array) -> Squares | None:
-    """Mean squares, or None where nothing varies.
+    """Mean squares, or None where no knee differs from another under any condition.
 
     values  (knees, conditions) of any unit
     """
     knees, conditions = values.shape
-    if knees < 2 or conditions < 2 or is_degenerate(values.ravel()):
+    if knees < 2 or conditions < 2 or all(is_degenerate(of_one) for of_one in values.T):
         return None
     values = (values - values.mean()) / values.std()  # keeps squares of large features within the digits of a float
     rows, columns = values.mean(axis=1), values.mean(axis=0)
@@ -55,40 +55,10 @@ def icc(values: Array) -> tuple[float, float]:
     """ICC(2,1), absolute agreement, and ICC(3,1), consistency; single measure (Shrout & Fleiss 1979).
 
     values   (knees, conditions) of any unit
-    returns  NaN, NaN where nothing varies: 0/0
+    returns  NaN, NaN where knees do not differ, whatever conditions do: there is nothing to agree on
     """
     s = squares(values)
     return (float("nan"), float("nan")) if s is None else _forms(s)
-
-
-def icc_intervals(values: Array, level: float = 0.95) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Intervals of ICC(2,1) and ICC(3,1) by the F distribution (McGraw & Wong 1996, table 7).
-
-    values   (knees, conditions) of any unit
-    returns  (low, high) of each; NaN where nothing varies, and 1 where the conditions agree to the last digit
-    """
-    s = squares(values)
-    if s is None:
-        return (float("nan"),) * 2, (float("nan"),) * 2
-    n, k, tail = s.knees, s.conditions, (1 + level) / 2
-    if s.rest < 1e-20:  # of values of unit variance: rounding
-        consistency = (1.0, 1.0)
-    else:
-        ratio, rest = s.of_knees / s.rest, (n - 1) * (k - 1)
-        low, high = ratio / f_distribution.ppf(tail, n - 1, rest), ratio * f_distribution.ppf(tail, rest, n - 1)
-        consistency = ((low - 1) / (low + k - 1), (high - 1) / (high + k - 1))
-    agreement = _forms(s)[0]
-    of_conditions = k * agreement * s.of_conditions
-    of_rest = (n * (1 + (k - 1) * agreement) - k * agreement) * s.rest
-    if abs(of_conditions) + abs(of_rest) < 1e-20:
-        return (1.0, 1.0), consistency
-    # Degrees of freedom after Satterthwaite.
-    free = (of_conditions + of_rest) ** 2 / (of_conditions**2 / (k - 1) + of_rest**2 / ((n - 1) * (k - 1)))
-    above, below = f_distribution.ppf(tail, n - 1, free), f_distribution.ppf(tail, free, n - 1)
-    error = k * s.of_conditions + (k * n - k - n) * s.rest
-    low = n * (s.of_knees - above * s.rest) / (above * error + n * s.of_knees)
-    high = n * (below * s.of_knees - s.rest) / (error + n * below * s.of_knees)
-    return (low, high), consistency
 
 
 def variance_shares(values: Array) -> tuple[float, float, float]:
@@ -122,7 +92,9 @@ def reliability(
 ) -> pd.DataFrame:
     """ICC of every feature across all protocols, and across the reference and each other one.
 
-    Intervals are by the F distribution, or, where a subject has two knees, by a bootstrap of subjects.
+    Intervals are by a bootstrap of subjects, each with all its knees: they are of these protocols, held fixed, and hold
+    the chance of who is radiographed. Those by the F distribution (McGraw and Wong 1996) would be, for ICC(2,1), of
+    protocols drawn from a population, of which two or three say next to nothing.
 
     table    one row a radiograph: knee, subject, protocol, features; knees that lack a protocol are left out
     returns  a row a feature and set: feature, across, knees, each form with its interval, class (of Koo & Li 2016, by
@@ -135,17 +107,23 @@ def reliability(
         if len(chosen) >= 2 and reference in chosen:
             label = "all protocols" if chosen == protocols else f"{chosen[0]} and {chosen[1]}"
             values, subjects = grid(table, names, "protocol", chosen)
-            weights = None
-            if len(set(subjects)) < len(subjects):
-                weights = knee_weights(subjects, replicates=replicates, seed=seed)
+            weights = knee_weights(subjects, replicates=replicates, seed=seed)
             rows += _rows(values, names, label, weights)
     return pd.DataFrame(rows, columns=_COLUMNS)
 
 
-def repeatability(table: pd.DataFrame, retest: pd.DataFrame, names: list[str], reference: str) -> pd.DataFrame:
+def repeatability(
+    table: pd.DataFrame,
+    retest: pd.DataFrame,
+    names: list[str],
+    reference: str,
+    *,
+    replicates: int = 2000,
+    seed: int = 0,
+) -> pd.DataFrame:
     """`reliability` across repeats of the same knees under the reference protocol.
 
-    table   of `reliability`; it has the first radiograph of every knee, of which no two are one subject's
+    table   of `reliability`; it has the first radiograph of every knee
     retest  radiographs of some knees taken again: knee (as in the table), kind (noise | perturbation), turn, features
     """
     rows = []
@@ -155,7 +133,8 @@ def repeatability(table: pd.DataFrame, retest: pd.DataFrame, names: list[str], r
         both = pd.concat([first.assign(turn="first"), part.assign(turn=part["turn"].astype(str))])
         turns = ["first", *sorted(set(part["turn"].astype(str)))]
         if len(turns) > 1 and len(first):
-            rows += _rows(grid(both, names, "turn", turns)[0], names, label)
+            values, subjects = grid(both, names, "turn", turns)
+            rows += _rows(values, names, label, knee_weights(subjects, replicates=replicates, seed=seed))
     return pd.DataFrame(rows, columns=_COLUMNS)
 
 
@@ -183,13 +162,13 @@ def protocols_of(table: pd.DataFrame, reference: str) -> list[str]:
     return sorted(table["protocol"].unique(), key=lambda name: name != reference)
 
 
-def _rows(values: Array, names: list[str], label: str, weights: Array | None = None) -> list[dict[str, object]]:
+def _rows(values: Array, names: list[str], label: str, weights: Array) -> list[dict[str, object]]:
     rows = []
     for index, name in enumerate(names):
         whole = np.isfinite(values[:, :, index]).all(axis=1)
         one = values[whole, :, index]
-        forms, bounds = icc(one), icc_intervals(one)
-        if weights is not None and np.isfinite(forms[0]):
+        forms, bounds = icc(one), _UNKNOWN
+        if np.isfinite(forms[0]):
             bounds = icc_intervals_by_weights(one, weights[:, whole])
         row: dict[str, object] = {"feature": name, "across": label, "knees": len(one)}
         for form, value, (low, high) in zip(ICC_FORMS, forms, bounds, strict=True):

@@ -2,35 +2,36 @@
 
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from ..predictions import truth_and_probability
 from ..settings import StudySettings
-from .intervals import mean_of_splits, subject_weights
-from .metrics import METRICS, percentiles, weighted_scores
+from .intervals import bounds
+from .metrics import METRICS, score
 
 COLUMNS = ["model", "selection", "group", "subjects", *(f"{m}{end}" for m in METRICS for end in ("", "_low", "_high"))]
 
 
-def subgroups(predictions: pd.DataFrame, parameters: pd.DataFrame, settings: StudySettings) -> pd.DataFrame:
-    """One row a model, selection and group: COLUMNS; means over the splits, 95 % intervals by a bootstrap of subjects.
+def subgroups(
+    predictions: pd.DataFrame, parameters: pd.DataFrame, settings: StudySettings, ratio: float
+) -> pd.DataFrame:
+    """One row a model, selection and group: COLUMNS; means over the splits, 95 % intervals from them.
 
     A split whose test part has not both grades in a group gives nothing there.
 
-    predictions  of all splits, as for `intervals.resample`
+    predictions  of all splits
     parameters   of `parameters.parameters_of`; without sex and age there are no groups
+    ratio        of `intervals.tested_over_trained`
     """
     part = predictions[(predictions["task"] == "0 vs 2") & (predictions["scenario"] == "within")]
     part = part[part["selection"].isin(settings.selections)]
     rows = []
     if len(part):
-        weights = subject_weights(part, replicates=settings.replicates, seed=settings.seed)
         for (model, selection), of_arm in part.groupby(["model", "selection"], sort=False):
             for group, subjects in _groups(parameters).items():
                 inside = of_arm[of_arm["subject"].isin(subjects)]
                 row = {"model": model, "selection": selection, "group": group, "subjects": inside["subject"].nunique()}
-                rows.append(row | _scores(inside, weights))
+                rows.append(row | _scores(inside, ratio))
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
@@ -46,14 +47,7 @@ def _groups(parameters: pd.DataFrame) -> dict[str, set[Any]]:
     return {name: set(people["subject"][inside]) for name, inside in chosen.items()}
 
 
-def _scores(inside: pd.DataFrame, weights: pd.DataFrame) -> dict[str, float]:
-    of_splits = [
-        weighted_scores(*truth_and_probability(split), weights.to_numpy()[weights.index.get_indexer(split["subject"])])
-        for _, split in inside.groupby("repeat", sort=False)
-    ]
-    row = dict[str, float]()
-    for metric in METRICS:
-        scores = mean_of_splits(np.array([one[metric] for one in of_splits])) if of_splits else np.full(2, np.nan)
-        low, high = percentiles(scores[1:])
-        row |= {metric: float(scores[0]), f"{metric}_low": low, f"{metric}_high": high}
-    return row
+def _scores(inside: pd.DataFrame, ratio: float) -> dict[str, float]:
+    of_splits = [score(*truth_and_probability(split)) for _, split in inside.groupby("repeat", sort=False)]
+    table = pd.DataFrame(of_splits, columns=list(METRICS))
+    return {metric: float(table[metric].mean()) for metric in METRICS} | bounds(table, ratio)
