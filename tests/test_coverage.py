@@ -16,7 +16,7 @@ from sklearn.linear_model import LogisticRegression
 from pssf.study.learn.split import split_subjects
 from pssf.study.predictions import ARM
 from pssf.study.statistics.claims import LEAST_TESTED
-from pssf.study.statistics.intervals import differences, intervals, tested_over_trained
+from pssf.study.statistics.intervals import differences, intervals, share_tested
 from pssf.study.statistics.metrics import percentiles, weighted_scores
 from pssf.study.statistics.scores import score_splits
 from pssf.study.statistics.subjects import draws
@@ -94,7 +94,7 @@ def missed(apart: float, per_grade: int, cohorts: int) -> pd.Series:
     for seed in range(cohorts):
         values, grade = population.cohort(2 * per_grade, np.random.default_rng([5, seed]))
         predictions, listed = studied(values, grade, seed)
-        splits, ratio = score_splits(predictions), tested_over_trained(listed)
+        splits, ratio = score_splits(predictions), share_tested(listed)
         of = intervals(splits, ratio).set_index("model").loc["lr"]
         row = {name: not of[f"{name}_low"] <= truth["lr"][k] <= of[f"{name}_high"] for k, name in enumerate(MEASURES)}
         less = differences(splits, ratio).set_index("metric")

@@ -81,7 +81,7 @@ def test_the_share_tested_is_counted_in_subjects():
     parts = pd.DataFrame(
         {"repeat": [0] * 10, "subject": range(10), "part": ["training"] * 7 + ["validation"] + ["test"] * 2}
     )
-    assert intervals.tested_over_trained(parts) == pytest.approx(2 / 7)
+    assert intervals.share_tested(parts) == pytest.approx(2 / 7)
 
 
 def test_the_middle_of_an_interval_is_the_score_of_the_table():

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ...core.checks import Array
 from ..predictions import TASKS, truth_and_probability
 from ..settings import MODELS, SELECTIONS, StudySettings
-from .intervals import estimate, estimate_share, tested_over_trained
+from .intervals import estimate, estimate_share, share_tested
 from .metrics import METRICS, confusion, percentiles
 from .reliability import ICC_FORMS, THRESHOLD
 from .subjects import draws, worst_grades
@@ -57,7 +57,7 @@ def claims(
     offered      of the same: task, trained_on, selection, repeat, feature
     tables       scores, differences, reliability, subjects
     """
-    ratio = tested_over_trained(tables["subjects"])
+    ratio = share_tested(tables["subjects"])
     rows = [
         *_trends(usable, settings),
         *_stable(tables["reliability"]),

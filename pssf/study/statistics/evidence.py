@@ -11,7 +11,7 @@ from . import localisation
 from .calibration import calibration, confusions, reliability_curve
 from .degenerate import is_degenerate
 from .importance import by_feature
-from .intervals import differences, intervals, tested_over_trained
+from .intervals import differences, intervals, share_tested
 from .parameters import follows, morphology, parameters_of, table_of
 from .reliability import reliability, repeatability
 from .scores import score_splits, summarise
@@ -31,7 +31,7 @@ def tables_of_models(outcomes: list[Outcome], settings: StudySettings) -> Tables
     permutation = joined([outcome.permutation for outcome in outcomes])
     splits = score_splits(predictions)
     subjects = joined([outcome.subjects for outcome in outcomes])
-    ratio = tested_over_trained(subjects)
+    ratio = share_tested(subjects)
     within = importances[(importances["task"] == "0 vs 2") & (importances["trained_on"] == settings.reference)]
     return {
         "subjects": subjects,
@@ -103,5 +103,5 @@ def tables_of_truth(
     return {
         "morphology": morphology(parameters, table_of(manifest)),
         "follows": follows(usable, names, parameters, settings.reference),
-        "subgroups": subgroups(predictions, parameters, settings, tested_over_trained(subjects)),
+        "subgroups": subgroups(predictions, parameters, settings, share_tested(subjects)),
     }

@@ -42,7 +42,7 @@ class Estimate:
     p: float
 
 
-def tested_over_trained(subjects: pd.DataFrame) -> float:
+def share_tested(subjects: pd.DataFrame) -> float:
     """Subjects that a split tests over those that it trains on; the mean of the splits.
 
     subjects  repeat, subject, part
@@ -55,7 +55,7 @@ def estimate(splits: Array, ratio: float, least: float = -1.0, most: float = 1.0
     """Mean of a measure over the splits, with its interval; see the module.
 
     splits       (splits,) one value of each, dimensionless; those that are not finite are left out
-    ratio        of `tested_over_trained`
+    ratio        of `share_tested`
     least, most  that the measure can be
     returns      no interval and no p of a single value. Where all are the same the interval has no width, and p is 1
                  for 0 and else undefined, since nothing says how far they could have differed
@@ -77,7 +77,7 @@ def estimate_share(splits: Array, ratio: float) -> Estimate:
     """`estimate` of a measure from 0 to 1, with an interval that is symmetric on the logit scale (delta method).
 
     splits  (splits,) one share of each, dimensionless; those that are not finite are left out
-    ratio   of `tested_over_trained`
+    ratio   of `share_tested`
     """
     of_splits = estimate(splits, ratio, -np.inf, np.inf)
     if not of_splits.high > of_splits.low:
@@ -106,7 +106,7 @@ def intervals(splits: pd.DataFrame, ratio: float) -> pd.DataFrame:
     """ARM, <metric>_low, <metric>_high: one row an arm.
 
     splits  of `scores.score_splits`
-    ratio   of `tested_over_trained`
+    ratio   of `share_tested`
     """
     return pd.DataFrame(
         [dict(zip(ARM, arm, strict=True)) | bounds(part, ratio) for arm, part in splits.groupby(ARM, sort=False)]

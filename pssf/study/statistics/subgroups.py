@@ -21,7 +21,7 @@ def subgroups(
 
     predictions  of all splits
     parameters   of `parameters.parameters_of`; without sex and age there are no groups
-    ratio        of `intervals.tested_over_trained`
+    ratio        of `intervals.share_tested`
     """
     part = predictions[(predictions["task"] == "0 vs 2") & (predictions["scenario"] == "within")]
     part = part[part["selection"].isin(settings.selections)]
