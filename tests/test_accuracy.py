@@ -249,13 +249,13 @@ def located(case, status, kind="study", **measures):
 
 def test_limits_of_localisation_lie_between_what_is_right_and_what_is_wrong_on_purpose(monkeypatch):
     made = [located("right", "found", scale=scale) for scale in (0.8, 1.0)]
-    made += [located("without bones", "no knee", score=score, narrow=0.2, way_evidence=-0.1) for score in (0.3, 0.4)]
+    made += [located("without bones", "no knee", score=both, both=both, way_evidence=-0.1) for both in (0.3, 0.4)]
     made += [located("wrong side", "wrong side", side_evidence=-0.08)]
     made += [located("pitch x 1.5", "wrong scale", scale=1.44), located("pitch x 0.5", "wrong scale", scale=0.2)]
     monkeypatch.setattr(localisation, "_located", lambda count, workers, modes: made)
     limits = {row["limit"]: row["simulations"] for row in localisation.limit_rows(2, 1)}
     assert limits == {
-        "score": 0.4, "narrow": 0.2, "side": 0.08, "way": 0.1, "apart_mm": 1.0,
+        "both": 0.4, "side": 0.08, "way": 0.1, "apart_mm": 1.0,
         "scale, least": 0.4, "scale, greatest": 1.2,
     }  # fmt: skip
     rows = {row["case"]: row for row in localisation.localisation_rows(2, 1)}

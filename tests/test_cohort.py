@@ -342,12 +342,11 @@ def test_a_disk_that_fills_up_leaves_nothing_half_written_and_the_run_goes_on_wi
 
 
 DISK = """
-import functools, sys
-from pssf import cli, cohort
+import sys
+from pssf import cli
 if __name__ == "__main__":
-    overrides = {"knees": [1, 1, 1], "protocols": sys.argv[2:]}
-    cohort.plan_cohort = functools.partial(cohort.plan_cohort, overrides=overrides)
-    sys.argv = ["pssf", "cohort", "--out", sys.argv[1], "--workers", "2", "--seed", "5"]
+    size = ["--knees", "1,1,1", "--protocols", ",".join(sys.argv[2:])]
+    sys.argv = ["pssf", "cohort", "--out", sys.argv[1], "--workers", "2", "--seed", "5", *size]
     cli.main()
 """
 

@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 
 import pssf
 from pssf import quality
+from pssf.data.references import references
 from pssf.quality import beam, detector, measure
 from pssf.quality.exposure import exposure_quantities
 
@@ -32,7 +33,8 @@ def test_the_half_value_layer_of_one_energy_is_a_closed_form():
 @pytest.mark.parametrize("name", ["low_kv", "reference", "high_kv"])
 def test_the_beam_is_that_of_an_independent_computation(name):
     values = beam.beam_quantities(pssf.load_protocol(name))
-    rows = [measure._row(quantity, values[quantity], pssf.load_protocol(name)) for quantity in measure._BEAM]
+    protocol, known = pssf.load_protocol(name), references()
+    rows = [measure._row(quantity, values[quantity], protocol, known) for quantity in measure._BEAM]
     assert_allclose([float(row["value"]) for row in rows], [row["reference"] for row in rows], rtol=0.015)
 
 

@@ -15,6 +15,7 @@ from pssf.anatomy.landmarks import CONTOUR_LANDMARKS
 from pssf.anatomy.plateau import plateau_margins
 from pssf.anatomy.solids import mesh_of
 from pssf.data.anatomy import anatomy_tables
+from pssf.data.dicom import dicom_tables
 from pssf.data.fields import beam_range_deg
 from pssf.data.references import references
 from pssf.geometry.mesh import Mesh
@@ -261,9 +262,9 @@ def test_a_slope_read_off_a_lateral_follows_the_plateaus_own(side):
 
 
 def test_how_far_off_is_told_from_the_nearer_end_of_a_range():
-    known = references().views["inter_margin_fixed_flexion_mm"].range
-    offs = [views._row("inter_margin_fixed_flexion_mm", value, 0.5, 3)["off"] for value in (1.0, 2.0, 3.0)]
-    assert offs == pytest.approx([1.0 - known[0], 0.0, 3.0 - known[1]])
+    known = references().views["inter_margin_fixed_flexion_mm"]
+    rows = [views._row("inter_margin_fixed_flexion_mm", known, (value, 0.5), 3) for value in (1.0, 2.0, 3.0)]
+    assert [row["off"] for row in rows] == pytest.approx([1.0 - known.range[0], 0.0, 3.0 - known.range[1]])
 
 
 def test_all_that_is_known_of_films_of_people_is_measured_on_knees():
@@ -287,7 +288,7 @@ def test_the_kernel_is_held_against_the_monte_carlo_in_a_view():
 )
 def test_a_dicom_says_where_rows_and_columns_of_a_turned_leg_go(name, side_of, way):
     protocol = pssf.load_protocol(name)
-    item = dicom._anatomy((dataclasses.replace(KNEE, side=side_of),), protocol)
+    item = dicom._anatomy((dataclasses.replace(KNEE, side=side_of),), protocol, dicom_tables())
     assert item.PatientOrientation == way
     assert "ViewPosition" not in item
     assert item.ViewCodeSequence[0].CodeValue == {"ML": "399260004", "axial": "399110001"}[protocol.projection]
