@@ -172,7 +172,7 @@ def test_a_cohort_of_one_protocol_and_two_grades_has_a_report_too(tmp_path):
     page = found.report.read_text(encoding="utf-8")
     assert "nothing to compare" in page
     assert "There is no external data" in page
-    assert "no knees of all three grades" in page
+    assert "no knees of grades 0, 1 and 2" in page
 
 
 def test_a_manifest_that_cannot_serve_is_refused_by_name(tmp_path):
