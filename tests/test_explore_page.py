@@ -277,7 +277,7 @@ def test_a_refusal_is_told_where_it_is_read_out_and_goes_when_it_is_mended(page)
         set_number(page, "sdd_mm", 1000, "#exposure")
     page.wait_for_selector("#error:not([hidden])")
     assert page.get_attribute("#error", "role") == "alert"
-    assert "sod_mm = 1100 mm; allowed: less than sdd_mm = 1000 mm" in page.inner_text("#error")
+    assert "sod_mm = 1100.0 mm; allowed: less than sdd_mm = 1000.0 mm" in page.inner_text("#error")
     act(page, lambda: page.click("#undo"))
     assert page.is_hidden("#error")
 

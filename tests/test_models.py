@@ -21,12 +21,13 @@ def test_features_without_anything_in_them_give_a_model_of_chance(selection):
 
 
 @pytest.mark.parametrize("model", ["lr", "rf", "xgb"])
-def test_importances_are_shares_and_the_signal_leads(model):
+def test_importances_are_shares_and_the_signals_copy_leads(model):
     table = features(20, noise=0.2)
     X, y = table[NAMES], table["grade"].to_numpy()
     fitted = tune(preparation("l1", rho=0.9, most=5, seed=0).fit(X, y), model, (X, y), (X, y), seed=0)
     assert sum(fitted.importance.values()) == pytest.approx(1)
-    assert max(fitted.importance, key=fitted.importance.get) == "signal"
+    # Of the two that tell the same the first by name stays.
+    assert max(fitted.importance, key=fitted.importance.get) == "copy"
 
 
 def test_without_validation_rows_the_most_cautious_parameters_are_taken():

@@ -3,6 +3,7 @@
 import asyncio
 import json
 import secrets
+import signal
 import socket
 import sys
 from collections import OrderedDict
@@ -183,6 +184,8 @@ def serve(port: int = 0, *, browser: bool = True, say: Callable[[str], None] = p
     sys.stdout.flush()
     if browser and not open_new_tab(link):
         print("pssf: no browser found; open the link above", file=sys.stderr)
+    # The server ends at Ctrl-C and then raises it once more, which would be told as work that was stopped.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     uvicorn.Server(config).run(sockets=[held])
 
 
