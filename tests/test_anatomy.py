@@ -41,7 +41,7 @@ def test_an_empty_solid_is_refused_with_its_status_and_volume():
 
 
 @given(seed=st.integers(0, 2**32), grade=st.sampled_from([0, 1, 2]))
-@settings(max_examples=12)
+@settings(max_examples=8)
 def test_every_drawn_knee_builds_nested_and_shows_its_joint_spaces(seed, grade):
     knee = pssf.draw_knee(grade=grade, rng=np.random.default_rng(seed))
     built = pssf.build(knee)

@@ -52,9 +52,9 @@ def through(x_mm, z_mm, half_mm: float = 20.0) -> tuple[np.ndarray, np.ndarray]:
     return np.column_stack((x, x * 0 - half_mm, z)), np.column_stack((x, x * 0 + half_mm, z))
 
 
-def usual_bvtv(x_mm, z_mm, half_mm: float = 20.0) -> float:
-    """Mean of people's, who have their dense and bare patches each in other places."""
-    return float(np.mean([bvtv(bone(seed=seed), x_mm, z_mm, half_mm) for seed in range(6)]))
+def usual_bvtv(*places) -> np.ndarray:
+    """(places,)  mean of people's, who have their dense and bare patches each in other places; x, z and half the way"""
+    return np.mean([[bvtv(bone(seed=seed), *place) for place in places] for seed in range(6)], axis=0)
 
 
 def bvtv(density: Trabeculae, x_mm, z_mm, half_mm: float = 20.0) -> float:
@@ -230,13 +230,15 @@ def test_projected_struts_are_upright_fine_and_about_gaussian(patch):
 
 def test_bone_is_denser_at_the_plate_and_medially_and_fades_down_the_shaft():
     x = np.linspace(-4, 4, 30)
-    medial, lateral = ([usual_bvtv(x + at, z) for z in (-3.0, -9.0, -18.0)] for at in (23.0, -23.0))
+    sides = [(x + at, z) for at in (23.0, -23.0) for z in (-3.0, -9.0, -18.0)]
+    deep = [(x + 23, z, 22.5) for z in np.arange(-22, -3, 3)]
+    medial, lateral, metaphysis = np.split(usual_bvtv(*sides, *deep), (3, 6))
     assert medial[0] > 1.15 * medial[1] > 1.15 * medial[2]
     assert all(m > 1.1 * other for m, other in zip(medial, lateral, strict=True))
     assert 0.18 < medial[0] < 0.37
     assert 0.08 < medial[2] < 0.22
     assert bvtv(bone(), x, -120.0) < 0.05
-    assert 0.7 < 1.083 * 4.5 * np.mean([usual_bvtv(x + 23, z, 22.5) for z in np.arange(-22, -3, 3)]) < 1.15
+    assert 0.7 < 1.083 * 4.5 * metaphysis.mean() < 1.15
     wavy, calm = (bone().integrate(*through(np.linspace(-8, 8, 200), z)).std() for z in (-30.0, -130.0))
     assert calm < 0.2 * wavy
 

@@ -21,6 +21,7 @@ from .scatter import Case, scatter_rows
 from .stages import spectrum_rows
 
 _RUNS = 3
+_PHOTONS = 4_000_000
 _LIMB: tuple[Case, ...] = (("knee", 70, 120, 82),)
 
 
@@ -63,7 +64,7 @@ def _errors(scene: Scene, protocol: Protocol, workers: int) -> dict[str, tuple[s
         return float(spectrum_rows((TOLERANCE,))[0]["max_relative_error"])
 
     def scatter() -> float:
-        row = scatter_rows(photons=4_000_000, workers=workers, cases=_LIMB)[0]
+        row = scatter_rows(photons=_PHOTONS, workers=workers, cases=_LIMB)[0]
         return abs(row["difference_percent"]) / 100
 
     def focal_spot() -> float:
