@@ -81,7 +81,9 @@ def test_a_skyline_has_the_patella_on_top_and_the_foot_at_the_detector(along):
     bones = {s.name: s.arrays.vertices for s in along.scene.surfaces}
     assert bones["patella"][:, 2].min() > bones["femur"][:, 2].max() - 5
     assert bones["patella"][:, 2].mean() > bones["femur"][:, 2].max() + 5
-    assert bones["tibia"][:, 1].mean() > 30 > -30 > bones["femur"][:, 1].mean()
+    # Middles of boxes: means of vertices go by how finely a bone is meshed.
+    middle = {name: (vertices.min(axis=0) + vertices.max(axis=0)) / 2 for name, vertices in bones.items()}
+    assert middle["tibia"][1] > 30 > -30 > middle["femur"][1]
     assert bones["fibula"][:, 0].mean() < bones["tibia"][:, 0].mean() - 15
 
 

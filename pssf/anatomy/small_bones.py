@@ -19,7 +19,7 @@ _COARSER_MM = 0.02
 # Of the patella's sections, and between them.
 _PATELLA_COUNT, _PATELLA_STEP_MM = 64, 1.25
 # Of the patella, upwards and downwards.
-_DRAWN_IN_MM = 0.35
+_DRAWN_IN_MM = 0.1
 # Of the fibula, towards the tibia.
 _JOINT_PLATE_MM = 0.7
 # Of the fibula, from here on it leans with the tibia's shaft (mean man's size).
@@ -73,7 +73,7 @@ def patella(build: Build) -> Bone:
     cortex = thickness(table.cortex, build.cortex)
     outer, inner = (
         column(sections, inset, levels(low + end, high - end, _PATELLA_STEP_MM), name, 2.1, _PATELLA_COUNT)
-        for inset, end, name in ((np.zeros_like, 0.0, "patella"), (cortex, 1.2, "patella marrow"))
+        for inset, end, name in ((np.zeros_like, 0.0, "patella"), (cortex, 0.4, "patella marrow"))
     )
     # Sections are drawn in sideways, which leaves little where the outline is all but level.
     drawn_in = [outer.translate((0.0, 0.0, way * _DRAWN_IN_MM)) for way in (-1.0, 1.0)]
