@@ -64,9 +64,10 @@ def field_of(film: Array, place: Place) -> Array:
     half = round(HALF_MM / PITCH_MM)
     across: Array = np.arange(-half, half + 1, dtype=np.float64) * PITCH_MM
     rows, cols = place.pixels_at(below, across)
-    # What the pitch cannot hold would come back as false texture.
+    # A coarser pixel holds the mean of its own area, as when crops of films are made smaller: by its variance, less that
+    # of the pixels it is made of.
     coarser = PITCH_MM / place.pitch_mm
-    blur = 0.4 * coarser if coarser > 1.2 else 0.0
+    blur = np.sqrt(max(coarser**2 - 1, 0.0) / 12)
     near, top, left = _about(film, rows, cols, round(5 * blur) + 1)
     smooth = gaussian_filter(near, blur, mode="nearest") if blur else near
     return np.asarray(
