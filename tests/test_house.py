@@ -32,6 +32,7 @@ DOORS = {
     "model/progress.py": "progress",
     "model/listing.py": "field_rows knee_template with_changes",
     "model/protocol.py": "load_protocol",
+    "radiomics/features.py": "measures",
     "radiomics/locate.py": "locate",
     # Where a protocol's names become records, once for all stages.
     "xray/technique.py": "technique_of",
