@@ -56,6 +56,7 @@ DOORS = {
     "study/statistics/evidence.py": "tables_of_features",
     "study/statistics/parameters.py": "table_of",
     # Measurements of the package, one a table of theirs; a scene to measure in.
+    "accuracy/backends.py": "backend_rows",
     "accuracy/builds.py": "build_rows",
     "accuracy/localisation.py": "limit_rows localisation_rows",
     "accuracy/monte_carlo.py": "reference_rows",

@@ -80,6 +80,16 @@ class Mirp:
         theirs = measure(values, bins, families) if families else {}
         return {name: _in_order(self._named(name, theirs)) for name in families}
 
+    def beside(self, family: str, values: NDArray[np.generic], bins: int) -> list[str]:
+        """What MIRP measures of a family and `pssf` does not take, by its tags.
+
+        values  (rows, cols) any unit
+        """
+        end = _FAMILIES[family][1]
+        names = [name for name in measure(values, bins, (family,)) if not name.startswith("image_")]
+        taken = {*self.tags[family].values(), "stat_total_energy"}
+        return [tag for tag in (name.split(end)[0] for name in names) if tag not in taken]
+
     def _named(self, family: str, theirs: dict[str, float]) -> dict[str, float]:
         """Name -> value of those features of a family that have a tag."""
         end = _FAMILIES[family][1]
