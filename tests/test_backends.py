@@ -97,6 +97,12 @@ def test_shape_of_a_disc_is_that_of_a_circle():
     assert_allclose(found["Elongation"], 1, rtol=1e-9)
 
 
+def test_no_pixel_has_no_shape_and_the_same_names():
+    nothing, one = (shape2d.shape(np.full((4, 4), kind), 1.0) for kind in (False, True))
+    assert list(nothing) == list(one)
+    assert np.isnan(list(nothing.values())).all()
+
+
 def test_two_pixels_across_a_diagonal_are_two_bodies():
     one, two = shape2d.shape(np.eye(1, dtype=bool), 1.0), shape2d.shape(np.eye(2, dtype=bool), 1.0)
     assert two["MeshSurface"] == 2 * one["MeshSurface"] == 1.0

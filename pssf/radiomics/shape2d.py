@@ -17,12 +17,19 @@ from ..core.checks import Array
 _AREAS = {"none": 0.0, "one": 0.125, "side": 0.5, "diagonal": 0.25, "three": 0.875, "four": 1.0}
 _LENGTHS = {"none": 0.0, "one": 0.5**0.5, "side": 1.0, "diagonal": 2 * 0.5**0.5, "three": 0.5**0.5, "four": 0.0}
 
+_NAMES = (
+    *("Elongation", "MajorAxisLength", "MaximumDiameter", "MeshSurface", "MinorAxisLength", "Perimeter"),
+    *("PerimeterSurfaceRatio", "PixelSurface", "Sphericity"),
+)
+
 
 def shape(mask: NDArray[np.bool_], pixel_mm: float) -> dict[str, float]:
     """Name -> value, lengths in mm and areas in mm2.
 
-    mask  (rows, cols) True where it is, in one pixel or more
+    mask  (rows, cols) True where it is; where it is nowhere, all values are nan
     """
+    if not mask.any():
+        return dict.fromkeys(_NAMES, np.nan)
     inside = np.pad(mask, 1)
     counts = _squares(inside)
     area_mm2 = pixel_mm**2 * sum(_AREAS[kind] * count for kind, count in counts.items())
