@@ -138,7 +138,7 @@ def test_what_is_no_address_is_refused(address):
 
 def test_a_missing_library_is_refused_with_the_way_to_get_it(monkeypatch):
     monkeypatch.setattr(parallel, "find_spec", lambda name: None)
-    with pytest.raises(pssf.InputError, match=r"needs distributed; .*uv sync --extra cluster"):
+    with pytest.raises(pssf.InputError, match=r"needs distributed; .*pip install '.\[cluster\]'"):
         parallel.require_scheduler("tcp://127.0.0.1:8786")
 
 

@@ -40,6 +40,13 @@ def test_a_tiff_says_its_pixel_size_and_versions(radiograph, tmp_path):
         assert set(json.loads(tiff.pages[0].description)["versions"]) >= {"pssf", "embreex", "manifold3d", "spekpy"}
 
 
+def test_a_tiff_opens_in_the_usual_readers_of_pixels(radiograph, tmp_path):
+    path = pssf.save(radiograph, tmp_path / "knee.tif")
+    assert (tifffile.imread(path) == radiograph.pixels).all()
+    with Image.open(path) as image:
+        assert (np.asarray(image) == radiograph.pixels).all()
+
+
 def test_the_same_radiograph_gives_the_same_file(radiograph, tmp_path):
     one, two = (pssf.save(radiograph, tmp_path / f"{k}.tif").read_bytes() for k in "ab")
     assert one == two

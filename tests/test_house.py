@@ -32,6 +32,7 @@ DOORS = {
     "model/progress.py": "progress",
     "model/listing.py": "field_rows knee_template with_changes",
     "model/protocol.py": "load_protocol",
+    "radiomics/features.py": "measures",
     "radiomics/locate.py": "locate",
     # Where a protocol's names become records, once for all stages.
     "xray/technique.py": "technique_of",
@@ -55,6 +56,7 @@ DOORS = {
     "study/statistics/evidence.py": "tables_of_features",
     "study/statistics/parameters.py": "table_of",
     # Measurements of the package, one a table of theirs; a scene to measure in.
+    "accuracy/backends.py": "backend_rows",
     "accuracy/builds.py": "build_rows",
     "accuracy/localisation.py": "limit_rows localisation_rows",
     "accuracy/monte_carlo.py": "reference_rows",

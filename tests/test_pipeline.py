@@ -72,6 +72,10 @@ def test_the_report_is_one_page_with_everything_in_it(result):
     assert len(pictures) == len(result.pictures) == 7
     assert all(re.search(r'alt="[^"]{20,}"', picture) for picture in pictures)
     assert "43 of 107" in page
+    # The result, and how far it is one, before anything else.
+    first = page[page.index("<h1>") : page.index("<nav")]
+    assert "AUC as the mean of the splits" in first
+    assert "Few were tested." in first
     for path in [*result.pictures.values(), *result.tables.values()]:
         assert path.stat().st_size > 0
     assert not [path for path in result.report.parent.rglob("*") if path.name.startswith(".")]

@@ -70,6 +70,7 @@ def test_every_figure_of_a_protocol_comes_with_its_reference(tmp_path):
         row = rows[f"noise_{name}"]
         assert float(row["low"]) < float(row["value"]) < float(row["high"])
     assert found.spr.shape == (128, 128)
+    assert found.cell_mm * 128 == pytest.approx(2048 * 0.15)
     assert found.spr.max() > 1 > found.spr[64, 2]
     assert 150 < float(rows["exposure_index"]["value"]) < 600
     assert rows["hvl1_mm_al"]["reference"] == "2.636"

@@ -13,14 +13,13 @@ from pssf.core.checks import InputError
 
 def test_without_the_extra_the_refusal_names_the_command(monkeypatch):
     there = importlib.util.find_spec
-    monkeypatch.setattr(study, "find_spec", lambda name: None if name == "radiomics" else there(name))
-    with pytest.raises(InputError, match=r"needs pyradiomics; bring them, .*uv sync --extra study"):
+    monkeypatch.setattr(study, "find_spec", lambda name: None if name == "sklearn" else there(name))
+    with pytest.raises(InputError, match=r"needs scikit-learn; bring them, .*pip install '.\[study\]'"):
         study.require_extra()
 
 
 def test_importing_the_study_does_not_import_its_libraries():
-    check = (
-        "import sys, pssf.study; print([m for m in ('radiomics', 'sklearn', 'xgboost', 'pandas') if m in sys.modules])"
-    )
+    libraries = ("radiomics", "mirp", "sklearn", "xgboost", "pandas")
+    check = f"import sys, pssf.study; print([m for m in {libraries} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, cwd=Path(__file__).parents[1])
     assert done.stdout.strip() == "[]", done.stderr

@@ -16,6 +16,7 @@ scatter    the kernel of scatter beside the Monte Carlo (scatter_fit fits it onc
 focal      blur of the focal spot against rays from points of it
 localisation  the joint found and refused: simulations right and wrong on purpose  (extra "study"; not among "all")
 ablation   run time of the study against what is left out of it  (extra "study"; not among "all")
+backends   features by MIRP beside those by pyradiomics   (group "peers"; not among "all")
 gvxr       the ray caster beside gVirtualXray           (group "peers"; not among "all")
 latency    from a slider of pssf explore to the picture (extra "explore"; not among "all")
 figure     error against run time, drawn                      (extra "study")
@@ -56,7 +57,7 @@ TABLES = (
     "monte_carlo", "scatter", "tessellation", "texture_steps", "texture", "builds", "knees", "views", "view_scatter",
 )  # fmt: skip
 # Only by name: minutes long and about the study rather than about a radiograph; and those that need another package.
-BY_NAME = ("localisation", "localisation_limits", "ablation", "gvxr", "latency")
+BY_NAME = ("localisation", "localisation_limits", "ablation", "backends", "gvxr", "latency")
 
 
 def measure(
@@ -126,6 +127,7 @@ def _jobs(engines: list[Row], knees: int, workers: int) -> dict[str, Callable[[]
         "localisation": lambda: localisation_rows(knees, workers),
         "localisation_limits": lambda: limit_rows(knees, workers),
         "ablation": lambda: _ablation(workers),
+        "backends": _backends,
         "gvxr": lambda: gvxr_rows(workers),
         "latency": latency_rows,
     }
@@ -133,6 +135,15 @@ def _jobs(engines: list[Row], knees: int, workers: int) -> dict[str, Callable[[]
 
 def _machine() -> dict[str, str | int | None]:
     return {"machine": platform.processor() or platform.machine(), "cores": os.cpu_count(), **versions()}
+
+
+def _backends() -> list[Row]:
+    from ..study import require_extra
+
+    require_extra()
+    from .backends import backend_rows
+
+    return backend_rows()
 
 
 def _ablation(workers: int) -> list[Row]:

@@ -1,7 +1,7 @@
 """Commands that make something: simulate, meshes, cohort, study."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -215,6 +215,9 @@ def study(
     families: Annotated[str, typer.Option(help="Families of features, with commas; all if none is named.")] = "",
     selections: Annotated[str, typer.Option(help="Selections of features, with commas; all if none is named.")] = "",
     models: Annotated[str, typer.Option(help="Models, with commas; all if none is named.")] = "",
+    backend: Annotated[
+        str, typer.Option(help="What measures features: pyradiomics or mirp; the first that is installed if none.")
+    ] = "",
     films: Annotated[
         Path | None,
         typer.Option(help="Folder or CSV of films of patients by grade, which models for films are tested on as well."),
@@ -245,7 +248,8 @@ def study(
     checkout = open_checkout(readme, SHOWN, preset=preset)
     execution = Execution(workers=workers, bar=bar, scheduler=scheduler)
     wanted = {"families": families, "selections": selections, "models": models}
-    settings = {name: tuple(listed.split(",")) for name, listed in wanted.items() if listed}
+    settings: dict[str, Any] = {name: tuple(listed.split(",")) for name, listed in wanted.items() if listed}
+    settings |= {"backend": backend} if backend else {}
     overrides = cohort_overrides(knees, bilateral, protocols, grades)
     own = None
     if films is not None:

@@ -78,7 +78,7 @@ def require_scheduler(address: str, modules: tuple[str, ...] = ()) -> None:
     """
     if find_spec("distributed") is None:
         raise InputError(
-            f"scheduler = {address!r} needs distributed; bring it, in the source folder, with: uv sync --extra cluster"
+            f"scheduler = {address!r} needs distributed; bring it, in the source folder, with: pip install '.[cluster]'"
         )
     from .cluster import require_workers
 

@@ -65,7 +65,8 @@ def save(radiograph: Radiograph, path: str | Path, *, intent: str | None = None,
                 resolution=(per_cm, per_cm),
                 resolutionunit="CENTIMETER",
                 software=f"pssf {version('pssf')}",
-                description=as_json(radiograph),
+                # tifffile's own readers take JSON with "shape": for theirs; with a blank it is the same JSON.
+                description=as_json(radiograph).replace('"shape":', '"shape" :'),
                 metadata=None,
             )
     return path

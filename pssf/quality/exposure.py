@@ -41,7 +41,7 @@ def exposure_quantities(protocol: Protocol) -> tuple[dict[str, float], Array]:
     offset = technique_of(protocol).detector.offset_dn
     noisy = simulate(built, replace(protocol, dead_pixels=0.0), engine="scanline", seed=1).pixels[bone]
     quiet = radiograph.pixels[bone].astype(np.float64)
-    step = max(1, round(_CELL_MM / protocol.pixel_mm))
+    step = cell_px(protocol)
     spr = block_mean(scatter, step) / np.maximum(block_mean(primary, step), 1e-30)
     return {
         "exposure_index": exposure_index(total[limb], protocol),
@@ -51,6 +51,11 @@ def exposure_quantities(protocol: Protocol) -> tuple[dict[str, float], Array]:
         "dynamic_range": float(total.max() / total[bone].mean()),
         "noise_bone": float((noisy - quiet).std() / (quiet.mean() - offset)),
     }, spr
+
+
+def cell_px(protocol: Protocol) -> int:
+    """Side of a cell of the map of scatter over primary, in pixels."""
+    return max(1, round(_CELL_MM / protocol.pixel_mm))
 
 
 def exposure_index(limb_kev: Array, protocol: Protocol) -> float:

@@ -2,6 +2,7 @@
 
 import io
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from .measure import Quality
@@ -29,8 +30,10 @@ def draw(quality: Quality, name: str) -> bytes:
     axes[0, 2].set(title="scatter over primary", xticks=[], yticks=[])
     figure.colorbar(shown, ax=axes[0, 2])
     middle = quality.spr[quality.spr.shape[0] * 5 // 9]
-    axes[1, 2].plot(middle, linewidth=1)
-    axes[1, 2].set(xlabel="column of the map", ylabel="SPR", title="across the tibia", ylim=(0, None))
+    across_mm = (np.arange(len(middle)) - (len(middle) - 1) / 2) * quality.cell_mm
+    axes[1, 2].plot(across_mm, middle, linewidth=1)
+    axes[1, 2].set(xlabel="mm from the middle of the detector", ylabel="scatter over primary", ylim=(0, None))
+    axes[1, 2].set_title("across the tibia")
     figure.suptitle(f"Protocol {name}")
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=120)

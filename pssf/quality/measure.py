@@ -11,7 +11,7 @@ from ..data.references import References, references
 from ..model.protocol import Protocol
 from .beam import beam_quantities
 from .detector import Curve, dqe, mtf, nnps, noise_moments, photon_transfer
-from .exposure import exposure_quantities
+from .exposure import cell_px, exposure_quantities
 
 Row = dict[str, Any]
 # Order of the references in `data/reference.toml`.
@@ -26,7 +26,7 @@ class Quality:
     rows      quantity, value, reference, low, high, source; a row a figure
     mtf, nnps, dqe  curves; the DQE in an RQA5 beam
     transfer  mean, variance and the variance meant of flat fields by rising mAs
-    spr       (rows, cols)  scatter over primary on the radiograph of the average knee, in cells of some 2 mm
+    spr       (rows, cols)  scatter over primary on the radiograph of the average knee, in cells of cell_mm, some 2 mm
     """
 
     rows: list[Row]
@@ -35,6 +35,7 @@ class Quality:
     dqe: Curve
     transfer: list[tuple[float, float, float]]
     spr: Array
+    cell_mm: float
 
 
 def measure_quality(protocol: Protocol, progress: Callable[[str], None] = lambda what: None) -> Quality:
@@ -65,7 +66,7 @@ def measure_quality(protocol: Protocol, progress: Callable[[str], None] = lambda
     for name, (value, low, high) in noise_moments(protocol).items():
         bounds = {"reference": "", "low": f"{low:.5g}", "high": f"{high:.5g}", "source": "normal, by the sample count"}
         rows.append({"quantity": name, "value": f"{value:.5g}", **bounds})
-    return Quality(rows, sharp, noise, efficiency, transfer, spr)
+    return Quality(rows, sharp, noise, efficiency, transfer, spr, cell_px(radiographed) * radiographed.pixel_mm)
 
 
 def _worst(curve: Curve, up_to_per_mm: float) -> float:

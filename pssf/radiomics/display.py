@@ -4,7 +4,7 @@ The pitch comes first, so that a tone curve shows in what interpolation and blur
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Protocol
 
@@ -16,6 +16,7 @@ from skimage.exposure import match_histograms
 from ..core.blocks import block_mean
 from ..core.checks import Array, InputError, require, require_whole
 from ..data.code import require_code
+from .backends import default_backend
 from .families import FAMILIES
 from .features import extract
 from .locate import Located, find_joint, locate
@@ -56,6 +57,7 @@ class DisplayHow:
     region_px: int
     bins: int = 64
     families: tuple[str, ...] = TONELESS
+    backend: str = field(default_factory=default_backend)
 
     def __post_init__(self) -> None:
         require("films' pixel_mm", self.pixel_mm, 0.02, 20, "mm")
@@ -102,7 +104,7 @@ def measure_display(
     if region is not None:
         bright = region if joint.polarity == "bone bright" else -region
         signal = as_signal(bright, templates[0], how.pixel_mm)
-        record |= extract(signal, how.pixel_mm, how.bins, how.families)
+        record |= extract(signal, how.pixel_mm, how.bins, how.families, how.backend)
     return record, {"localisation": located - began, "features": perf_counter() - located}
 
 
@@ -123,7 +125,7 @@ def measure_linear(
     assert job.side is not None
     assert job.pixel_mm is not None
     if np.isclose(job.pixel_mm, how.pixel_mm, rtol=1e-6):
-        plain = How(region_px=how.region_px, bins=how.bins, families=how.families)
+        plain = How(region_px=how.region_px, bins=how.bins, families=how.families, backend=how.backend)
         record, seconds = measure(job, load_pixels=load_pixels, templates=templates, how=plain, code=code)
         return record | _said(job), seconds
     began = perf_counter()
@@ -134,7 +136,7 @@ def measure_linear(
     record = _record(job, joint, region) | _said(job)
     if region is not None:
         signal = np.clip(np.rint(region), 0, 65535).astype(np.uint16)
-        record |= extract(signal, how.pixel_mm, how.bins, how.families)
+        record |= extract(signal, how.pixel_mm, how.bins, how.families, how.backend)
     return record, {"localisation": located - began, "features": perf_counter() - located}
 
 

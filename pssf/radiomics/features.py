@@ -1,36 +1,52 @@
-"""Radiomic features of one region by pyradiomics 3.0.1 (van Griethuysen 2017), as IBSI "2D, averaged" aggregation.
+"""Radiomic features of one region, by one of the backends, under the names that pyradiomics gives them."""
 
-Departures of pyradiomics from IBSI to keep in mind: kurtosis is not excess (IBSI + 3); shape2D, TotalEnergy, MCC and
-StandardDeviation are not IBSI features; NGTDM counts pixels without neighbours.
-"""
-
-import logging
 from collections.abc import Collection
-from typing import Any
+from typing import Protocol
 
 import numpy as np
-import SimpleITK as sitk  # noqa: N813 (the library's own short name)
 from numpy.typing import NDArray
-from radiomics import firstorder, glcm, gldm, glrlm, glszm, ngtdm, shape2D
 
 from ..core.checks import Array, InputError, require_choice
+from ..data.ibsi import ibsi_tags
+from .backends import default_backend, require_backend
 from .bone import bone_mask
 from .families import FAMILIES
 
-TEXTURES = {
-    "glcm": glcm.RadiomicsGLCM,
-    "glrlm": glrlm.RadiomicsGLRLM,
-    "glszm": glszm.RadiomicsGLSZM,
-    "ngtdm": ngtdm.RadiomicsNGTDM,
-    "gldm": gldm.RadiomicsGLDM,
-}
 # A shift and scale of the grey values leaves these as they are, so on the z-scored image they would be named twice; and
 # Entropy and Uniformity would moreover hang on the last bit of the z-score, where a grey value meets the edge of a bin.
 _AFFINE_INVARIANT = ("Entropy", "Uniformity", "Skewness", "Kurtosis")
 
 
+class Measures(Protocol):
+    """What a backend measures, each name -> value."""
+
+    def first_order(self, values: NDArray[np.generic], pixel_mm: float, bins: int) -> dict[str, float]:
+        """First order of all pixels.
+
+        values  (rows, cols) any unit
+        """
+
+    def shape(self, mask: NDArray[np.bool_], pixel_mm: float) -> dict[str, float]:
+        """Shape of a mask in the plane.
+
+        mask  (rows, cols) True where it is
+        """
+
+    def textures(
+        self, values: NDArray[np.generic], pixel_mm: float, bins: int, families: Collection[str]
+    ) -> dict[str, dict[str, float]]:
+        """Family -> its features, of all pixels.
+
+        values  (rows, cols) any unit, in equal bins from their minimum to their maximum
+        """
+
+
 def extract(
-    region: NDArray[np.generic], pixel_mm: float, bins: int = 64, families: Collection[str] = FAMILIES
+    region: NDArray[np.generic],
+    pixel_mm: float,
+    bins: int = 64,
+    families: Collection[str] = FAMILIES,
+    backend: str | None = None,
 ) -> dict[str, float]:
     """The features of a region, by names such as `glcm_Contrast`; see `families`.
 
@@ -41,53 +57,44 @@ def extract(
     region   (size, size) whole numbers, linear, DN
     bins     a power of two keeps the edges of the bins exact
     families of FAMILIES; one that is not asked for costs nothing
-    raises   InputError for grey values that are not integers, or an unknown family
+    backend  of BACKENDS; None: the first that is installed
+    raises   InputError for grey values that are not integers, an unknown family, or a backend that is not there
     """
     if not np.issubdtype(region.dtype, np.integer):
         raise InputError(f"region of {region.dtype}; allowed: integers, since bins of floats hang on their last bit")
     for name in families:
         require_choice("family", name, FAMILIES)
-    square = np.ones(region.shape, dtype=np.uint8)
+    by = measures(default_backend() if backend is None else backend)
     values: dict[str, float] = {}
     if "firstorder" in families:
-        values |= measure(firstorder.RadiomicsFirstOrder, region, square, pixel_mm, "firstorder_linear", binCount=bins)
-        z = measure(firstorder.RadiomicsFirstOrder, _z_score(region), square, pixel_mm, "firstorder_z", binCount=bins)
-        values |= {name: value for name, value in z.items() if name.rsplit("_", 1)[1] not in _AFFINE_INVARIANT}
+        values |= _named("firstorder_linear", by.first_order(region, pixel_mm, bins))
+        z = by.first_order(_z_score(region), pixel_mm, bins)
+        values |= _named("firstorder_z", {name: z[name] for name in z if name not in _AFFINE_INVARIANT})
     if "shape2D" in families:
-        bone = bone_mask(region).astype(np.uint8)
-        values |= measure(shape2D.RadiomicsShape2D, region, bone, pixel_mm, "shape2D", binCount=bins)
-    for name, kind in TEXTURES.items():
-        if name in families:
-            values |= measure(kind, region, square, pixel_mm, name, binCount=bins)
+        values |= _named("shape2D", by.shape(bone_mask(region), pixel_mm))
+    of_texture = [name for name in FAMILIES if name in families and name not in ("firstorder", "shape2D")]
+    for name, of_family in by.textures(region, pixel_mm, bins, of_texture).items():
+        values |= _named(name, of_family)
     return values
 
 
-def measure(
-    kind: Any, values: NDArray[np.generic], mask: NDArray[np.uint8], pixel_mm: float, prefix: str, **discretisation: Any
-) -> dict[str, float]:
-    """All features of one family of pyradiomics, of one slice: `<prefix>_<name>`.
+def measures(backend: str) -> Measures:
+    """What measures, by the name of its backend.
 
-    kind    class of the family, such as `radiomics.glcm.RadiomicsGLCM`
-    values  (rows, cols) any unit
-    mask    (rows, cols) 1 where the region is
+    raises  InputError for one that is not there
     """
-    logging.getLogger("radiomics").setLevel(logging.CRITICAL)  # it reports each family on stderr
-    image, of = _image(values, pixel_mm, None), _image(mask, pixel_mm, 0)
-    # A single slice of three dimensions, taken in its plane: a true 2D image with these settings is silently wrong.
-    features = kind(image, of, force2D=True, force2Ddimension=0, **discretisation)
-    features.enableAllFeatures()
-    return {f"{prefix}_{name}": float(value) for name, value in features.execute().items()}
+    require_backend(backend)
+    if backend == "mirp":
+        from .by_mirp import Mirp
+
+        return Mirp(ibsi_tags())
+    from . import by_pyradiomics
+
+    return by_pyradiomics
 
 
-def _image(values: NDArray[np.generic], pixel_mm: float, outside: int | None) -> sitk.Image:
-    """One slice with a border of one pixel; pyradiomics 3.0.1 refuses a mask without any zero.
-
-    outside  value of the border, or None to repeat the edge
-    """
-    padded = np.pad(values, 1, mode="edge") if outside is None else np.pad(values, 1, constant_values=outside)
-    image = sitk.GetImageFromArray(padded[None])
-    image.SetSpacing((pixel_mm, pixel_mm, 1.0))
-    return image
+def _named(prefix: str, values: dict[str, float]) -> dict[str, float]:
+    return {f"{prefix}_{name}": value for name, value in values.items()}
 
 
 def _z_score(region: NDArray[np.generic]) -> Array:

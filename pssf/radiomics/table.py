@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from time import perf_counter
 from typing import Any
@@ -15,6 +15,7 @@ from ..core.execution import Execution
 from ..core.parallel import ordered_map
 from ..core.timer import seldom
 from ..data.code import code_digest, require_code
+from .backends import BACKENDS, default_backend
 from .families import FAMILIES
 from .features import extract
 from .locate import find_joint
@@ -31,7 +32,7 @@ SCORES = ("score", "narrow", "side_margin", "way_margin", "scale")
 NOT_FEATURES = (*TEXT, "row_px", "col_px", "film_pixel_mm", *SCORES)
 # What a record depends on beside the file, templates and `How`: code and tables of the package, what reads files too.
 _CODE = ("core", "data", "detector", "io", "radiomics")
-_LIBRARIES = ("numpy", "pyradiomics", "scikit-image", "scipy", "simpleitk")
+_LIBRARIES = ("numpy", "scikit-image", "scipy")
 SAVE_SECONDS = 10
 
 
@@ -56,6 +57,7 @@ class How:
     region_px: int = 512
     bins: int = 64
     families: tuple[str, ...] = FAMILIES
+    backend: str = field(default_factory=default_backend)
 
 
 def extract_all(
@@ -140,14 +142,16 @@ def measure(
         **{name: getattr(joint, name) for name in SCORES},
     }
     if joint.status == "found":
-        record |= extract(cut_region(pixels, joint.row, joint.col, how.region_px), job.pixel_mm, how.bins, how.families)
+        region = cut_region(pixels, joint.row, joint.col, how.region_px)
+        record |= extract(region, job.pixel_mm, how.bins, how.families, how.backend)
     return record, {"localisation": located - began, "features": perf_counter() - located}
 
 
 def settings_key(templates: Sequence[Template], how: Any) -> str:
     """Short text that changes with anything but the pixels that a record depends on, code and libraries included."""
     at = [(t.row, t.col, t.pixel_mm, t.plateau_mm) for t in templates]
-    facts = [vars(how), at, code_digest(_CODE), {name: version(name) for name in _LIBRARIES}]
+    libraries = (*_LIBRARIES, *BACKENDS[how.backend].libraries)
+    facts = [vars(how), at, code_digest(_CODE), {name: version(name) for name in libraries}]
     digest = hashlib.sha256(json.dumps(facts).encode())
     for template in templates:
         digest.update(np.ascontiguousarray(template.pixels).tobytes())

@@ -54,6 +54,7 @@ from typing import TYPE_CHECKING, Any
 from ..core.checks import InputError
 from ..core.execution import Execution
 from ..core.parallel import require_scheduler
+from ..radiomics.backends import BACKENDS, default_backend
 from .films import FilmSet
 from .result import StudyResult
 from .settings import StudySettings
@@ -66,7 +67,6 @@ if TYPE_CHECKING:
 __all__ = ["FilmSet", "StudyResult", "StudySettings", "measure", "require_extra", "run"]
 
 _NEEDED = {
-    "radiomics": "pyradiomics",
     "sklearn": "scikit-learn",
     "xgboost": "xgboost-cpu",
     "feature_engine": "feature-engine",
@@ -87,11 +87,11 @@ def require_extra(scheduler: str | None = None) -> None:
     missing = [package for module, package in _NEEDED.items() if find_spec(module) is None]
     if missing:
         raise InputError(
-            f"the study needs {', '.join(missing)}; bring them, in the source folder, with: uv sync --extra study "
-            "(plain pip cannot build pyradiomics)"
+            f"the study needs {', '.join(missing)}; bring them, in the source folder, with: pip install '.[study]'"
         )
+    backend = default_backend()
     if scheduler is not None:
-        require_scheduler(scheduler, tuple(_NEEDED))
+        require_scheduler(scheduler, (*_NEEDED, BACKENDS[backend].module))
 
 
 def run(

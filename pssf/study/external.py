@@ -97,7 +97,13 @@ def tested_on_films(bench: Bench, films: FilmSet, manifest: pd.DataFrame) -> Ext
     with bench.execution.timer.stage("pitch and field of the films"):
         pixel_mm, region_mm = _pitch_and_region_mm(films, templates, pitch_mm, largest_mm)
     families = tuple(family for family in settings.families if family in TONELESS)
-    how = DisplayHow(pixel_mm=pixel_mm, region_px=round(region_mm / pixel_mm), bins=settings.bins, families=families)
+    how = DisplayHow(
+        pixel_mm=pixel_mm,
+        region_px=round(region_mm / pixel_mm),
+        bins=settings.bins,
+        families=families,
+        backend=settings.backend,
+    )
     own = _measured(bench, how, _jobs_of_cohort(cohort), films.load_cohort, "cohort as displayed")
     own = cohort.merge(own.drop(columns="sha256"), on="radiograph", validate="one_to_one")
     usable = own[own["status"] == "found"]
@@ -208,6 +214,7 @@ def _file(
         reads="display",
         grade_names=class_names(kept.task),
         families=how.families,
+        backend=how.backend,
         bins=how.bins,
         pixel_mm=how.pixel_mm,
         region_px=how.region_px,

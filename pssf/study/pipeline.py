@@ -13,6 +13,7 @@ from ..core.execution import Execution
 from ..data.localisation import Localisation
 from ..data.localisation import localisation as localisation_law
 from ..io import results
+from ..radiomics.backends import BACKENDS
 from ..radiomics.compact import compact
 from ..radiomics.patches import Template
 from ..radiomics.table import NOT_FEATURES, TEXT, How, Job, Load, Record, extract_all
@@ -45,7 +46,7 @@ _COLUMNS = (
     *("pixel_mm", "sdd_mm", "sod_mm", "truth_medial_row_px", "truth_medial_col_px"),
 )
 _PACKAGES = (
-    *("pssf", "pyradiomics", "scikit-learn", "xgboost-cpu", "feature-engine", "scikit-image", "skops"),
+    *("pssf", "scikit-learn", "xgboost-cpu", "feature-engine", "scikit-image", "skops"),
     *("scipy", "numpy", "pandas"),
 )
 _COUNTED = {"subjects": "subject", "knees": "knee", "protocols": "protocol", "radiographs": "radiograph"}
@@ -121,6 +122,7 @@ def _models(
             reads="linear",
             grade_names=class_names(kept.task),
             families=settings.families,
+            backend=settings.backend,
             bins=settings.bins,
             pixel_mm=pixel_mm,
             region_px=settings.region_px,
@@ -189,7 +191,7 @@ def measured(
         known = {row["sha256"]: row for row in earlier.to_dict("records")}
     columns = ("radiograph", "file", "sha256", "side", "pixel_mm")
     jobs = [Job(**{name: row[name] for name in columns}) for row in radiographs[list(columns)].to_dict("records")]
-    how = {name: getattr(settings, name) for name in ("region_px", "bins", "families")}
+    how = {name: getattr(settings, name) for name in ("region_px", "bins", "families", "backend")}
     records, work = extract_all(
         jobs,
         load_pixels=run.load_pixels,
@@ -219,6 +221,7 @@ def _findings(
     shown = importance[importance["selection"] == settings.selections[0]]
     counts = {name: int(located[column].nunique()) for name, column in _COUNTED.items()}
     tested = tables["splits"]["test_subjects"]
+    packages = (*_PACKAGES, *BACKENDS[settings.backend].libraries)
     return Findings(
         counts=counts | {"regions refused": len(located) - len(usable)},
         composition=composition(located),
@@ -237,7 +240,7 @@ def _findings(
         degenerate=[name for name in names if is_degenerate(usable[name].to_numpy())],
         pictures=pictures,
         settings=asdict(settings),
-        versions={"python": platform.python_version()} | {name: version(name) for name in _PACKAGES},
+        versions={"python": platform.python_version()} | {name: version(name) for name in packages},
         cost=cost_rows(run.execution.timer),
         work_seconds=work_seconds,
         workers=run.execution.workers,

@@ -18,7 +18,7 @@ from ..model.radiograph import Radiograph
 from ..radiomics.display import UNREADABLE, DisplayHow, measure_display, measure_linear, require_plateau
 from ..radiomics.table import Job, Measured, extract_all
 from .external import job_of
-from .learn.modelfile import SavedModel
+from .learn.modelfile import SavedModel, backend_here
 
 # Columns of what was found, before the probabilities and features.
 _SHOWN = ("status", "film_side", "film_polarity", "film_pixel_mm", "film_pixel_from", "row_px", "col_px", "score")
@@ -43,13 +43,20 @@ def read_films(model: SavedModel, films: Sequence[Film], folder: Path, execution
     histogram of the standard knee, with a warning.
 
     folder  that the films' files are called from
-    raises  InputError without a film, or for displays where the model's templates cannot give a pitch;
+    raises  InputError without a film, for displays where the model's templates cannot give a pitch, or for a backend
+            of features that is not here;
             WorkersLostError when workers keep being killed
     """
     if not films:
         raise InputError("films = none; allowed: one or more")
     card, execution = model.card, execution or Execution()
-    how = DisplayHow(pixel_mm=card.pixel_mm, region_px=card.region_px, bins=card.bins, families=card.families)
+    how = DisplayHow(
+        pixel_mm=card.pixel_mm,
+        region_px=card.region_px,
+        bins=card.bins,
+        families=card.families,
+        backend=backend_here(card),
+    )
     jobs = [replace(job_of(film), radiograph=str(place)) for place, film in enumerate(films)]
     linear = [] if card.reads == "display" else [job for job in map(partial(_linear, folder), jobs) if job is not None]
     shown = [job for job in jobs if job.radiograph not in {one.radiograph for one in linear}]

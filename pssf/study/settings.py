@@ -1,8 +1,9 @@
 """What the results of a study depend on, beside the cohort."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from ..core.checks import InputError, require, require_choice, require_seed, require_whole
+from ..radiomics.backends import default_backend, require_backend
 from ..radiomics.families import FAMILIES
 
 # Name -> how it is written.
@@ -24,6 +25,7 @@ class StudySettings:
     selections     of SELECTIONS
     models         of MODELS
     reference      protocol of the within-protocol scenario, and that ICCs are paired with
+    backend        what measures the features, of radiomics.backends.BACKENDS
     raises         InputError for a value out of range
     """
 
@@ -38,12 +40,14 @@ class StudySettings:
     selections: tuple[str, ...] = tuple(SELECTIONS)
     models: tuple[str, ...] = tuple(MODELS)
     reference: str = "reference"
+    backend: str = field(default_factory=default_backend)
 
     def __post_init__(self) -> None:
         require_whole("region_px", self.region_px, 16, 4096, "pixels")
         require_whole("bins", self.bins, 8, 256, "grey values")
         require_whole("repeats", self.repeats, 1, 1000, "splits")
         require_seed(self.seed)
+        require_backend(self.backend)
         require("rho", self.rho, 0.1, 1, "(correlation)")
         require_whole("most_features", self.most_features, 1, 100, "features")
         require_whole("replicates", self.replicates, 100, 100_000, "samples")

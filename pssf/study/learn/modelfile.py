@@ -21,6 +21,7 @@ from sklearn.pipeline import Pipeline
 from ...core.checks import Array, InputError
 from ...data.code import code_digest, differing
 from ...data.records import Record
+from ...radiomics.backends import BACKENDS, backend_for
 from ...radiomics.patches import Template
 from .refit import Kept
 from .saving import dumps, loads, unzipped, zipped
@@ -31,9 +32,7 @@ _FORMAT = "pssf model 1"
 _CARD = "pssf/model.json"
 # What the probabilities of a film depend on.
 _CODE = ("core", "data", "detector", "io", "radiomics", "study")
-_LIBRARIES = (
-    *("pssf", "numpy", "pyradiomics", "scikit-image", "scikit-learn", "scipy", "simpleitk", "skops", "xgboost-cpu"),
-)
+_LIBRARIES = ("pssf", "numpy", "scikit-image", "scikit-learn", "scipy", "skops", "xgboost-cpu")
 
 
 class TrainedOn(Record, frozen=True):
@@ -69,6 +68,7 @@ class Card(Record, frozen=True):
     grades      in the order of the classes, and grade_names likewise
     features    that it reads, in its order
     parameters  of the classifier
+    backend     that has measured the features; before there was a choice it was pyradiomics
     pixel_mm    pitch that regions are measured at, region_px their side at it
     """
 
@@ -92,6 +92,7 @@ class Card(Record, frozen=True):
     seed: int
     templates: tuple[Place, ...]
     made_by: Made
+    backend: str = "pyradiomics"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -107,17 +108,18 @@ class SavedModel:
         return np.asarray(self.pipeline.predict_proba(features[list(self.card.features)]), np.float64)
 
 
-def made_here() -> Made:
-    """Versions and code of this process."""
-    return Made(versions={name: version(name) for name in _LIBRARIES}, code=dict(code_digest(_CODE)))
+def made_here(backend: str) -> Made:
+    """Versions and code of this process, with those of what measures features."""
+    libraries = sorted({*_LIBRARIES, *BACKENDS[backend].libraries})
+    return Made(versions={name: version(name) for name in libraries}, code=dict(code_digest(_CODE)))
 
 
 def pack(kept: Kept, templates: Sequence[Template], **said: Any) -> bytes:
     """A model as a file; the same model and code give the same bytes.
 
     templates  of `radiomics.compact`
-    said       the entries of `Card` that are not of the model itself: reads, grade_names, families, bins, pixel_mm,
-               region_px, trained_on, seed
+    said       the entries of `Card` that are not of the model itself: reads, grade_names, families, backend, bins,
+               pixel_mm, region_px, trained_on, seed
     """
     card = Card(
         format=_FORMAT,
@@ -131,7 +133,7 @@ def pack(kept: Kept, templates: Sequence[Template], **said: Any) -> bytes:
         subjects=kept.subjects,
         radiographs=kept.radiographs,
         templates=tuple(_place(template) for template in templates),
-        made_by=made_here(),
+        made_by=made_here(said["backend"]),
         **said,
     )
     text = json.dumps(msgspec.to_builtins(card), indent=1).encode()
@@ -173,11 +175,26 @@ def _require_reads(pipeline: Any, card: Card, name: str) -> None:
         raise InputError(f"{name}: classes = {classes}, features = {len(features)}; allowed: those of its card")
 
 
+def backend_here(card: Card) -> str:
+    """What measures the features of a model here: what measured them when it was made, or another that can.
+
+    raises  InputError where none can
+    """
+    return backend_for(card.backend, card.features, f"model {card.name}")
+
+
 def differences(card: Card) -> str:
-    """What a model was made by that is not what is here: versions, and parts of the code; "" where nothing is."""
-    here = made_here()
+    """What a model was made by that is not what is here: versions, and parts of the code; "" where nothing is.
+
+    raises  InputError as `backend_here`
+    """
+    here = made_here(backend_here(card))
     was, now = card.made_by.versions, here.versions
-    versions = [f"{name} {was.get(name, 'none')}, here {now[name]}" for name in now if was.get(name) != now[name]]
+    versions = [
+        f"{name} {was.get(name, 'none')}, here {now.get(name, 'none')}"
+        for name in sorted({*was, *now})
+        if was.get(name) != now.get(name)
+    ]
     code = differing(card.made_by.code, here.code)
     return "; ".join([*versions, *([f"other code of pssf ({code})"] if code else [])])
 

@@ -18,6 +18,7 @@ from ..statistics.metrics import METRICS
 from ..statistics.reliability import ICC_FORMS
 from .feature_figures import FAMILY_NAMES
 from .figures import SCENARIOS
+from .first_lines import few_tested, result_lines
 
 _SHORT = {"lr": "Logistic", "rf": "Forest", "xgb": "XGBoost"} | BASELINES
 # Alzubaidi & Al-Bayaty, arXiv 2601.11642: what is printed beside, never aimed at.
@@ -109,6 +110,8 @@ def render(findings: Findings) -> str:
         tasks=_score_tables(findings.scores),
         metrics=METRICS,
         least_tested=LEAST_TESTED,
+        result=result_lines(findings.scores, findings.claims),
+        few=few_tested(findings.test_subjects),
         compared=_compared(findings.differences),
         models=MODELS | BASELINES,
         selections=SELECTIONS | {NONE: "baseline"},

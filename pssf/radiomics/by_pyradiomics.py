@@ -1,0 +1,83 @@
+"""Features by pyradiomics 3.0.1 (van Griethuysen 2017), as IBSI "2D, averaged" aggregation.
+
+Departures of pyradiomics from IBSI to keep in mind: kurtosis is not excess (IBSI + 3); shape2D, TotalEnergy, MCC and
+StandardDeviation are not IBSI features; NGTDM counts pixels without neighbours.
+"""
+
+import logging
+from collections.abc import Collection
+from typing import Any
+
+import numpy as np
+import SimpleITK as sitk  # noqa: N813 (the library's own short name)
+from numpy.typing import NDArray
+from radiomics import firstorder, glcm, gldm, glrlm, glszm, ngtdm, shape2D
+
+TEXTURES = {
+    "glcm": glcm.RadiomicsGLCM,
+    "glrlm": glrlm.RadiomicsGLRLM,
+    "glszm": glszm.RadiomicsGLSZM,
+    "ngtdm": ngtdm.RadiomicsNGTDM,
+    "gldm": gldm.RadiomicsGLDM,
+}
+
+
+def first_order(values: NDArray[np.generic], pixel_mm: float, bins: int) -> dict[str, float]:
+    """Name -> value, first order of all pixels.
+
+    values  (rows, cols) any unit
+    """
+    return measure(firstorder.RadiomicsFirstOrder, values, _everywhere(values), pixel_mm, binCount=bins)
+
+
+def shape(mask: NDArray[np.bool_], pixel_mm: float) -> dict[str, float]:
+    """Name -> value, of a mask's outline and of the ellipse of its pixels.
+
+    mask  (rows, cols) True where it is
+    """
+    return measure(shape2D.RadiomicsShape2D, mask.astype(np.uint8), mask.astype(np.uint8), pixel_mm)
+
+
+def textures(
+    values: NDArray[np.generic], pixel_mm: float, bins: int, families: Collection[str]
+) -> dict[str, dict[str, float]]:
+    """Family -> name -> value, of all pixels.
+
+    values    (rows, cols) any unit, in equal bins from their minimum to their maximum
+    families  of TEXTURES
+    """
+    square = _everywhere(values)
+    kinds = {name: kind for name, kind in TEXTURES.items() if name in families}
+    return {name: measure(kind, values, square, pixel_mm, binCount=bins) for name, kind in kinds.items()}
+
+
+def measure(
+    kind: Any, values: NDArray[np.generic], mask: NDArray[np.uint8], pixel_mm: float, **discretisation: Any
+) -> dict[str, float]:
+    """All features of one family of pyradiomics, of one slice, by their names there.
+
+    kind    class of the family, such as `radiomics.glcm.RadiomicsGLCM`
+    values  (rows, cols) any unit
+    mask    (rows, cols) 1 where the region is
+    """
+    logging.getLogger("radiomics").setLevel(logging.CRITICAL)  # it reports each family on stderr
+    image, of = _image(values, pixel_mm, None), _image(mask, pixel_mm, 0)
+    # A single slice of three dimensions, taken in its plane: a true 2D image with these settings is silently wrong.
+    features = kind(image, of, force2D=True, force2Ddimension=0, **discretisation)
+    features.enableAllFeatures()
+    return {name: float(value) for name, value in features.execute().items()}
+
+
+def _everywhere(values: NDArray[np.generic]) -> NDArray[np.uint8]:
+    return np.ones(values.shape, dtype=np.uint8)
+
+
+def _image(values: NDArray[np.generic], pixel_mm: float, outside: int | None) -> sitk.Image:
+    """One slice with a border of one pixel; pyradiomics 3.0.1 refuses a mask without any zero.
+
+    outside  value of the border, or None to repeat the edge
+    """
+    padded = np.pad(values, 1, mode="edge") if outside is None else np.pad(values, 1, constant_values=outside)
+    image = sitk.GetImageFromArray(padded[None])
+    image.SetSpacing((pixel_mm, pixel_mm, 1.0))
+    return image

@@ -1,0 +1,72 @@
+"""Shape of a mask in the plane, by the definitions of pyradiomics' shape2D, for backends that have none of their own.
+
+Outline: marching squares (Lorensen and Cline 1987, in the plane) between pixel centres, crossing half way; two corners
+across a diagonal are two bodies, as pyradiomics has them.
+"""
+
+from contextlib import suppress
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial.distance import pdist
+
+from ..core.checks import Array
+
+# Share of a square of four pixel centres that lies inside, and length of outline in it in pixels, by its corners.
+_AREAS = {"none": 0.0, "one": 0.125, "side": 0.5, "diagonal": 0.25, "three": 0.875, "four": 1.0}
+_LENGTHS = {"none": 0.0, "one": 0.5**0.5, "side": 1.0, "diagonal": 2 * 0.5**0.5, "three": 0.5**0.5, "four": 0.0}
+
+_NAMES = (
+    *("Elongation", "MajorAxisLength", "MaximumDiameter", "MeshSurface", "MinorAxisLength", "Perimeter"),
+    *("PerimeterSurfaceRatio", "PixelSurface", "Sphericity"),
+)
+
+
+def shape(mask: NDArray[np.bool_], pixel_mm: float) -> dict[str, float]:
+    """Name -> value, lengths in mm and areas in mm2.
+
+    mask  (rows, cols) True where it is; where it is nowhere, all values are nan
+    """
+    if not mask.any():
+        return dict.fromkeys(_NAMES, np.nan)
+    inside = np.pad(mask, 1)
+    counts = _squares(inside)
+    area_mm2 = pixel_mm**2 * sum(_AREAS[kind] * count for kind, count in counts.items())
+    length_mm = pixel_mm * sum(_LENGTHS[kind] * count for kind, count in counts.items())
+    pixels = np.argwhere(inside) * pixel_mm
+    minor, major = 4 * np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(pixels.T, bias=True)), 0.0))
+    return {
+        "Elongation": float(minor / major) if major > 0 else np.nan,
+        "MajorAxisLength": float(major),
+        "MaximumDiameter": float(pixel_mm * _widest(_crossings(inside))),
+        "MeshSurface": area_mm2,
+        "MinorAxisLength": float(minor),
+        "Perimeter": length_mm,
+        "PerimeterSurfaceRatio": length_mm / area_mm2,
+        "PixelSurface": float(len(pixels) * pixel_mm**2),
+        "Sphericity": float(2 * np.sqrt(np.pi * area_mm2) / length_mm),
+    }
+
+
+def _squares(inside: NDArray[np.bool_]) -> dict[str, int]:
+    """Kind of square -> how many there are."""
+    one, two, three, four = inside[:-1, :-1], inside[:-1, 1:], inside[1:, :-1], inside[1:, 1:]
+    corners = one.astype(int) + two + three + four
+    kinds = ("none", "one", "side", "three", "four")
+    counts = dict(zip(kinds, np.bincount(corners.ravel(), minlength=5).tolist(), strict=True))
+    diagonal = int(((corners == 2) & (one == four)).sum())
+    return {**counts, "side": counts["side"] - diagonal, "diagonal": diagonal}
+
+
+def _crossings(inside: NDArray[np.bool_]) -> Array:
+    """(points, 2) px  where the outline crosses between neighbours"""
+    down, across = (np.argwhere(inside[1:] != inside[:-1]), np.argwhere(inside[:, 1:] != inside[:, :-1]))
+    return np.concatenate([down + np.array([0.5, 0.0]), across + np.array([0.0, 0.5])])
+
+
+def _widest(points: Array) -> float:
+    """Largest distance of two of the points, (points, 2) px; they are corners of the convex hull."""
+    with suppress(QhullError):  # where all are on one line there is no hull
+        points = points[ConvexHull(points).vertices]
+    return float(pdist(points).max())

@@ -1,0 +1,44 @@
+"""What the report says first."""
+
+import pandas as pd
+import pytest
+
+from pssf.study.report.first_lines import few_tested, result_lines
+
+
+def scores(*rows) -> pd.DataFrame:
+    names = ("task", "scenario", "tested_on", "model", "selection", "auc")
+    return pd.DataFrame([dict(zip(names, row, strict=True)) for row in rows])
+
+
+CLAIMS = pd.DataFrame({"verdict": ["holds", "does not hold", "holds", "not decidable"]})
+SCORES = scores(
+    ("0/1/2", "within", "a", "lr", "l1", 0.61),
+    ("0 vs 2", "within", "a", "lr", "l1", 0.81),
+    ("0 vs 2", "within", "a", "rf", "l1", 0.92),
+    ("0 vs 2", "within", "a", "jsw", "none", 1.00),
+    ("0 vs 2", "cross", "b", "lr", "l1", 0.70),
+    ("0 vs 2", "cross", "b", "rf", "l1", float("nan")),
+    ("0 vs 2", "multi", "b", "rf", "l1", 0.99),
+    ("0 vs 2", "multi", "all", "rf", "l1", 0.88),
+)
+
+
+def test_the_result_is_the_range_of_all_models_and_of_no_baseline():
+    auc, claims = result_lines(SCORES, CLAIMS)
+    assert auc == (
+        "Grade 0 against 2, AUC as the mean of the splits, from the least to the best of 2 models: within one protocol "
+        "0.81 to 0.92; on another protocol 0.70; trained and tested on all protocols 0.88."
+    )
+    assert claims == ("Of 4 measurements of what the paper claims 2 hold, 1 do not hold, 1 are not decidable here.")
+
+
+def test_of_one_protocol_and_one_model_the_rest_is_left_out():
+    (auc, _) = result_lines(SCORES[1:2], CLAIMS)
+    assert auc == "Grade 0 against 2, AUC as the mean of the splits, of the model: within one protocol 0.81."
+
+
+@pytest.mark.parametrize(("tested", "said"), [((2, 3), "tests 2 to 3 subjects"), ((5, 9), "5 to 9"), ((6, 9), "")])
+def test_a_warning_stands_where_splits_test_too_few(tested, said):
+    warning = few_tested(tested)
+    assert (said in warning) if said else warning == ""
