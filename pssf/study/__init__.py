@@ -22,6 +22,7 @@ statistics/    numbers from numbers; no model is trained
   claims       all of these                    -> what the paper says, and whether it holds here
   evidence     outcomes, features              -> all tables
   external     films' probabilities            -> scores with intervals
+  ladder       AUC by what is known            -> intervals, paired differences, the best possible
 
 learn/         predictions from features
   split        subjects, grades                -> training, validation, test subjects
@@ -35,12 +36,14 @@ learn/         predictions from features
   training     features of a cohort            -> one outcome a split, in parallel
   refit        features of a cohort            -> models that have learnt from all of it
   separability table of grades                 -> how well they could be told at best, from drawn parameters
+  ladder       parameters, features            -> AUC by what is known: parameters, joint space, features, both
   modelfile    a model, templates              -> one file that films can be read by, and back
 
 external       films, a cohort                 -> models of the cohort as displayed, tested on films
 
 report/        figures, cost, environment, checklist, and one HTML page with all of it
 
+questions      manifest, features              -> what only a simulator can ask: the ladder
 pipeline       all of these in order; what `run` calls
 reading        a model's file, films           -> features and probabilities
 finished       folder, key                     -> what an earlier run ended with, if nothing has changed

@@ -23,6 +23,7 @@ from .learn.modelfile import SUFFIX, pack
 from .learn.refit import refitted
 from .learn.training import train
 from .predictions import Outcome, class_names, joined
+from .questions import ask
 from .report.checklist import checklist
 from .report.cost import cost_rows
 from .report.environment import environment
@@ -93,6 +94,9 @@ def run_study(
         tables["claims"] = claims(usable, predictions, importances, offered, tables, settings)
     with timer.stage("models refitted"):
         models = _models(run, usable, names, manifest, localisation_law())
+    answers = ask(manifest, usable, names, settings, run.execution)
+    tables |= answers.tables
+    pictures |= {picture.name: picture for section in answers.sections for picture in section.pictures}
     external = None
     if films is not None:
         external = tested_on_films(Bench(run.templates, settings, run.out, run.execution), films, manifest)
@@ -100,7 +104,7 @@ def run_study(
         models |= external.models
         pictures |= film_pictures(external, settings)
     findings = _findings(run, located, names, tables, outcomes, pictures, work)
-    findings = replace(findings, models=sorted(models), external=external)
+    findings = replace(findings, models=sorted(models), external=external, sections=answers.sections)
     return _write(run.out, findings, tables | {"predictions": predictions}, models)
 
 

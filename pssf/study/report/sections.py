@@ -1,0 +1,76 @@
+"""Parts of the report that are sentences, pictures and a printed table; the page lays them out alike."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import pandas as pd
+
+from ..learn.ladder import READING_SD_MM, RUNGS
+from ..statistics.ladder import CEILING
+from . import ladder_figures
+from .page import Picture, fixed, signed
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """A part of the report.
+
+    name      of its place in the page
+    short     what the list of sections calls it
+    table     cells as they are printed, under column names as they are printed; empty: none
+    note      below the table
+    """
+
+    name: str
+    short: str
+    title: str
+    sentences: Sequence[str]
+    table: pd.DataFrame = field(default_factory=pd.DataFrame)
+    note: str = ""
+    pictures: Sequence[Picture] = ()
+
+
+def ladder_section(rungs: pd.DataFrame, differences: pd.DataFrame, subjects: int) -> Section:
+    """What a grade can be told by.
+
+    rungs, differences  as for `ladder_figures.ladder`
+    subjects            of the cohort
+    """
+    picture = Picture(
+        name="ladder",
+        png=ladder_figures.ladder(rungs, differences),
+        alt="AUC of grade 0 against each other grade by what is known of a knee, and paired differences",
+        caption="AUC of logistic regression by what it knows, mean over the splits with its 95 % interval; the dashed "
+        "line is the best possible from all parameters of newly drawn knees, the band its interval. Below: paired "
+        "differences on the same splits.",
+    )
+    shown = [
+        {
+            "Question": row["question"],
+            "Grades": row["grades"],
+            "Difference of AUC": signed(row["difference"]),
+            "95 %": f"{signed(row['low'])} to {signed(row['high'])}",
+            "p, Holm": fixed(row["p_holm"], 3),
+            "Answer": row["answer"],
+        }
+        for row in differences.to_dict("records")
+    ]
+    best = rungs[rungs["rung"] == CEILING]
+    drawn = f" ({int(best['knees'].iloc[0])} knees each, held-out fifths)" if len(best) else ""
+    return Section(
+        name="ladder",
+        short="Ladder",
+        title="What a grade can be told by",
+        sentences=(
+            "The same splits and the same model, logistic regression, with more or less known: "
+            f"{', '.join(RUNGS.values())}. A measured joint space is the true one with the error of a reading, "
+            f"{READING_SD_MM} mm (Mazzuca 1999), in each compartment; it stands beside features whatever they are "
+            "selected by. All that a knee is built with, but for its texture, is in the best possible AUC, of knees "
+            f"drawn anew{drawn}: no image can tell more. Where a rung of true parameters lies below it, "
+            f"{subjects} subjects are too few to learn it from.",
+        ),
+        table=pd.DataFrame(shown),
+        note="Yes and no: the corrected p is below 0.05, and splits test enough subjects; no means worse. "
+        "ladder.csv and ladder_differences.csv have all numbers.",
+        pictures=(picture,),
+    )
