@@ -104,9 +104,10 @@ def test_the_report_shows_every_question_with_its_picture():
     answers = ask(
         manifest, known[["knee", "subject", "grade", *NAMES]].assign(protocol="reference"), NAMES, SETTINGS, Execution()
     )
-    assert set(answers.tables) == {"ladder", "ladder_differences"}
+    assert set(answers.tables) == {"ladder", "ladder_differences", "learning", "power"}
     assert len(answers.sections[0].table) == len(tables.QUESTIONS)
-    assert answers.sections[0].pictures[0].png.startswith(b"\x89PNG")
+    for section in answers.sections:
+        assert section.pictures[0].png.startswith(b"\x89PNG")
 
 
 def test_the_best_possible_is_the_better_fit_of_all_parameters():

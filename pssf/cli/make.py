@@ -1,7 +1,7 @@
 """Commands that make something: simulate, meshes, cohort, study."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -228,6 +228,9 @@ def study(
     films_region_mm: Annotated[
         float, typer.Option(help="Side of the region, mm; 0: what nine of ten films hold, at most the study's.")
     ] = 0.0,
+    difference: Annotated[
+        float, typer.Option(help="Difference of AUC that the power to show it, and the subjects needed, are given for.")
+    ] = 0.05,
     until: Annotated[str, typer.Option(help="report, or features: stop when they are measured.")] = "report",
     readme: Readme = None,
 ) -> None:
@@ -245,7 +248,8 @@ def study(
     checkout = open_checkout(readme, SHOWN, preset=preset)
     execution = Execution(workers=workers, bar=bar, scheduler=scheduler)
     wanted = {"families": families, "selections": selections, "models": models}
-    settings = {name: tuple(listed.split(",")) for name, listed in wanted.items() if listed}
+    settings: dict[str, Any] = {name: tuple(listed.split(",")) for name, listed in wanted.items() if listed}
+    settings["difference"] = difference
     overrides = cohort_overrides(knees, bilateral, protocols, grades)
     own = None
     if films is not None:

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from ..learn.ladder import RUNGS
 from ..statistics.ladder import CEILING
+from ..statistics.learning import WANTED, power_curve
 from .figures import png
 
 # Okabe & Ito 2008; what is true in black and grey, what a film gives in colour.
@@ -67,3 +68,46 @@ def _compare(axis: Any, rows: pd.DataFrame) -> None:
     axis.set_xlabel("difference of AUC", fontsize=8.5)
     axis.tick_params(labelsize=8)
     axis.spines[["top", "right"]].set_visible(False)
+
+
+def learning(curves: pd.DataFrame, power: pd.DataFrame) -> bytes:
+    """A column a pair of grades: AUC against the subjects learnt from above, power against those of a cohort below.
+
+    curves  of `learning.curves`
+    power   of `learning.power`
+    """
+    pairs = list(dict.fromkeys(curves["grades"]))
+    figure = Figure(figsize=(1.2 + 2.8 * max(1, len(pairs)), 5.6), layout="constrained")
+    axes = figure.subplots(2, max(1, len(pairs)), squeeze=False, sharey="row")
+    for column, grades in enumerate(pairs):
+        axis = axes[0, column]
+        for rung, rows in curves[curves["grades"] == grades].groupby("rung", sort=False):
+            at, colour = rows["trained"].to_numpy(float), RUNG_COLOURS[str(rung)]
+            axis.fill_between(at, rows["low"], rows["high"], color=colour, alpha=0.13, linewidth=0)
+            axis.plot(at, rows["auc"], "o-", color=colour, markersize=4, linewidth=1.5, label=RUNGS[str(rung)])
+        axis.axhline(0.5, color="0.8", linewidth=1)
+        axis.set_title(f"grade {grades}", fontsize=10)
+        axis.set_xlabel("subjects learnt from", fontsize=8.5)
+        _powers(axes[1, column], power[power["grades"] == grades])
+    axes[0, 0].set_ylabel("AUC", fontsize=8.5)
+    axes[1, 0].set(ylim=(0, 1.02))
+    axes[1, 0].set_ylabel("power", fontsize=8.5)
+    for axis in axes.ravel():
+        axis.tick_params(labelsize=8)
+        axis.spines[["top", "right"]].set_visible(False)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=8, frameon=False, loc="outside lower center", ncols=3)
+    return png(figure)
+
+
+def _powers(axis: Any, rows: pd.DataFrame) -> None:
+    axis.axhline(WANTED, color="0.7", linewidth=1, linestyle="--")
+    for _, row in rows.iterrows():
+        at = np.geomspace(row["subjects"] / 4, max(4 * row["subjects"], 1.3 * row["needed_high"]), 60)
+        colour = RUNG_COLOURS[row["rung"]]
+        low, high = (power_curve(row, at * row["needed"] / row[f"needed_{end}"]) for end in ("high", "low"))
+        axis.fill_between(at, low, high, color=colour, alpha=0.13, linewidth=0)
+        axis.plot(at, power_curve(row, at), color=colour, linewidth=1.5)
+        axis.plot(row["subjects"], row["power"], "o", color=colour, markersize=5)
+    axis.set_xscale("log")
+    axis.set_xlabel("subjects of a cohort", fontsize=8.5)

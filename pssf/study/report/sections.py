@@ -7,6 +7,7 @@ import pandas as pd
 
 from ..learn.ladder import READING_SD_MM, RUNGS
 from ..statistics.ladder import CEILING
+from ..statistics.learning import WANTED
 from . import ladder_figures
 from .page import Picture, fixed, signed
 
@@ -72,5 +73,46 @@ def ladder_section(rungs: pd.DataFrame, differences: pd.DataFrame, subjects: int
         table=pd.DataFrame(shown),
         note="Yes and no: the corrected p is below 0.05, and splits test enough subjects; no means worse. "
         "ladder.csv and ladder_differences.csv have all numbers.",
+        pictures=(picture,),
+    )
+
+
+def learning_section(curves: pd.DataFrame, power: pd.DataFrame) -> Section:
+    """How many patients are needed.
+
+    curves, power  of `statistics.learning`
+    """
+    picture = Picture(
+        name="learning",
+        png=ladder_figures.learning(curves, power),
+        alt="AUC against the number of subjects learnt from, and power against the size of a cohort, by pair of grades",
+        caption="Above: AUC against the subjects learnt from; the tested subjects of a split are the same for all, so "
+        "that what changes is learning alone. Below: power to show the chosen difference against the subjects "
+        "of a cohort; a dot is this one, the band from the interval of the variance over the splits.",
+    )
+    shown = [
+        {
+            "Question": row["question"],
+            "Grades": row["grades"],
+            "Subjects here": row["subjects"],
+            "Power here": fixed(row["power"]),
+            f"Subjects for a power of {WANTED}": f"{row['needed']:.0f}",
+            "95 %": f"{row['needed_low']:.0f} to {row['needed_high']:.0f}",
+        }
+        for row in power.to_dict("records")
+    ]
+    chosen = f"{power['difference'].iloc[0]:g}" if len(power) else "the chosen size"
+    return Section(
+        name="learning",
+        short="How many",
+        title="How many patients",
+        sentences=(
+            "What a classifier would gain by more subjects to learn from, and what a cohort of another size could "
+            f"show: the power to find a difference of AUC of {chosen} at 5 %, two-sided, by the paired test of this "
+            "report. The variance of a difference is taken to fall as 1 over the subjects.",
+        ),
+        table=pd.DataFrame(shown),
+        note="Subjects are of the two grades together, training, validation and test. learning.csv has every step's "
+        "gain with its interval, power.csv the errors.",
         pictures=(picture,),
     )
