@@ -20,6 +20,7 @@ from .model.knee import Knee
 from .model.protocol import load_protocol
 from .simulation import simulate
 from .study import FilmSet, StudyResult, StudySettings, measure, require_extra, run
+from .study.design import plan_curves
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -54,6 +55,7 @@ class Experiment:
     manifest  of the cohort, files as they are called from `out`
     retest    of the knees taken again, each under the number of the knee that it is of; None where there are none
     films     of patients, to test on as well; None where there are none
+    curves    of knees taken along the axes of `study.design`; None where there are none
     """
 
     out: Path
@@ -62,6 +64,7 @@ class Experiment:
     manifest: "pd.DataFrame"
     retest: "pd.DataFrame | None"
     films: FilmSet | None = None
+    curves: "pd.DataFrame | None" = None
 
 
 def make_experiment(
@@ -74,6 +77,7 @@ def make_experiment(
     cohort: Mapping[str, Any] | None = None,
     settings: Mapping[str, Any] | None = None,
     films: OwnFilms | None = None,
+    curves: int = 0,
 ) -> Experiment:
     """Cohort and repeats; goes on where an earlier run in the same folder stopped.
 
@@ -81,6 +85,7 @@ def make_experiment(
     cohort    entries that replace the preset's, as for `plan_cohort`
     settings  fields of StudySettings that replace the defaults
     films     of patients, to test the models on
+    curves    knees that response curves are made of, into out/curves; 0: none
     raises    InputError for an unknown preset, a missing library, a folder that holds something else or is unwritable,
               a scheduler that cannot be used; WorkersLostError when workers keep being killed
     """
@@ -95,9 +100,12 @@ def make_experiment(
     if repeats is not None:
         retest = _made(repeats, out, "repeats", engine, execution)
         retest = retest.assign(knee=retest["of_knee"])
+    along = None
+    if curves:
+        along = _made(plan_curves(plan, knees=curves, reference=chosen.reference), out, "curves", engine, execution)
     for folder in (out, out / "pictures", out / "models"):
         sweep(folder)
-    return Experiment(out, engine, chosen, manifest, retest, film_set)
+    return Experiment(out, engine, chosen, manifest, retest, film_set, along)
 
 
 def run_experiment(experiment: Experiment, execution: Execution) -> StudyResult:
@@ -110,12 +118,17 @@ def run_experiment(experiment: Experiment, execution: Execution) -> StudyResult:
     """
     from .study import finished  # needs the extra `study`
 
-    manifests = [table for table in (experiment.manifest, experiment.retest) if table is not None]
+    every = (experiment.manifest, experiment.retest, experiment.curves)
+    manifests = [table for table in every if table is not None]
     key = finished.key_of(manifests, experiment.settings, experiment.engine, experiment.films)
     result = finished.earlier(experiment.out, key)
     if result is None:
         result = run(
-            *_given(experiment, execution), retest=experiment.retest, films=experiment.films, execution=execution
+            *_given(experiment, execution),
+            retest=experiment.retest,
+            films=experiment.films,
+            curves=experiment.curves,
+            execution=execution,
         )
         finished.mark(result, experiment.out, key)
     return result

@@ -1,5 +1,7 @@
 """What a grade can be told by: parameters, joint space, features; on cohorts whose answer is made."""
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,11 +12,13 @@ from pssf.core.execution import Execution
 from pssf.study import StudySettings
 from pssf.study.learn import ladder
 from pssf.study.learn.split import split_subjects
+from pssf.study.measuring import Run
 from pssf.study.questions import ask
 from pssf.study.statistics import ladder as tables
 
 NAMES = ["firstorder_a", "glcm_a", "glcm_b"]
 SETTINGS = StudySettings(repeats=10, selections=("l1",), models=("lr",))
+RUN = Run(len, (), SETTINGS, Path("unused"), Execution())
 
 
 def cohort(seed: int, *, texture: float, subjects: int = 120, narrowed: float = 0.8) -> pd.DataFrame:
@@ -95,15 +99,13 @@ def test_without_joint_spaces_only_features_are_asked():
     known = cohort(0, texture=2.0)[["knee", "subject", "grade", *NAMES]]
     assert list(ladder.rungs_of(known, NAMES)) == ["radiomics"]
     usable = known.assign(protocol="reference")
-    assert not ask(known.drop(columns=NAMES), usable, NAMES, SETTINGS, Execution()).sections
+    assert not ask(RUN, known.drop(columns=NAMES), usable, NAMES).sections
 
 
 def test_the_report_shows_every_question_with_its_picture():
     known = cohort(0, texture=1.0)
     manifest = known[["knee", "subject", "grade", "jsw_medial_mm", "jsw_lateral_mm"]]
-    answers = ask(
-        manifest, known[["knee", "subject", "grade", *NAMES]].assign(protocol="reference"), NAMES, SETTINGS, Execution()
-    )
+    answers = ask(RUN, manifest, known[["knee", "subject", "grade", *NAMES]].assign(protocol="reference"), NAMES)
     assert set(answers.tables) == {"ladder", "ladder_differences", "learning", "power"}
     assert len(answers.sections[0].table) == len(tables.QUESTIONS)
     for section in answers.sections:

@@ -228,6 +228,13 @@ def study(
     films_region_mm: Annotated[
         float, typer.Option(help="Side of the region, mm; 0: what nine of ten films hold, at most the study's.")
     ] = 0.0,
+    curves: Annotated[
+        int,
+        typer.Option(
+            help="Knees of grades 0 and 2 to take again along dose, kV, focal spot, scatter, pixel, distance, tilt and "
+            "rotation, for response curves, 56 radiographs each; 0: none."
+        ),
+    ] = 0,
     difference: Annotated[
         float, typer.Option(help="Difference of AUC that the power to show it, and the subjects needed, are given for.")
     ] = 0.05,
@@ -256,7 +263,15 @@ def study(
         chosen = {"pixel_mm": films_pixel_mm or None, "region_mm": films_region_mm or None}
         own = OwnFilms(folder=films, protocol=films_protocol or None, **chosen)
     made = make_experiment(
-        out, execution, preset=preset, seed=seed, engine=engine, cohort=overrides, settings=settings, films=own
+        out,
+        execution,
+        preset=preset,
+        seed=seed,
+        engine=engine,
+        cohort=overrides,
+        settings=settings,
+        films=own,
+        curves=curves,
     )
     if until == "features":
         print(f"features  {measure_experiment(made, execution)}")

@@ -1,16 +1,21 @@
 """What only a simulator can ask of a cohort: tables, and sections of the report."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import pandas as pd
 
 from ..core.execution import Execution
+from .design import AXES
 from .learn.ladder import climb, known_of, rungs_of
+from .learn.responses import respond
 from .learn.separability import separability
+from .measuring import Run, measured_curves
 from .predictions import joined
-from .report.sections import Section, ladder_section, learning_section
+from .report.page import Picture
+from .report.sections import Section, curves_section, ladder_section, learning_section
 from .settings import StudySettings
-from .statistics import ladder, learning
+from .statistics import breaks, ladder, learning, responses
 from .statistics.parameters import parameters_of, table_of
 
 _CEILING_KNEES = 1000  # drawn for the best possible, the grades alike
@@ -25,15 +30,37 @@ class Answers:
     tables: dict[str, pd.DataFrame]
     sections: list[Section]
 
+    def pictures(self) -> dict[str, Picture]:
+        """Name -> picture, of all sections."""
+        return {picture.name: picture for section in self.sections for picture in section.pictures}
+
 
 def ask(
+    run: Run,
+    manifest: pd.DataFrame,
+    usable: pd.DataFrame,
+    names: list[str],
+    curves: pd.DataFrame | None = None,
+    leading: Sequence[str] = (),
+) -> Answers:
+    """All that is known enough for.
+
+    usable   radiographs with a region found: knee, subject, grade, protocol, features
+    names    of the features
+    curves   manifest of knees along the axes of `design`, or None
+    leading  features that are drawn one by one
+    """
+    parts = [_ladder(manifest, usable, names, run.settings, run.execution)]
+    if curves is not None:
+        parts.append(_curves(curves, usable, names, leading, run))
+    tables = {name: table for part in parts for name, table in part.tables.items()}
+    return Answers(tables, [section for part in parts for section in part.sections])
+
+
+def _ladder(
     manifest: pd.DataFrame, usable: pd.DataFrame, names: list[str], settings: StudySettings, execution: Execution
 ) -> Answers:
-    """All that the manifest tells enough for: nothing where it has no joint spaces to hold features against.
-
-    usable  radiographs with a region found: knee, subject, grade, protocol, features
-    names   of the features
-    """
+    """Ladder and learning curves: nothing where the manifest has no joint spaces to hold features against."""
     known = known_of(usable, names, parameters_of(manifest), settings)
     if len(rungs_of(known, names)) < 2:
         return Answers({}, [])
@@ -44,12 +71,35 @@ def ask(
             drawn = separability(str(manifest["grade_table"].iloc[0]), knees=_CEILING_KNEES, seed=settings.seed)
         best = ladder.ceiling(drawn)
         rungs = joined([rungs, best[best["grades"].isin(rungs["grades"])]])
+        rungs = rungs.astype(dict.fromkeys(("trained", "test_subjects", "splits", "knees"), "Int64"))
     fewer = climb(known, names, settings, execution, shares=_SHARES, rungs=_LEARNING, stage="learning curves")
     curves = learning.curves(joined([fewer, splits[splits["rung"].isin(_LEARNING)]]))
     power = learning.power(splits, _counts(known), settings.difference)
     tables = {"ladder": rungs, "ladder_differences": differences, "learning": curves, "power": power}
     sections = [ladder_section(rungs, differences, int(known["subject"].nunique())), learning_section(curves, power)]
     return Answers(tables, sections)
+
+
+def _curves(curves: pd.DataFrame, usable: pd.DataFrame, names: list[str], leading: Sequence[str], run: Run) -> Answers:
+    """What becomes of features and models along the axes of `design`."""
+    settings = run.settings
+    base = usable[usable["protocol"] == settings.reference]
+    measured = measured_curves(run, curves, float(base["pixel_mm"].iloc[0] if len(base) else 1.0))
+    steps = measured[measured["status"] == "found"]
+    axes = {name: axis for name, axis in AXES.items() if name in set(curves["kind"])}
+
+    def step(axis: str, turn: int) -> float:
+        return axes[axis].steps[turn - 1]
+
+    with run.execution.timer.stage("curves of features"):
+        chance = {"replicates": settings.replicates, "seed": settings.seed}
+        of_features = responses.curves_of_features(base, steps, names, step, **chance)
+    of_models = responses.curves_of_models(respond(base, steps, names, settings, run.execution), step)
+    places = breaks.breaks(of_features, of_models, axes, settings.difference)
+    whole = joined([of_features.table, of_models])
+    tables = {f"curve_{name}": whole[whole["axis"] == name].reset_index(drop=True) for name in axes}
+    section = curves_section(tables, places, axes, leading, int(curves["knee"].nunique()))
+    return Answers(tables | {"breaks": places}, [section])
 
 
 def _counts(known: pd.DataFrame) -> pd.Series:

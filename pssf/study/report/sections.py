@@ -1,14 +1,15 @@
 """Parts of the report that are sentences, pictures and a printed table; the page lays them out alike."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import pandas as pd
 
+from ..design import Axis
 from ..learn.ladder import READING_SD_MM, RUNGS
 from ..statistics.ladder import CEILING
 from ..statistics.learning import WANTED
-from . import ladder_figures
+from . import ladder_figures, response_figures
 from .page import Picture, fixed, signed
 
 
@@ -87,8 +88,8 @@ def learning_section(curves: pd.DataFrame, power: pd.DataFrame) -> Section:
         png=ladder_figures.learning(curves, power),
         alt="AUC against the number of subjects learnt from, and power against the size of a cohort, by pair of grades",
         caption="Above: AUC against the subjects learnt from; the tested subjects of a split are the same for all, so "
-        "that what changes is learning alone. Below: power to show the chosen difference against the subjects "
-        "of a cohort; a dot is this one, the band from the interval of the variance over the splits.",
+        "that what changes is learning alone. Below: power to show the chosen difference from the measured joint space "
+        "against the subjects of a cohort; a dot is this one, the band from the interval of the splits' variance.",
     )
     shown = [
         {
@@ -115,4 +116,55 @@ def learning_section(curves: pd.DataFrame, power: pd.DataFrame) -> Section:
         note="Subjects are of the two grades together, training, validation and test. learning.csv has every step's "
         "gain with its interval, power.csv the errors.",
         pictures=(picture,),
+    )
+
+
+def curves_section(
+    tables: Mapping[str, pd.DataFrame],
+    breaks: pd.DataFrame,
+    axes: Mapping[str, Axis],
+    leading: Sequence[str],
+    knees: int,
+) -> Section:
+    """What becomes of features and models along the axes of `design`.
+
+    tables   "curve_<axis>" -> rows of `statistics.responses`
+    breaks   of `statistics.breaks`
+    leading  features that are drawn one by one
+    knees    with curves
+    """
+    pictures = [
+        Picture(
+            name=f"curve_{name}",
+            png=response_figures.response(tables[f"curve_{name}"], breaks[breaks["axis"] == name], axis, leading),
+            alt=f"Change of features, their ICC, threshold shift and AUC against {axis.label}",
+            caption=f"{axis.label[0].upper()}{axis.label[1:]}: change of the features that models lean on most, their "
+            "ICC(2,1) with the cohort's own radiographs, the log odds by which a threshold would have to move, and "
+            "AUC. Orange: where the conclusion of the table breaks, with its interval; dotted: the protocol's own.",
+        )
+        for name, axis in axes.items()
+    ]
+    shown = [
+        {
+            "Axis": axes[row["axis"]].label,
+            "Conclusion": row["conclusion"],
+            "Breaks": row["reading"],
+            "Measured": f"{row['from']:.3g} to {row['to']:.3g}",
+        }
+        for row in breaks.to_dict("records")
+    ]
+    return Section(
+        name="curves",
+        short="Curves",
+        title="Response curves",
+        sentences=(
+            f"{knees} knees of grades 0 and 2, taken again with one thing of the protocol changed at a time, each time "
+            "with noise of its own. Models are those of the first selection, learnt under the protocol as it is, "
+            "tested on half of these knees, which they have not seen, in every split.",
+            "A conclusion is followed from the protocol's own step outwards to where it first breaks. Intervals of a "
+            "median ICC are of samples of the knees; of a loss of AUC, where the ends of its interval cross.",
+        ),
+        table=pd.DataFrame(shown),
+        note="curve_<axis>.csv has every feature at every step, breaks.csv the places.",
+        pictures=pictures,
     )
