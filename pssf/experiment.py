@@ -1,7 +1,7 @@
 """The whole experiment: a preset's cohort is made, then studied."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,7 @@ from .io.records import read_manifest
 from .model.knee import Knee
 from .model.protocol import load_protocol
 from .simulation import simulate
-from .study import FilmSet, StudyResult, StudySettings, measure, require_extra, run
+from .study import Designed, FilmSet, StudyResult, StudySettings, measure, require_extra, run
 from .study.design import plan_curves
 
 if TYPE_CHECKING:
@@ -48,6 +48,20 @@ class OwnFilms:
     region_mm: float | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
+class ByDesign:
+    """Radiographs to take beside a cohort's; 0: none.
+
+    curves  knees along the axes of `study.design`
+    shares  samples of the space of `study.space`, a power of two
+    pairs   knees, of each of which one parameter after the other is changed
+    """
+
+    curves: int = 0
+    shares: int = 0
+    pairs: int = 0
+
+
 @dataclass(frozen=True)
 class Experiment:
     """A cohort that stands, and how it is to be studied.
@@ -55,7 +69,7 @@ class Experiment:
     manifest  of the cohort, files as they are called from `out`
     retest    of the knees taken again, each under the number of the knee that it is of; None where there are none
     films     of patients, to test on as well; None where there are none
-    curves    of knees taken along the axes of `study.design`; None where there are none
+    designed  radiographs taken by design
     """
 
     out: Path
@@ -64,7 +78,7 @@ class Experiment:
     manifest: "pd.DataFrame"
     retest: "pd.DataFrame | None"
     films: FilmSet | None = None
-    curves: "pd.DataFrame | None" = None
+    designed: Designed = field(default_factory=Designed)
 
 
 def make_experiment(
@@ -77,7 +91,7 @@ def make_experiment(
     cohort: Mapping[str, Any] | None = None,
     settings: Mapping[str, Any] | None = None,
     films: OwnFilms | None = None,
-    curves: int = 0,
+    by_design: ByDesign | None = None,
 ) -> Experiment:
     """Cohort and repeats; goes on where an earlier run in the same folder stopped.
 
@@ -85,7 +99,7 @@ def make_experiment(
     cohort    entries that replace the preset's, as for `plan_cohort`
     settings  fields of StudySettings that replace the defaults
     films     of patients, to test the models on
-    curves    knees that response curves are made of, into out/curves; 0: none
+    by_design what is taken beside, into out/curves, out/shares, out/pairs
     raises    InputError for an unknown preset, a missing library, a folder that holds something else or is unwritable,
               a scheduler that cannot be used; WorkersLostError when workers keep being killed
     """
@@ -100,12 +114,10 @@ def make_experiment(
     if repeats is not None:
         retest = _made(repeats, out, "repeats", engine, execution)
         retest = retest.assign(knee=retest["of_knee"])
-    along = None
-    if curves:
-        along = _made(plan_curves(plan, knees=curves, reference=chosen.reference), out, "curves", engine, execution)
+    designed = _designed(plan, by_design or ByDesign(), chosen.reference, out, engine, execution)
     for folder in (out, out / "pictures", out / "models"):
         sweep(folder)
-    return Experiment(out, engine, chosen, manifest, retest, film_set, along)
+    return Experiment(out, engine, chosen, manifest, retest, film_set, designed)
 
 
 def run_experiment(experiment: Experiment, execution: Execution) -> StudyResult:
@@ -118,7 +130,7 @@ def run_experiment(experiment: Experiment, execution: Execution) -> StudyResult:
     """
     from .study import finished  # needs the extra `study`
 
-    every = (experiment.manifest, experiment.retest, experiment.curves)
+    every = (experiment.manifest, experiment.retest, *experiment.designed.manifests())
     manifests = [table for table in every if table is not None]
     key = finished.key_of(manifests, experiment.settings, experiment.engine, experiment.films)
     result = finished.earlier(experiment.out, key)
@@ -127,7 +139,7 @@ def run_experiment(experiment: Experiment, execution: Execution) -> StudyResult:
             *_given(experiment, execution),
             retest=experiment.retest,
             films=experiment.films,
-            curves=experiment.curves,
+            designed=experiment.designed,
             execution=execution,
         )
         finished.mark(result, experiment.out, key)
@@ -200,6 +212,22 @@ def _made(plan: Plan, out: Path, name: str, engine: str, execution: Execution) -
             kept=stage.keep,
         )
     return _below(name, read_manifest(path))
+
+
+def _designed(plan: Plan, wanted: ByDesign, reference: str, out: Path, engine: str, execution: Execution) -> Designed:
+    """What is wanted, made where it is missing."""
+    from .study import space  # needs the extra `study`
+
+    plans: dict[str, Plan] = {}
+    if wanted.curves:
+        plans["curves"] = plan_curves(plan, knees=wanted.curves, reference=reference)
+    if wanted.shares:
+        plans["shares"] = space.plan_shares(plan, samples=wanted.shares, reference=reference)
+    if wanted.pairs:
+        plans["pairs"] = space.plan_pairs(plan, knees=wanted.pairs, reference=reference)
+    bounds = space.bounds_of(plan, reference) if wanted.shares or wanted.pairs else {}
+    made = {name: _made(one, out, name, engine, execution) for name, one in plans.items()}
+    return Designed(**made, samples=wanted.shares, bounds=bounds)
 
 
 def _below(folder: str, manifest: "pd.DataFrame") -> "pd.DataFrame":

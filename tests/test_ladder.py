@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from scipy.stats import binom
 
 from pssf.core.execution import Execution
-from pssf.study import StudySettings
+from pssf.study import Designed, StudySettings
 from pssf.study.learn import ladder
 from pssf.study.learn.split import split_subjects
 from pssf.study.measuring import Run
@@ -36,6 +36,11 @@ def cohort(seed: int, *, texture: float, subjects: int = 120, narrowed: float = 
 
 def climbed(known: pd.DataFrame, **more) -> pd.DataFrame:
     return ladder.climb(known, NAMES, SETTINGS, Execution(), **more)
+
+
+def asked(manifest: pd.DataFrame, usable: pd.DataFrame):
+    importance = pd.DataFrame(columns=["selection", "feature", "share"])
+    return ask(RUN, manifest, usable, NAMES, {"importance": importance}, Designed())
 
 
 @pytest.fixture(scope="module")
@@ -99,13 +104,13 @@ def test_without_joint_spaces_only_features_are_asked():
     known = cohort(0, texture=2.0)[["knee", "subject", "grade", *NAMES]]
     assert list(ladder.rungs_of(known, NAMES)) == ["radiomics"]
     usable = known.assign(protocol="reference")
-    assert not ask(RUN, known.drop(columns=NAMES), usable, NAMES).sections
+    assert not asked(known.drop(columns=NAMES), usable).sections
 
 
 def test_the_report_shows_every_question_with_its_picture():
     known = cohort(0, texture=1.0)
     manifest = known[["knee", "subject", "grade", "jsw_medial_mm", "jsw_lateral_mm"]]
-    answers = ask(RUN, manifest, known[["knee", "subject", "grade", *NAMES]].assign(protocol="reference"), NAMES)
+    answers = asked(manifest, known[["knee", "subject", "grade", *NAMES]].assign(protocol="reference"))
     assert set(answers.tables) == {"ladder", "ladder_differences", "learning", "power"}
     assert len(answers.sections[0].table) == len(tables.QUESTIONS)
     for section in answers.sections:

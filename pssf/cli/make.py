@@ -235,6 +235,20 @@ def study(
             "rotation, for response curves, 56 radiographs each; 0: none."
         ),
     ] = 0,
+    shares: Annotated[
+        int,
+        typer.Option(
+            help="Samples, a power of two, of the space of all parameters, for shares of a feature's variance; ten "
+            "radiographs each; 0: none."
+        ),
+    ] = 0,
+    pairs: Annotated[
+        int,
+        typer.Option(
+            help="Knees to take again with one parameter after the other changed and the noise held, for what each "
+            "does to a feature; 13 radiographs each; 0: none."
+        ),
+    ] = 0,
     difference: Annotated[
         float, typer.Option(help="Difference of AUC that the power to show it, and the subjects needed, are given for.")
     ] = 0.05,
@@ -248,7 +262,7 @@ def study(
     from ..core.checks import require_choice
     from ..core.execution import Execution
     from ..core.progress import bar
-    from ..experiment import SHOWN, OwnFilms, make_experiment, measure_experiment, run_experiment, shown_rows
+    from ..experiment import SHOWN, ByDesign, OwnFilms, make_experiment, measure_experiment, run_experiment, shown_rows
     from ..io.readme import open_checkout
 
     require_choice("until", until, ("features", "report"))
@@ -271,7 +285,7 @@ def study(
         cohort=overrides,
         settings=settings,
         films=own,
-        curves=curves,
+        by_design=ByDesign(curves=curves, shares=shares, pairs=pairs),
     )
     if until == "features":
         print(f"features  {measure_experiment(made, execution)}")

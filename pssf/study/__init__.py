@@ -1,6 +1,7 @@
 """The radiomics study of a cohort: `run` takes a manifest to a report. Each part imports from those above it.
 
 settings       StudySettings; selections and models by name
+space          plan of a cohort                -> samples of the space of all parameters; pairs that differ in one
 design         plan of a cohort                -> its knees taken with one thing of a protocol changed at a time
 result         StudyResult
 films          FilmSet: films to test on
@@ -26,6 +27,7 @@ statistics/    numbers from numbers; no model is trained
   ladder       AUC by what is known            -> intervals, paired differences, the best possible
   learning     AUC by subjects learnt from     -> curves; power and subjects needed for a chosen difference
   responses    features and models by step     -> response curves: value, ICC, threshold shift, AUC
+  space        radiographs of a sample, pairs  -> shares of variance of each feature; local slopes
   breaks       response curves                 -> where a conclusion breaks, with an interval
 
 learn/         predictions from features
@@ -63,6 +65,7 @@ from typing import TYPE_CHECKING, Any
 from ..core.checks import InputError
 from ..core.execution import Execution
 from ..core.parallel import require_scheduler
+from .design import Designed
 from .films import FilmSet
 from .result import StudyResult
 from .settings import StudySettings
@@ -72,7 +75,7 @@ if TYPE_CHECKING:
 
     from ..radiomics.patches import Template
 
-__all__ = ["FilmSet", "StudyResult", "StudySettings", "measure", "require_extra", "run"]
+__all__ = ["Designed", "FilmSet", "StudyResult", "StudySettings", "measure", "require_extra", "run"]
 
 _NEEDED = {
     "radiomics": "pyradiomics",
@@ -84,6 +87,7 @@ _NEEDED = {
     "skimage": "scikit-image",
     "jinja2": "jinja2",
     "skops": "skops",
+    "SALib": "salib",
 }
 
 
@@ -112,7 +116,7 @@ def run(
     *,
     retest: "pd.DataFrame | None" = None,
     films: FilmSet | None = None,
-    curves: "pd.DataFrame | None" = None,
+    designed: Designed | None = None,
     execution: Execution | None = None,
 ) -> StudyResult:
     """Find the regions, measure them, train and test, and write report, pictures and tables into `out`.
@@ -125,7 +129,7 @@ def run(
     retest       some knees taken again under the reference protocol: the manifest's columns, with the knee that each is
                  of, kind (noise | perturbation) and turn; only for the reliability of features
     films        to test on, beside the cohort
-    curves       some knees taken along the axes of `design`: the manifest's columns, with kind (axis) and turn (step)
+    designed     radiographs taken by design: the manifest's columns, with kind, turn and of_knee
     execution    who measures, trains and tests; stages that its timer has already come first in the report
     raises       InputError for a manifest that lacks a column or has too few subjects, or a missing library;
                  WorkersLostError when workers keep being killed
@@ -135,7 +139,7 @@ def run(
     from .pipeline import run_study
 
     return run_study(
-        Run(load_pixels, templates, settings, out, execution or Execution()), manifest, retest, films, curves
+        Run(load_pixels, templates, settings, out, execution or Execution()), manifest, retest, films, designed
     )
 
 

@@ -4,9 +4,9 @@ Each step has noise of its own, so that a feature's agreement with the cohort's 
 step. What an axis changes beside its own field keeps the others apart: see AXES.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,11 +14,35 @@ from ..cohort.plan import Case, Exposure, Plan
 from ..core.checks import InputError, require_whole
 from ..model.protocol import Protocol
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 # Key of the stream under a knee's index, beside those of `cohort.plan`.
 _CURVES = 6
 # A radiographer halves mAs for 15 % more kV (Bushong, Radiologic Science for Technologists; from memory).
 _KV_EXPONENT = np.log(2) / np.log(1.15)
 GRADES = (0, 2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Designed:
+    """Manifests of radiographs that were taken by design, None where there are none; kind and turn say what each is.
+
+    curves  of `plan_curves`
+    shares  of `space.plan_shares`, of so many samples
+    pairs   of `space.plan_pairs`
+    bounds  of `space.bounds_of`
+    """
+
+    curves: "pd.DataFrame | None" = None
+    shares: "pd.DataFrame | None" = None
+    samples: int = 0
+    pairs: "pd.DataFrame | None" = None
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def manifests(self) -> "list[pd.DataFrame]":
+        """Those that there are."""
+        return [table for table in (self.curves, self.shares, self.pairs) if table is not None]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -81,19 +81,18 @@ def measured(
     return radiographs.merge(table, on="radiograph", how="left", validate="one_to_one").copy(), names, work
 
 
-def measured_curves(run: Run, curves: pd.DataFrame, pixel_mm: float) -> pd.DataFrame:
-    """`measured` of knees taken along the axes of `design`; a region has the same side in mm whatever the pixel.
+def measured_by_design(run: Run, taken: pd.DataFrame, name: str, pixel_mm: float) -> pd.DataFrame:
+    """`measured` of a manifest of `design.Designed`; a region has the same side in mm whatever the pixel.
 
-    Kept in features_curves_<side>.csv, a file a side in pixels.
+    Kept in features_<name>_<side>.csv, a file a side in pixels.
 
-    curves    manifest of the radiographs, with kind (axis) and turn (step from 1)
     pixel_mm  of the reference
     """
-    sides = (run.settings.region_px * pixel_mm / curves["pixel_mm"]).round().astype(int)
+    sides = (run.settings.region_px * pixel_mm / taken["pixel_mm"]).round().astype(int)
     parts = []
-    for side, part in curves.groupby(sides, sort=True):
-        path = run.out / f"features_curves_{side}.csv"
-        table, _ = _records(run, part, path, int(side), f"curves, regions of {side} pixels")
+    for side, part in taken.groupby(sides, sort=True):
+        path = run.out / f"features_{name}_{side}.csv"
+        table, _ = _records(run, part, path, int(side), f"{name}, regions of {side} pixels")
         parts.append(part.merge(table, on="radiograph", how="left", validate="one_to_one"))
     return joined(parts)
 

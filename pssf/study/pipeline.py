@@ -12,6 +12,7 @@ from ..data.localisation import Localisation
 from ..data.localisation import localisation as localisation_law
 from ..io import results
 from ..radiomics.compact import compact
+from .design import Designed
 from .external import Bench, check_films, tested_on_films, trained_on
 from .films import FilmSet
 from .learn.modelfile import SUFFIX, pack
@@ -32,7 +33,7 @@ from .statistics import localisation
 from .statistics.claims import claims
 from .statistics.degenerate import is_degenerate
 from .statistics.evidence import Tables, tables_of_features, tables_of_models, tables_of_truth
-from .statistics.importance import by_family, leading
+from .statistics.importance import by_family
 from .statistics.parameters import composition, with_measures
 from .statistics.provenance import warnings_of
 from .statistics.reliability import count_stable, protocols_of
@@ -49,7 +50,7 @@ def run_study(
     manifest: pd.DataFrame,
     retest: pd.DataFrame | None,
     films: FilmSet | None = None,
-    curves: pd.DataFrame | None = None,
+    designed: Designed | None = None,
 ) -> StudyResult:
     """See `pssf.study.run`."""
     settings, timer = run.settings, run.execution.timer
@@ -79,7 +80,7 @@ def run_study(
         tables["claims"] = claims(usable, predictions, importances, offered, tables, settings)
     with timer.stage("models refitted"):
         models = _models(run, usable, names, manifest, localisation_law())
-    answers = ask(run, manifest, usable, names, curves, leading(tables["importance"], settings))
+    answers = ask(run, manifest, usable, names, tables, designed or Designed())
     tables |= answers.tables
     pictures |= answers.pictures()
     external = None

@@ -6,16 +6,18 @@ from dataclasses import dataclass
 import pandas as pd
 
 from ..core.execution import Execution
-from .design import AXES
+from .design import AXES, Designed
 from .learn.ladder import climb, known_of, rungs_of
 from .learn.responses import respond
 from .learn.separability import separability
-from .measuring import Run, measured_curves
+from .measuring import Run, measured_by_design
 from .predictions import joined
 from .report.page import Picture
-from .report.sections import Section, curves_section, ladder_section, learning_section
+from .report.sections import Section, curves_section, ladder_section, learning_section, meaning_section
 from .settings import StudySettings
-from .statistics import breaks, ladder, learning, responses
+from .statistics import breaks, ladder, learning, responses, space
+from .statistics.evidence import Tables
+from .statistics.importance import leading
 from .statistics.parameters import parameters_of, table_of
 
 _CEILING_KNEES = 1000  # drawn for the best possible, the grades alike
@@ -40,21 +42,24 @@ def ask(
     manifest: pd.DataFrame,
     usable: pd.DataFrame,
     names: list[str],
-    curves: pd.DataFrame | None = None,
-    leading: Sequence[str] = (),
+    tables: Tables,
+    designed: Designed,
 ) -> Answers:
     """All that is known enough for.
 
-    usable   radiographs with a region found: knee, subject, grade, protocol, features
-    names    of the features
-    curves   manifest of knees along the axes of `design`, or None
-    leading  features that are drawn one by one
+    usable    radiographs with a region found: knee, subject, grade, protocol, features
+    names     of the features
+    tables    of `evidence`: importance, follows
+    designed  radiographs taken by design
     """
     parts = [_ladder(manifest, usable, names, run.settings, run.execution)]
-    if curves is not None:
-        parts.append(_curves(curves, usable, names, leading, run))
-    tables = {name: table for part in parts for name, table in part.tables.items()}
-    return Answers(tables, [section for part in parts for section in part.sections])
+    base, most = usable[usable["protocol"] == run.settings.reference], leading(tables["importance"], run.settings)
+    if designed.curves is not None:
+        parts.append(_curves(designed.curves, base, names, most, run))
+    if designed.shares is not None or designed.pairs is not None:
+        parts.append(_meaning(designed, manifest, base, names, most, tables["follows"], run))
+    answers = {name: table for part in parts for name, table in part.tables.items()}
+    return Answers(answers, [section for part in parts for section in part.sections])
 
 
 def _ladder(
@@ -80,12 +85,39 @@ def _ladder(
     return Answers(tables, sections)
 
 
-def _curves(curves: pd.DataFrame, usable: pd.DataFrame, names: list[str], leading: Sequence[str], run: Run) -> Answers:
+def _found(taken: pd.DataFrame, name: str, base: pd.DataFrame, run: Run) -> pd.DataFrame:
+    """Of radiographs taken by design, those with a region, and their features."""
+    measured = measured_by_design(run, taken, name, float(base["pixel_mm"].iloc[0]))
+    return measured[measured["status"] == "found"]
+
+
+def _meaning(
+    designed: Designed,
+    manifest: pd.DataFrame,
+    base: pd.DataFrame,
+    names: list[str],
+    most: Sequence[str],
+    follows: pd.DataFrame,
+    run: Run,
+) -> Answers:
+    """What features measure: shares of variance, slopes, and both beside the correlations."""
+    of_shares, of_slopes = pd.DataFrame(columns=space.SHARES), pd.DataFrame(columns=space.SLOPES)
+    if designed.shares is not None:
+        table = _found(designed.shares, "shares", base, run)
+        with run.execution.timer.stage("shares of variance"):
+            of_shares = space.shares(table, names, designed.bounds, designed.samples, run.settings.seed)
+    if designed.pairs is not None:
+        table = _found(designed.pairs, "pairs", base, run)
+        of_slopes = space.slopes(base, table, manifest, names, designed.bounds)
+    both = space.beside(follows, of_slopes, of_shares)
+    section = meaning_section(of_shares, both, most, designed.bounds)
+    return Answers({"shares": of_shares, "slopes": of_slopes, "follows": both}, [section])
+
+
+def _curves(curves: pd.DataFrame, base: pd.DataFrame, names: list[str], most: Sequence[str], run: Run) -> Answers:
     """What becomes of features and models along the axes of `design`."""
     settings = run.settings
-    base = usable[usable["protocol"] == settings.reference]
-    measured = measured_curves(run, curves, float(base["pixel_mm"].iloc[0] if len(base) else 1.0))
-    steps = measured[measured["status"] == "found"]
+    steps = _found(curves, "curves", base, run)
     axes = {name: axis for name, axis in AXES.items() if name in set(curves["kind"])}
 
     def step(axis: str, turn: int) -> float:
@@ -98,7 +130,7 @@ def _curves(curves: pd.DataFrame, usable: pd.DataFrame, names: list[str], leadin
     places = breaks.breaks(of_features, of_models, axes, settings.difference)
     whole = joined([of_features.table, of_models])
     tables = {f"curve_{name}": whole[whole["axis"] == name].reset_index(drop=True) for name in axes}
-    section = curves_section(tables, places, axes, leading, int(curves["knee"].nunique()))
+    section = curves_section(tables, places, axes, most, int(curves["knee"].nunique()))
     return Answers(tables | {"breaks": places}, [section])
 
 

@@ -78,3 +78,54 @@ def _broken(panel: Any, row: dict[str, Any]) -> None:
     low, high = np.clip([row["low"], row["high"]], row["from"], row["to"])
     if high > low:
         panel.axvspan(low, high, color="#D55E00", alpha=0.09, linewidth=0)
+
+
+def meaning(shares: pd.DataFrame, follows: pd.DataFrame, leading: Sequence[str]) -> bytes:
+    """Total shares of variance of the leading features; beside it slopes with noise held against correlations.
+
+    shares   of `statistics.space.shares`
+    follows  of `statistics.space.beside`
+    """
+    figure = Figure(figsize=(12.4, 4.6), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
+    table = shares[shares["feature"].isin(leading)]
+    if len(table):
+        _shares(left, table, leading)
+    else:
+        left.set_axis_off()
+    known = follows.dropna(subset=["rho", "slope"])
+    right.plot([-1, 1], [-1, 1], color="0.75", linewidth=1)
+    right.plot(known["rho"], known["slope"], ".", color="0.7", markersize=3)
+    for name, colour in zip(leading, _COLOURS, strict=False):
+        rows = known[known["feature"] == name]
+        reach = rows[["slope_low", "slope_high"]].to_numpy(float).T
+        right.vlines(rows["rho"], *reach, color=colour, linewidth=1.2, alpha=0.7)
+        right.plot(rows["rho"], rows["slope"], "o", color=colour, markersize=4, label=_plain(name))
+    far = float(np.nanquantile(np.abs(known["slope"]), 0.99)) if len(known) else 1.0
+    right.set(
+        xlim=(-1, 1), ylim=(-1.3 * max(far, 1), 1.3 * max(far, 1)), xlabel="correlation over the cohort, Spearman"
+    )
+    right.set_ylabel("slope with noise held, SD a SD")
+    right.spines[["top", "right"]].set_visible(False)
+    right.legend(fontsize=7.5, frameon=False, loc="upper left")
+    return png(figure)
+
+
+def _shares(axis: Any, table: pd.DataFrame, leading: Sequence[str]) -> None:
+    wide = table.pivot(index="feature", columns="group", values="total")
+    names = [name for name in leading if name in wide.index]
+    groups = list(dict.fromkeys(table["group"]))
+    values = wide.loc[names, groups].to_numpy(float)
+    axis.imshow(np.clip(values, 0, 1), cmap="Blues", vmin=0, vmax=1, aspect="auto")
+    cells = table.set_index(["feature", "group"])
+    for (row, col), value in np.ndenumerate(values):
+        low, high = cells.loc[(names[row], groups[col]), ["total_low", "total_high"]]
+        text = f"{value:.2f}\n{low:.2f} to {high:.2f}".replace("-", "−")
+        axis.text(col, row, text, ha="center", va="center", fontsize=7, color="white" if value > 0.6 else "black")
+    axis.set_xticks(range(len(groups)), [name.replace(" and ", "\nand ") for name in groups], fontsize=8)
+    axis.set_yticks(range(len(names)), [_plain(name) for name in names], fontsize=8)
+    axis.set_title("total share of variance, 95 %", fontsize=9)
+
+
+def _plain(name: str) -> str:
+    return name.split("_", 1)[-1].replace("_", " ")

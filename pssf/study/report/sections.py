@@ -7,6 +7,7 @@ import pandas as pd
 
 from ..design import Axis
 from ..learn.ladder import READING_SD_MM, RUNGS
+from ..space import SPACE
 from ..statistics.ladder import CEILING
 from ..statistics.learning import WANTED
 from . import ladder_figures, response_figures
@@ -167,4 +168,55 @@ def curves_section(
         table=pd.DataFrame(shown),
         note="curve_<axis>.csv has every feature at every step, breaks.csv the places.",
         pictures=pictures,
+    )
+
+
+def meaning_section(
+    shares: pd.DataFrame, follows: pd.DataFrame, leading: Sequence[str], bounds: Mapping[str, tuple[float, float]]
+) -> Section:
+    """What features measure.
+
+    shares   of `statistics.space.shares`
+    follows  of `statistics.space.beside`
+    leading  features that models lean on most
+    bounds   of `space.bounds_of`
+    """
+    picture = Picture(
+        name="meaning",
+        png=response_figures.meaning(shares, follows, leading),
+        alt="Total share of variance by group of parameters of the leading features; slopes against correlations",
+        caption="Of the features that models lean on most. Left: the total share of variance that a group of "
+        "parameters has, alone and with others (Sobol 1993). Right: slope with the noise held against correlation over "
+        "the cohort, a point a feature and parameter, the leading ones in colour; the line is where both are the same.",
+    )
+    part = follows[follows["feature"].isin(leading)].dropna(subset="slope")
+    strongest = part.assign(size=part["slope"].abs()).sort_values("size", ascending=False, kind="stable")
+    shown = [
+        {
+            "Feature": row["feature"],
+            "Parameter": row["parameter"],
+            "Slope, SD a SD": signed(row["slope"]),
+            "95 %": f"{signed(row['slope_low'])} to {signed(row['slope_high'])}",
+            "Correlation": signed(row["rho"]),
+            "Within a grade": signed(row["rho_within"]),
+        }
+        for row in strongest.groupby("feature", sort=False).head(2).to_dict("records")
+    ]
+    spans = "; ".join(f"{SPACE[name].label} {low:.3g} to {high:.3g}" for name, (low, high) in bounds.items())
+    samples = f" of {int(shares['samples'].max())} samples" if len(shares) else ""
+    return Section(
+        name="meaning",
+        short="Meaning",
+        title="What a feature measures",
+        sentences=(
+            f"Shares of variance{samples} over the space of the knee's and the protocol's parameters, by SALib with "
+            "95 % intervals; and what a feature does when one parameter of a knee is changed by a tenth of its span "
+            "while everything else, the noise too, is held. A correlation over a cohort holds what grades "
+            "tie together.",
+            f"The space: {spans}.",
+        ),
+        table=pd.DataFrame(shown),
+        note="The two strongest slopes of each leading feature. follows.csv has all, with correlations beside them, "
+        "shares.csv first-order and total shares.",
+        pictures=(picture,),
     )
