@@ -27,6 +27,7 @@ statistics/    numbers from numbers; no model is trained
   ladder       AUC by what is known            -> intervals, paired differences, the best possible
   learning     AUC by subjects learnt from     -> curves; power and subjects needed for a chosen difference
   responses    features and models by step     -> response curves: value, ICC, threshold shift, AUC
+  confounders  AUC where tied and not          -> what is gained, what it costs, what adjustment gives back
   space        radiographs of a sample, pairs  -> shares of variance of each feature; local slopes
   breaks       response curves                 -> where a conclusion breaks, with an interval
 
@@ -41,6 +42,7 @@ learn/         predictions from features
   scenarios    features of a cohort            -> predictions within, across and over all protocols, of one split
   training     features of a cohort            -> one outcome a split, in parallel
   refit        features of a cohort            -> models that have learnt from all of it
+  confounders  features, age, BMI, protocol    -> naive and adjusted models where one of these goes with grade
   responses    features by step of an axis     -> what models make of the same test knees at every step
   separability table of grades                 -> how well they could be told at best, from drawn parameters
   ladder       parameters, features            -> AUC by what is known: parameters, joint space, features, both

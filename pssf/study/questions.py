@@ -7,15 +7,25 @@ import pandas as pd
 
 from ..core.execution import Execution
 from .design import AXES, Designed
+from .learn.confounders import CLASSES, CONFOUNDERS, confound
 from .learn.ladder import climb, known_of, rungs_of
 from .learn.responses import respond
 from .learn.separability import separability
+from .learn.split import split_subjects
 from .measuring import Run, measured_by_design
 from .predictions import joined
 from .report.page import Picture
-from .report.sections import Section, curves_section, ladder_section, learning_section, meaning_section
+from .report.sections import (
+    Section,
+    confounders_section,
+    curves_section,
+    ladder_section,
+    learning_section,
+    meaning_section,
+)
 from .settings import StudySettings
-from .statistics import breaks, ladder, learning, responses, space
+from .statistics import breaks, confounders, ladder, learning, responses, space
+from .statistics.claims import LEAST_TESTED
 from .statistics.evidence import Tables
 from .statistics.importance import leading
 from .statistics.parameters import parameters_of, table_of
@@ -54,6 +64,7 @@ def ask(
     """
     parts = [_ladder(manifest, usable, names, run.settings, run.execution)]
     base, most = usable[usable["protocol"] == run.settings.reference], leading(tables["importance"], run.settings)
+    parts.append(_confounders(manifest, usable, names, run))
     if designed.curves is not None:
         parts.append(_curves(designed.curves, base, names, most, run))
     if designed.shares is not None or designed.pairs is not None:
@@ -83,6 +94,26 @@ def _ladder(
     tables = {"ladder": rungs, "ladder_differences": differences, "learning": curves, "power": power}
     sections = [ladder_section(rungs, differences, int(known["subject"].nunique())), learning_section(curves, power)]
     return Answers(tables, sections)
+
+
+def _confounders(manifest: pd.DataFrame, usable: pd.DataFrame, names: list[str], run: Run) -> Answers:
+    """What confounders do: age and BMI where the manifest tells them, the site where there are two protocols.
+
+    Nothing of so few tested subjects that nothing could be decided.
+    """
+    known_of_knees = parameters_of(manifest)
+    columns = [name for name in CONFOUNDERS if name in known_of_knees]
+    known = usable[["knee", "subject", "grade", "protocol", *names]]
+    known = known.merge(known_of_knees[["knee", *columns]], on="knee", how="left")
+    wanted = columns + (["site"] if known["protocol"].nunique() > 1 else [])
+    tested = set(split_subjects(known["subject"], known["grade"], seed=run.settings.seed).test)
+    of_classes = known[known["grade"].isin([grade for one in CLASSES for grade in one])]
+    if not wanted or len(tested & set(of_classes["subject"])) < LEAST_TESTED:
+        return Answers({}, [])
+    table = confounders.confounding(confound(known, names, wanted, run.settings, run.execution))
+    if table.empty:
+        return Answers({}, [])
+    return Answers({"confounders": table}, [confounders_section(table)])
 
 
 def _found(taken: pd.DataFrame, name: str, base: pd.DataFrame, run: Run) -> pd.DataFrame:

@@ -6,7 +6,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from ..learn.confounders import CONFOUNDERS
 from ..learn.ladder import RUNGS
+from ..statistics.confounders import ADJUSTED, TIED, UNTIED
 from ..statistics.ladder import CEILING
 from ..statistics.learning import WANTED, power_curve
 from .figures import png
@@ -111,3 +113,30 @@ def _powers(axis: Any, rows: pd.DataFrame) -> None:
         axis.plot(row["subjects"], row["power"], "o", color=colour, markersize=5)
     axis.set_xscale("log")
     axis.set_xlabel("subjects of a cohort", fontsize=8.5)
+
+
+def confounders(table: pd.DataFrame) -> bytes:
+    """A panel a confounder: AUC against the strength of its tie to grade.
+
+    table  of `confounders.confounding`
+    """
+    names = list(dict.fromkeys(table["confounder"]))
+    figure = Figure(figsize=(1.0 + 3.2 * len(names), 3.7), layout="constrained")
+    axes = figure.subplots(1, len(names), squeeze=False, sharey=True)[0]
+    colours = {TIED: "#D55E00", UNTIED: "#0072B2", ADJUSTED: "#009E73"}
+    for axis, name in zip(axes, names, strict=True):
+        for measure, colour in colours.items():
+            rows = table[(table["confounder"] == name) & (table["measure"] == measure)]
+            at = rows["strength"].to_numpy(float)
+            axis.fill_between(at, rows["low"], rows["high"], color=colour, alpha=0.1, linewidth=0)
+            axis.plot(at, rows["value"], "o-", color=colour, markersize=4, linewidth=1.5, label=measure)
+        axis.axhline(0.5, color="0.8", linewidth=1)
+        axis.set_title(CONFOUNDERS[name], fontsize=10)
+        axis.set_xlabel("strength of the tie to grade", fontsize=8.5)
+        axis.set(ylim=(0, 1.02))
+        axis.tick_params(labelsize=8)
+        axis.spines[["top", "right"]].set_visible(False)
+    axes[0].set_ylabel("AUC, grade 0 vs 2", fontsize=8.5)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=8, frameon=False, loc="outside lower center", ncols=3)
+    return png(figure)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import pandas as pd
 
 from ..design import Axis
+from ..learn.confounders import CONFOUNDERS
 from ..learn.ladder import READING_SD_MM, RUNGS
 from ..space import SPACE
 from ..statistics.ladder import CEILING
@@ -218,5 +219,45 @@ def meaning_section(
         table=pd.DataFrame(shown),
         note="The two strongest slopes of each leading feature. follows.csv has all, with correlations beside them, "
         "shares.csv first-order and total shares.",
+        pictures=(picture,),
+    )
+
+
+def confounders_section(table: pd.DataFrame) -> Section:
+    """What confounders do.
+
+    table  of `statistics.confounders.confounding`
+    """
+    picture = Picture(
+        name="confounders",
+        png=ladder_figures.confounders(table),
+        alt="AUC against the strength by which age, BMI or site goes with grade, naive and adjusted",
+        caption="AUC of grade 0 against 2 by the strength of the tie, mean over the splits with its 95 % interval: of "
+        "a naive model where the tested are tied as the learnt from, and where they are not; of an adjusted one there.",
+    )
+    strongest = table[table["strength"] == table["strength"].max()]
+    shown = [
+        {
+            "Confounder": CONFOUNDERS[row["confounder"]],
+            "Strength": f"{row['strength']:g}",
+            "Measure": row["measure"],
+            "AUC": fixed(row["value"]),
+            "95 %": f"{fixed(row['low'])} to {fixed(row['high'])}",
+        }
+        for row in strongest.to_dict("records")
+    ]
+    return Section(
+        name="confounders",
+        short="Confounders",
+        title="Confounders by design",
+        sentences=(
+            "Of a strength s, a share (1 + s)/2 of the learnt-from subjects of grade 2 are above the median age or "
+            "BMI, or taken under the second protocol, and as many of grade 0 below it or under the reference; as many "
+            "subjects whatever s. Tested subjects are weighted so that the tie is there or is not. Adjusted: each feature less "
+            "what it follows of the confounder at a given grade, by least squares on training radiographs.",
+        ),
+        table=pd.DataFrame(shown),
+        note="The strongest tie; confounders.csv has all, with p. Age changes nothing in an image: what a model gains "
+        "by it comes by way of what goes with age and grade in this cohort, or is chance.",
         pictures=(picture,),
     )
