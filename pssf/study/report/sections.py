@@ -253,8 +253,8 @@ def confounders_section(table: pd.DataFrame) -> Section:
         sentences=(
             "Of a strength s, a share (1 + s)/2 of the learnt-from subjects of grade 2 are above the median age or "
             "BMI, or taken under the second protocol, and as many of grade 0 below it or under the reference; as many "
-            "subjects whatever s. Tested subjects are weighted so that the tie is there or is not. Adjusted: each feature less "
-            "what it follows of the confounder at a given grade, by least squares on training radiographs.",
+            "subjects whatever s. Tested subjects are weighted so that the tie is there or is not. Adjusted: each "
+            "feature less what it follows of the confounder at a given grade, by least squares in training.",
         ),
         table=pd.DataFrame(shown),
         note="The strongest tie; confounders.csv has all, with p. Age changes nothing in an image: what a model gains "
