@@ -46,7 +46,7 @@ def shares(
             calc_second_order=False,
             num_resamples=_RESAMPLES,
             conf_level=_LEVEL,
-            seed=seed % 2**32,
+            seed=1 + seed % 2**32,  # SALib takes 0 for none
         )
         for place, group in enumerate(groups):
             row: dict[str, Any] = {"feature": name, "group": group, "samples": len(whole)}
