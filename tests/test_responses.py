@@ -96,6 +96,17 @@ def test_a_conclusion_that_never_breaks_is_not_given_a_place():
     assert places["reading"].str.startswith("holds to 0.0156").all()
 
 
+def test_an_auc_that_is_not_above_chance_has_nothing_to_lose():
+    base, steps = made()
+    rng = np.random.default_rng(4)
+    base, steps = (table.assign(glcm_signal=rng.normal(size=len(table))) for table in (base, steps))
+    of_models = responses.curves_of_models(respond(base, steps, NAMES, SETTINGS, Execution()), step)
+    of_features = responses.curves_of_features(base, steps, NAMES, step, replicates=100, seed=0)
+    places = breaks.breaks(of_features, of_models, DOSE, 0.05).set_index("conclusion")
+    assert places.loc["AUC loses at most 0.05", "reading"] == "not decidable"
+    assert places.loc[breaks.STABLE, "reading"] != "not decidable"
+
+
 def test_few_tested_knees_decide_nothing():
     base, steps = made(curved=4)
     of_models = responses.curves_of_models(respond(base, steps, NAMES, SETTINGS, Execution()), step)

@@ -6,9 +6,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from matplotlib.ticker import ScalarFormatter
 
 from ..design import Axis
 from ..statistics.breaks import STABLE
+from ..statistics.claims import UNDECIDED
 from ..statistics.reliability import THRESHOLD
 from ..statistics.responses import AUC, ICC, MEDIAN_ICC, ODDS, SHIFT
 from .figures import png
@@ -41,16 +43,19 @@ def response(curves: pd.DataFrame, breaks: pd.DataFrame, axis: Axis, leading: Se
         panel.axvline(axis.own, color="0.75", linewidth=1, linestyle=":")
         _scaled(panel, axis)
     _curve(axes[1], curves[curves["measure"] == MEDIAN_ICC], "black", "median of all features")
+    # Features of noise change by fifty times what others do.
+    axes[0].set_yscale("symlog", linthresh=1.0)
+    axes[0].yaxis.set_major_formatter(ScalarFormatter())
     axes[1].axhline(THRESHOLD, color="0.6", linewidth=1, linestyle="--")
     axes[1].set_ylim(-0.05, 1.04)
     axes[3].set_ylim(0.0, 1.04)
     axes[3].axhline(0.5, color="0.8", linewidth=1)
-    for row in breaks.to_dict("records"):
+    for row in breaks[breaks["reading"] != UNDECIDED].to_dict("records"):
         _broken(axes[1] if row["conclusion"] == STABLE else axes[3], row)
     handles, labels = axes[1].get_legend_handles_labels()
-    names = [label.split("_", 1)[-1].replace("_", " ") for label in labels]
+    names = [_plain(label) for label in labels]
     figure.legend(handles, names, fontsize=8, frameon=False, loc="outside lower center", ncols=len(names))
-    figure.supxlabel(axis.label, fontsize=9)
+    figure.suptitle(axis.label, fontsize=10)
     return png(figure)
 
 
@@ -128,4 +133,4 @@ def _shares(axis: Any, table: pd.DataFrame, leading: Sequence[str]) -> None:
 
 
 def _plain(name: str) -> str:
-    return name.split("_", 1)[-1].replace("_", " ")
+    return name.replace("_", " ")

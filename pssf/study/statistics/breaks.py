@@ -16,9 +16,10 @@ from ..design import Axis
 from .claims import LEAST_TESTED, UNDECIDED
 from .metrics import LEVELS
 from .reliability import THRESHOLD
-from .responses import LOSS, Curves, first_crossing
+from .responses import AUC, LOSS, Curves, first_crossing
 
 COLUMNS = ["axis", "conclusion", "side", "value", "low", "high", "from", "to", "knees", "reading"]
+_CHANCE = 0.5  # AUC
 STABLE = f"half of the features have an ICC(2,1) of {THRESHOLD:g}"
 
 
@@ -29,11 +30,13 @@ def breaks(curves: Curves, models: pd.DataFrame, axes: Mapping[str, Axis], diffe
     models      of `responses.curves_of_models`
     difference  of AUC that may be lost
     returns     axis, conclusion, side (below | above the protocol's own step), value, low, high, in the axis's steps
-                (infinite: not within what was measured), from, to (what was measured), knees, reading (in words)
+                (infinite: not within what was measured), from, to (what was measured), knees (tested; 0 where the AUC
+                is not above chance to begin with), reading (in words)
     """
     rows = []
     for name, axis in axes.items():
-        losses = models[(models["axis"] == name) & (models["measure"] == LOSS)].set_index("turn")
+        of_models = models[models["axis"] == name].set_index("turn")
+        losses, scores = (of_models[of_models["measure"] == measure] for measure in (LOSS, AUC))
         counts = curves.table[curves.table["axis"] == name].groupby("turn")["knees"].median()
         for side, turns in _ways(axis).items():
             at = np.array([axis.steps[turn - 1] for turn in turns])
@@ -47,7 +50,10 @@ def breaks(curves: Curves, models: pd.DataFrame, axes: Mapping[str, Axis], diffe
                 rows.append(_row(label, places[0], low, high))
             if set(turns) <= set(losses.index):
                 part = losses.loc[turns]
-                label = {**ends, "conclusion": f"AUC loses at most {difference:g}", "knees": int(part["knees"].min())}
+                # What is not told apart to begin with has nothing to lose.
+                above = bool(scores.loc[turns[0], "low"] > _CHANCE)
+                label = {**ends, "conclusion": f"AUC loses at most {difference:g}"}
+                label["knees"] = int(part["knees"].min()) if above else 0
                 margins = difference - part[["value", "low", "high"]].to_numpy(np.float64)
                 value, one, other = (_crossing(at, margin, axis) for margin in margins.T)
                 rows.append(_row(label, value, *sorted((one, other))))
