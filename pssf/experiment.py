@@ -104,17 +104,24 @@ def make_experiment(
               a scheduler that cannot be used; WorkersLostError when workers keep being killed
     """
     require_extra(execution.scheduler)
+    from .study.space import bounds_of  # needs the extra `study`
+
     plan = plan_cohort(preset, seed=seed, overrides=cohort)
     names = [exposure.protocol.name for exposure in plan.cases[0].exposures]
     known = {"repeats": plan.repeats, "seed": seed, "reference": "reference" if "reference" in names else names[0]}
     chosen = StudySettings(**{**known, **(settings or {})})
     film_set = None if films is None else _film_set(films, out, names, chosen)
+    wanted = by_design or ByDesign()
+    # Refused before an hour of work, not after it.
+    plans = _plans_by_design(plan, wanted, chosen.reference)
     manifest = _made(plan, out, "cohort", engine, execution)
     repeats, retest = plan_retest(plan, reference=chosen.reference), None
     if repeats is not None:
         retest = _made(repeats, out, "repeats", engine, execution)
         retest = retest.assign(knee=retest["of_knee"])
-    designed = _designed(plan, by_design or ByDesign(), chosen.reference, out, engine, execution)
+    made = {name: _made(one, out, name, engine, execution) for name, one in plans.items()}
+    bounds = bounds_of(plan, chosen.reference) if made.keys() & {"shares", "pairs"} else {}
+    designed = Designed(**made, samples=wanted.shares, bounds=bounds)
     for folder in (out, out / "pictures", out / "models"):
         sweep(folder)
     return Experiment(out, engine, chosen, manifest, retest, film_set, designed)
@@ -214,8 +221,8 @@ def _made(plan: Plan, out: Path, name: str, engine: str, execution: Execution) -
     return _below(name, read_manifest(path))
 
 
-def _designed(plan: Plan, wanted: ByDesign, reference: str, out: Path, engine: str, execution: Execution) -> Designed:
-    """What is wanted, made where it is missing."""
+def _plans_by_design(plan: Plan, wanted: ByDesign, reference: str) -> dict[str, Plan]:
+    """What is wanted, by the folder it goes into."""
     from .study import space  # needs the extra `study`
 
     plans: dict[str, Plan] = {}
@@ -225,9 +232,7 @@ def _designed(plan: Plan, wanted: ByDesign, reference: str, out: Path, engine: s
         plans["shares"] = space.plan_shares(plan, samples=wanted.shares, reference=reference)
     if wanted.pairs:
         plans["pairs"] = space.plan_pairs(plan, knees=wanted.pairs, reference=reference)
-    bounds = space.bounds_of(plan, reference) if wanted.shares or wanted.pairs else {}
-    made = {name: _made(one, out, name, engine, execution) for name, one in plans.items()}
-    return Designed(**made, samples=wanted.shares, bounds=bounds)
+    return plans
 
 
 def _below(folder: str, manifest: "pd.DataFrame") -> "pd.DataFrame":

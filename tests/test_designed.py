@@ -7,9 +7,10 @@ import pandas as pd
 import pytest
 from drawn import LIGHT, TEMPLATE, Cohort
 
-from pssf import study
+from pssf import InputError, study
 from pssf.core.blocks import block_mean
 from pssf.core.execution import Execution
+from pssf.experiment import ByDesign, make_experiment
 from pssf.io.results import load_typed_table
 from pssf.study.design import AXES
 from pssf.study.space import SPACE
@@ -100,3 +101,10 @@ def test_a_second_run_writes_the_same_bytes(result, tmp_path):
     for name in ("breaks", "curve_dose", "shares", "follows"):
         assert again.tables[name].read_bytes() == result.tables[name].read_bytes()
     assert again.pictures["curve_dose"].read_bytes() == result.pictures["curve_dose"].read_bytes()
+
+
+@pytest.mark.parametrize("wanted", [ByDesign(shares=3), ByDesign(curves=2), ByDesign(pairs=1)])
+def test_what_cannot_be_taken_is_refused_before_anything_is_made(tmp_path, wanted):
+    with pytest.raises(InputError, match="allowed"):
+        make_experiment(tmp_path / "out", Execution(), preset="quick", seed=0, engine="scanline", by_design=wanted)
+    assert not (tmp_path / "out").exists()
