@@ -148,7 +148,7 @@ def curves_section(
     ]
     shown = [
         {
-            "Axis": axes[row["axis"]].label,
+            "Axis": row["axis"].replace("_", " "),
             "Conclusion": row["conclusion"],
             "Breaks": row["reading"],
             "Measured": f"{row['from']:.3g} to {row['to']:.3g}",
