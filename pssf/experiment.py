@@ -1,7 +1,7 @@
 """The whole experiment: a preset's cohort is made, then studied."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,8 @@ from .io.records import read_manifest
 from .model.knee import Knee
 from .model.protocol import load_protocol
 from .simulation import simulate
-from .study import FilmSet, StudyResult, StudySettings, measure, require_extra, run
+from .study import Designed, FilmSet, StudyResult, StudySettings, measure, require_extra, run
+from .study.design import plan_curves
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -47,6 +48,20 @@ class OwnFilms:
     region_mm: float | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
+class ByDesign:
+    """Radiographs to take beside a cohort's; 0: none.
+
+    curves  knees along the axes of `study.design`
+    shares  samples of the space of `study.space`, a power of two
+    pairs   knees, of each of which one parameter after the other is changed
+    """
+
+    curves: int = 0
+    shares: int = 0
+    pairs: int = 0
+
+
 @dataclass(frozen=True)
 class Experiment:
     """A cohort that stands, and how it is to be studied.
@@ -54,6 +69,7 @@ class Experiment:
     manifest  of the cohort, files as they are called from `out`
     retest    of the knees taken again, each under the number of the knee that it is of; None where there are none
     films     of patients, to test on as well; None where there are none
+    designed  radiographs taken by design
     """
 
     out: Path
@@ -62,6 +78,7 @@ class Experiment:
     manifest: "pd.DataFrame"
     retest: "pd.DataFrame | None"
     films: FilmSet | None = None
+    designed: Designed = field(default_factory=Designed)
 
 
 def make_experiment(
@@ -74,6 +91,7 @@ def make_experiment(
     cohort: Mapping[str, Any] | None = None,
     settings: Mapping[str, Any] | None = None,
     films: OwnFilms | None = None,
+    by_design: ByDesign | None = None,
 ) -> Experiment:
     """Cohort and repeats; goes on where an earlier run in the same folder stopped.
 
@@ -81,23 +99,32 @@ def make_experiment(
     cohort    entries that replace the preset's, as for `plan_cohort`
     settings  fields of StudySettings that replace the defaults
     films     of patients, to test the models on
+    by_design what is taken beside, into out/curves, out/shares, out/pairs
     raises    InputError for an unknown preset, a missing library, a folder that holds something else or is unwritable,
               a scheduler that cannot be used; WorkersLostError when workers keep being killed
     """
     require_extra(execution.scheduler)
+    from .study.space import bounds_of  # needs the extra `study`
+
     plan = plan_cohort(preset, seed=seed, overrides=cohort)
     names = [exposure.protocol.name for exposure in plan.cases[0].exposures]
     known = {"repeats": plan.repeats, "seed": seed, "reference": "reference" if "reference" in names else names[0]}
     chosen = StudySettings(**{**known, **(settings or {})})
     film_set = None if films is None else _film_set(films, out, names, chosen)
+    wanted = by_design or ByDesign()
+    # Refused before an hour of work, not after it.
+    plans = _plans_by_design(plan, wanted, chosen.reference)
     manifest = _made(plan, out, "cohort", engine, execution)
     repeats, retest = plan_retest(plan, reference=chosen.reference), None
     if repeats is not None:
         retest = _made(repeats, out, "repeats", engine, execution)
         retest = retest.assign(knee=retest["of_knee"])
+    made = {name: _made(one, out, name, engine, execution) for name, one in plans.items()}
+    bounds = bounds_of(plan, chosen.reference) if made.keys() & {"shares", "pairs"} else {}
+    designed = Designed(**made, samples=wanted.shares, bounds=bounds)
     for folder in (out, out / "pictures", out / "models"):
         sweep(folder)
-    return Experiment(out, engine, chosen, manifest, retest, film_set)
+    return Experiment(out, engine, chosen, manifest, retest, film_set, designed)
 
 
 def run_experiment(experiment: Experiment, execution: Execution) -> StudyResult:
@@ -110,12 +137,17 @@ def run_experiment(experiment: Experiment, execution: Execution) -> StudyResult:
     """
     from .study import finished  # needs the extra `study`
 
-    manifests = [table for table in (experiment.manifest, experiment.retest) if table is not None]
+    every = (experiment.manifest, experiment.retest, *experiment.designed.manifests())
+    manifests = [table for table in every if table is not None]
     key = finished.key_of(manifests, experiment.settings, experiment.engine, experiment.films)
     result = finished.earlier(experiment.out, key)
     if result is None:
         result = run(
-            *_given(experiment, execution), retest=experiment.retest, films=experiment.films, execution=execution
+            *_given(experiment, execution),
+            retest=experiment.retest,
+            films=experiment.films,
+            designed=experiment.designed,
+            execution=execution,
         )
         finished.mark(result, experiment.out, key)
     return result
@@ -187,6 +219,20 @@ def _made(plan: Plan, out: Path, name: str, engine: str, execution: Execution) -
             kept=stage.keep,
         )
     return _below(name, read_manifest(path))
+
+
+def _plans_by_design(plan: Plan, wanted: ByDesign, reference: str) -> dict[str, Plan]:
+    """What is wanted, by the folder it goes into."""
+    from .study import space  # needs the extra `study`
+
+    plans: dict[str, Plan] = {}
+    if wanted.curves:
+        plans["curves"] = plan_curves(plan, knees=wanted.curves, reference=reference)
+    if wanted.shares:
+        plans["shares"] = space.plan_shares(plan, samples=wanted.shares, reference=reference)
+    if wanted.pairs:
+        plans["pairs"] = space.plan_pairs(plan, knees=wanted.pairs, reference=reference)
+    return plans
 
 
 def _below(folder: str, manifest: "pd.DataFrame") -> "pd.DataFrame":

@@ -2,7 +2,8 @@
 protocols | knees | explore.
 
 options  what commands share
-make     simulate, meshes, cohort, study
+make     simulate, meshes, cohort
+study    study
 read     read
 measure  accuracy, quality, realism, grades, protocols, knees
 look     explore
@@ -20,6 +21,7 @@ import typer
 from . import make, measure
 from .look import explore
 from .read import read
+from .study import study
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -28,7 +30,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 _COMMANDS = (
-    *(make.simulate, make.meshes, make.study, read),
+    *(make.simulate, make.meshes, study, read),
     *(measure.accuracy, measure.quality, measure.realism, measure.grades, measure.protocols, measure.knees),
     explore,
 )

@@ -64,8 +64,8 @@ def field_of(film: Array, place: Place) -> Array:
     half = round(HALF_MM / PITCH_MM)
     across: Array = np.arange(-half, half + 1, dtype=np.float64) * PITCH_MM
     rows, cols = place.pixels_at(below, across)
-    # A coarser pixel holds the mean of its own area, as when crops of films are made smaller: by its variance, less that
-    # of the pixels it is made of.
+    # A coarser pixel holds the mean of its own area, as when crops of films are made smaller: by its variance, less
+    # that of the pixels it is made of.
     coarser = PITCH_MM / place.pitch_mm
     blur = np.sqrt(max(coarser**2 - 1, 0.0) / 12)
     near, top, left = _about(film, rows, cols, round(5 * blur) + 1)

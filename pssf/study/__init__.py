@@ -1,6 +1,8 @@
 """The radiomics study of a cohort: `run` takes a manifest to a report. Each part imports from those above it.
 
 settings       StudySettings; selections and models by name
+space          plan of a cohort                -> samples of the space of all parameters; pairs that differ in one
+design         plan of a cohort                -> its knees taken with one thing of a protocol changed at a time
 result         StudyResult
 films          FilmSet: films to test on
 predictions    the form in which predictions go from training to statistics
@@ -22,6 +24,12 @@ statistics/    numbers from numbers; no model is trained
   claims       all of these                    -> what the paper says, and whether it holds here
   evidence     outcomes, features              -> all tables
   external     films' probabilities            -> scores with intervals
+  ladder       AUC by what is known            -> intervals, paired differences, the best possible
+  learning     AUC by subjects learnt from     -> curves; power and subjects needed for a chosen difference
+  responses    features and models by step     -> response curves: value, ICC, threshold shift, AUC
+  confounders  AUC where tied and not          -> what is gained, what it costs, what adjustment gives back
+  space        radiographs of a sample, pairs  -> shares of variance of each feature; local slopes
+  breaks       response curves                 -> where a conclusion breaks, with an interval
 
 learn/         predictions from features
   split        subjects, grades                -> training, validation, test subjects
@@ -34,13 +42,18 @@ learn/         predictions from features
   scenarios    features of a cohort            -> predictions within, across and over all protocols, of one split
   training     features of a cohort            -> one outcome a split, in parallel
   refit        features of a cohort            -> models that have learnt from all of it
+  confounders  features, age, BMI, protocol    -> naive and adjusted models where one of these goes with grade
+  responses    features by step of an axis     -> what models make of the same test knees at every step
   separability table of grades                 -> how well they could be told at best, from drawn parameters
+  ladder       parameters, features            -> AUC by what is known: parameters, joint space, features, both
   modelfile    a model, templates              -> one file that films can be read by, and back
 
 external       films, a cohort                 -> models of the cohort as displayed, tested on films
 
 report/        figures, cost, environment, checklist, and one HTML page with all of it
 
+measuring      manifest                        -> regions and features
+questions      manifest, features              -> what only a simulator can ask: ladder, learning and response curves
 pipeline       all of these in order; what `run` calls
 reading        a model's file, films           -> features and probabilities
 finished       folder, key                     -> what an earlier run ended with, if nothing has changed
@@ -55,6 +68,7 @@ from ..core.checks import InputError
 from ..core.execution import Execution
 from ..core.parallel import require_scheduler
 from ..radiomics.backends import BACKENDS, default_backend
+from .design import Designed
 from .films import FilmSet
 from .result import StudyResult
 from .settings import StudySettings
@@ -64,7 +78,7 @@ if TYPE_CHECKING:
 
     from ..radiomics.patches import Template
 
-__all__ = ["FilmSet", "StudyResult", "StudySettings", "measure", "require_extra", "run"]
+__all__ = ["Designed", "FilmSet", "StudyResult", "StudySettings", "measure", "require_extra", "run"]
 
 _NEEDED = {
     "sklearn": "scikit-learn",
@@ -75,6 +89,7 @@ _NEEDED = {
     "skimage": "scikit-image",
     "jinja2": "jinja2",
     "skops": "skops",
+    "SALib": "salib",
 }
 
 
@@ -103,6 +118,7 @@ def run(
     *,
     retest: "pd.DataFrame | None" = None,
     films: FilmSet | None = None,
+    designed: Designed | None = None,
     execution: Execution | None = None,
 ) -> StudyResult:
     """Find the regions, measure them, train and test, and write report, pictures and tables into `out`.
@@ -115,14 +131,18 @@ def run(
     retest       some knees taken again under the reference protocol: the manifest's columns, with the knee that each is
                  of, kind (noise | perturbation) and turn; only for the reliability of features
     films        to test on, beside the cohort
+    designed     radiographs taken by design: the manifest's columns, with kind, turn and of_knee
     execution    who measures, trains and tests; stages that its timer has already come first in the report
     raises       InputError for a manifest that lacks a column or has too few subjects, or a missing library;
                  WorkersLostError when workers keep being killed
     """
     require_extra()
-    from .pipeline import Run, run_study
+    from .measuring import Run
+    from .pipeline import run_study
 
-    return run_study(Run(load_pixels, templates, settings, out, execution or Execution()), manifest, retest, films)
+    return run_study(
+        Run(load_pixels, templates, settings, out, execution or Execution()), manifest, retest, films, designed
+    )
 
 
 def measure(
@@ -140,7 +160,7 @@ def measure(
     raises  InputError and WorkersLostError as `run` does
     """
     require_extra()
-    from .pipeline import Run, measured
+    from .measuring import Run, measured
 
     measured(Run(load_pixels, templates, settings, out, execution or Execution()), manifest, retest)
     return out / "features.csv"

@@ -1,29 +1,27 @@
 """The stages of the study in order; the one module of it that knows, through `io`, the disk."""
 
 import platform
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 
 import pandas as pd
 
-from ..core.checks import InputError, require_choice
-from ..core.execution import Execution
+from ..core.checks import InputError
 from ..data.localisation import Localisation
 from ..data.localisation import localisation as localisation_law
 from ..io import results
 from ..radiomics.backends import BACKENDS
 from ..radiomics.compact import compact
-from ..radiomics.patches import Template
-from ..radiomics.table import NOT_FEATURES, TEXT, How, Job, Load, Record, extract_all
+from .design import Designed
 from .external import Bench, check_films, tested_on_films, trained_on
 from .films import FilmSet
-from .learn.baselines import SOURCES
 from .learn.modelfile import SUFFIX, pack
 from .learn.refit import refitted
 from .learn.training import train
+from .measuring import Run, check_manifest, measured
 from .predictions import Outcome, class_names, joined
+from .questions import ask
 from .report.checklist import checklist
 from .report.cost import cost_rows
 from .report.environment import environment
@@ -38,13 +36,9 @@ from .statistics.degenerate import is_degenerate
 from .statistics.evidence import Tables, tables_of_features, tables_of_models, tables_of_truth
 from .statistics.importance import by_family
 from .statistics.parameters import composition, with_measures
-from .statistics.provenance import require_one_of_each, warnings_of
-from .statistics.reliability import REPEATS, count_stable, protocols_of
+from .statistics.provenance import warnings_of
+from .statistics.reliability import count_stable, protocols_of
 
-_COLUMNS = (
-    *("radiograph", "subject", "knee", "side", "grade", "protocol", "file", "sha256"),
-    *("pixel_mm", "sdd_mm", "sod_mm", "truth_medial_row_px", "truth_medial_col_px"),
-)
 _PACKAGES = (
     *("pssf", "scikit-learn", "xgboost-cpu", "feature-engine", "scikit-image", "skops"),
     *("scipy", "numpy", "pandas"),
@@ -52,19 +46,12 @@ _PACKAGES = (
 _COUNTED = {"subjects": "subject", "knees": "knee", "protocols": "protocol", "radiographs": "radiograph"}
 
 
-@dataclass(frozen=True)
-class Run:
-    """What all stages need."""
-
-    load_pixels: Load
-    templates: Sequence[Template]
-    settings: StudySettings
-    out: Path
-    execution: Execution
-
-
 def run_study(
-    run: Run, manifest: pd.DataFrame, retest: pd.DataFrame | None, films: FilmSet | None = None
+    run: Run,
+    manifest: pd.DataFrame,
+    retest: pd.DataFrame | None,
+    films: FilmSet | None = None,
+    designed: Designed | None = None,
 ) -> StudyResult:
     """See `pssf.study.run`."""
     settings, timer = run.settings, run.execution.timer
@@ -94,6 +81,9 @@ def run_study(
         tables["claims"] = claims(usable, predictions, importances, offered, tables, settings)
     with timer.stage("models refitted"):
         models = _models(run, usable, names, manifest, localisation_law())
+    answers = ask(run, manifest, usable, names, tables, designed or Designed())
+    tables |= answers.tables
+    pictures |= answers.pictures()
     external = None
     if films is not None:
         external = tested_on_films(Bench(run.templates, settings, run.out, run.execution), films, manifest)
@@ -101,7 +91,7 @@ def run_study(
         models |= external.models
         pictures |= film_pictures(external, settings)
     findings = _findings(run, located, names, tables, outcomes, pictures, work)
-    findings = replace(findings, models=sorted(models), external=external)
+    findings = replace(findings, models=sorted(models), external=external, sections=answers.sections)
     return _write(run.out, findings, tables | {"predictions": predictions}, models)
 
 
@@ -133,39 +123,6 @@ def _models(
     }
 
 
-def check_manifest(manifest: pd.DataFrame, settings: StudySettings) -> None:
-    """Refuse a manifest that lacks a column, has no reference protocol, names a radiograph twice, or knows it as two.
-
-    raises  InputError
-    """
-    missing = [name for name in _COLUMNS if name not in manifest.columns]
-    if missing:
-        raise InputError(f"manifest: columns {', '.join(missing)} are missing; required: {', '.join(_COLUMNS)}")
-    require_choice("reference", settings.reference, sorted(set(manifest["protocol"])))
-    twice = manifest["radiograph"][manifest["radiograph"].duplicated()]
-    if len(twice):
-        raise InputError(f"manifest: radiograph {twice.iloc[0]} is listed twice; allowed: once")
-    require_one_of_each(manifest)
-
-
-def _with_retest(manifest: pd.DataFrame, retest: pd.DataFrame | None) -> pd.DataFrame:
-    """The manifest, the columns that the study reads, and below it what was taken again; `kind` tells them apart."""
-    columns = [*_COLUMNS, *(name for name in SOURCES if name in manifest)]
-    first = manifest[columns].assign(kind="", turn="")
-    if retest is None or retest.empty:
-        return first
-    missing = [name for name in (*columns, "kind", "turn") if name not in retest]
-    if missing:
-        raise InputError(f"manifest of repeats: columns {', '.join(missing)} are missing; required: as in the manifest")
-    for kind in retest["kind"].unique():
-        require_choice("kind of repeat", kind, tuple(REPEATS))
-    both = joined([first, retest[[*columns, "kind", "turn"]]])
-    twice = both["radiograph"][both["radiograph"].duplicated()]
-    if len(twice):
-        raise InputError(f"manifest of repeats: radiograph {twice.iloc[0]} is listed twice; allowed: once")
-    return both
-
-
 def _require_enough(usable: pd.DataFrame, settings: StudySettings) -> None:
     of_reference = usable[usable["protocol"] == settings.reference]
     grades = sorted({int(grade) for grade in of_reference["grade"]})
@@ -174,36 +131,6 @@ def _require_enough(usable: pd.DataFrame, settings: StudySettings) -> None:
             f"grades with a region found under {settings.reference} = {grades}; allowed: 0 and 2 among them, with "
             "three subjects or more"
         )
-
-
-def measured(
-    run: Run, manifest: pd.DataFrame, retest: pd.DataFrame | None
-) -> tuple[pd.DataFrame, list[str], dict[str, float]]:
-    """The manifest with the region and features of each radiograph; names of the features; seconds of work by step.
-
-    Kept in features.csv, from which a later run goes on.
-    """
-    check_manifest(manifest, run.settings)
-    radiographs, path, settings = _with_retest(manifest, retest), run.out / "features.csv", run.settings
-    earlier = results.load_table(path, TEXT)
-    known: dict[str, Record] = {}
-    if earlier is not None and "sha256" in earlier:
-        known = {row["sha256"]: row for row in earlier.to_dict("records")}
-    columns = ("radiograph", "file", "sha256", "side", "pixel_mm")
-    jobs = [Job(**{name: row[name] for name in columns}) for row in radiographs[list(columns)].to_dict("records")]
-    how = {name: getattr(settings, name) for name in ("region_px", "bins", "families", "backend")}
-    records, work = extract_all(
-        jobs,
-        load_pixels=run.load_pixels,
-        templates=run.templates,
-        how=How(**how),
-        execution=run.execution,
-        known=known,
-        save=lambda records: results.save_table(path, pd.DataFrame(records)),
-    )
-    table = pd.DataFrame(records).drop(columns="sha256")
-    names = [name for name in table.columns if name not in NOT_FEATURES]
-    return radiographs.merge(table, on="radiograph", how="left", validate="one_to_one").copy(), names, work
 
 
 def _findings(

@@ -24,6 +24,7 @@ class StudySettings:
     families       of features; one that is left out costs nothing
     selections     of SELECTIONS
     models         of MODELS
+    difference     of AUC that the power to show it is given for
     reference      protocol of the within-protocol scenario, and that ICCs are paired with
     backend        what measures the features, of radiomics.backends.BACKENDS
     raises         InputError for a value out of range
@@ -39,6 +40,7 @@ class StudySettings:
     families: tuple[str, ...] = FAMILIES
     selections: tuple[str, ...] = tuple(SELECTIONS)
     models: tuple[str, ...] = tuple(MODELS)
+    difference: float = 0.05
     reference: str = "reference"
     backend: str = field(default_factory=default_backend)
 
@@ -51,6 +53,7 @@ class StudySettings:
         require("rho", self.rho, 0.1, 1, "(correlation)")
         require_whole("most_features", self.most_features, 1, 100, "features")
         require_whole("replicates", self.replicates, 100, 100_000, "samples")
+        require("difference", self.difference, 0.001, 0.5, "(of AUC)")
         for name, allowed in (("families", FAMILIES), ("selections", SELECTIONS), ("models", MODELS)):
             given = getattr(self, name)
             if not given:

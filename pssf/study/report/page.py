@@ -3,7 +3,7 @@
 from base64 import b64encode
 from dataclasses import dataclass, field
 from itertools import product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jinja2
 import pandas as pd
@@ -19,6 +19,9 @@ from ..statistics.reliability import ICC_FORMS
 from .feature_figures import FAMILY_NAMES
 from .figures import SCENARIOS
 from .first_lines import few_tested, result_lines
+
+if TYPE_CHECKING:
+    from .sections import Section
 
 _SHORT = {"lr": "Logistic", "rf": "Forest", "xgb": "XGBoost"} | BASELINES
 # Alzubaidi & Al-Bayaty, arXiv 2601.11642: what is printed beside, never aimed at.
@@ -58,6 +61,7 @@ class Findings:
     screened      how many features were stable in the training subjects of each split
     models        names of the saved models
     external      of `external.tested_on_films`, or None without films
+    sections      further parts, in order
     stable        of `reliability.count_stable`
     leading       model, feature, share, chosen, drop: the features that count most
     degenerate    names of features that are the same in every radiograph
@@ -90,6 +94,7 @@ class Findings:
     test_subjects: tuple[int, int]
     models: list[str] = field(default_factory=list)
     external: External | None = None
+    sections: list["Section"] = field(default_factory=list)
 
 
 def render(findings: Findings) -> str:
@@ -101,9 +106,9 @@ def render(findings: Findings) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["fixed"] = _fixed
+    environment.filters["fixed"] = fixed
     environment.filters["short"] = _short
-    environment.filters["signed"] = lambda value: ("+" if value > 0 else "") + _fixed(value)
+    environment.filters["signed"] = signed
     environment.filters["plain"] = lambda name: str(name).replace("_", " ")
     return environment.get_template("report.html.j2").render(
         f=findings,
@@ -189,7 +194,7 @@ def _cell(line: dict[str, Any], metric: str) -> tuple[str, str]:
     if pd.isna(line.get(metric)):
         return "n/a", ""
     low, high = line[f"{metric}_low"], line[f"{metric}_high"]
-    return _fixed(line[metric]), "" if pd.isna(low) else f"{_fixed(low)}–{_fixed(high)}"
+    return fixed(line[metric]), "" if pd.isna(low) else f"{fixed(low)}–{fixed(high)}"
 
 
 def _short(value: float) -> str:
@@ -198,6 +203,12 @@ def _short(value: float) -> str:
     return f"{value + 0.0:{digits}}".replace("-", "−")
 
 
-def _fixed(value: Any, digits: int = 2) -> str:
+def signed(value: float) -> str:
+    """Two digits, with a plus."""
+    return ("+" if value > 0 else "") + fixed(value)
+
+
+def fixed(value: Any, digits: int = 2) -> str:
+    """So many digits, or n/a."""
     # Adding 0 to what was rounded turns a negative zero into a plain one.
     return "n/a" if pd.isna(value) else f"{round(float(value), digits) + 0.0:.{digits}f}".replace("-", "−")

@@ -28,6 +28,16 @@ def icc_intervals_by_weights(values: Array, weights: Array) -> tuple[Interval, I
     weights  (replicates, knees) counts
     returns  NaN where no sample has an ICC
     """
+    agreement, consistency = icc_by_weights(values, weights)
+    return percentiles(agreement), percentiles(consistency)
+
+
+def icc_by_weights(values: Array, weights: Array) -> tuple[Array, Array]:
+    """(replicates,) ICC(2,1) and (replicates,) ICC(3,1) of samples of knees.
+
+    values   (knees, conditions) of any unit, finite, not all the same
+    weights  (replicates, knees) counts
+    """
     conditions = values.shape[1]
     z = (values - values.mean()) / values.std()
     rows = z.mean(axis=1)
@@ -41,4 +51,4 @@ def icc_intervals_by_weights(values: Array, weights: Array) -> tuple[Interval, I
         noise = rest / ((count - 1) * (conditions - 1))
         consistency = knee + (conditions - 1) * noise
         agreement = consistency + conditions * (condition - noise) / count
-        return percentiles((knee - noise) / agreement), percentiles((knee - noise) / consistency)
+        return (knee - noise) / agreement, (knee - noise) / consistency

@@ -3,6 +3,9 @@
 import pandas as pd
 
 from ...radiomics.families import FAMILIES, family
+from ..settings import StudySettings
+
+_LEADING = 5  # that are drawn one by one
 
 
 def by_feature(importances: pd.DataFrame, splits: int, value: str = "share") -> pd.DataFrame:
@@ -19,3 +22,10 @@ def by_family(features: pd.DataFrame, value: str = "share") -> pd.DataFrame:
     """(families, models) sum of the means of `by_feature`; every family has a row."""
     summed = features.assign(family=features["feature"].map(family)).groupby(["family", "model"])[value].sum()
     return summed.unstack("model").reindex(FAMILIES).fillna(0.0)
+
+
+def leading(features: pd.DataFrame, settings: StudySettings) -> list[str]:
+    """Of `by_feature`, those of the first selection with the largest mean share over the models."""
+    part = features[features["selection"] == settings.selections[0]]
+    means = part.groupby("feature")["share"].sum().sort_values(ascending=False, kind="stable")
+    return [str(name) for name in means.index[:_LEADING]]

@@ -67,10 +67,19 @@ def estimate(splits: Array, ratio: float, least: float = -1.0, most: float = 1.0
     value, free = float(known.mean()), len(known) - 1
     if np.ptp(known) < 1e-12:
         return Estimate(value, value, value, 1.0 if abs(value) < 1e-12 else nothing)
-    error = float(known.std(ddof=1) * np.sqrt(1 / len(known) + ratio))
+    error = error_of(known, ratio)
     half = error * float(t_distribution.ppf((1 + _LEVEL) / 2, free))
     p = 2 * float(t_distribution.sf(abs(value) / error, free))
     return Estimate(value, max(least, value - half), min(most, value + half), p)
+
+
+def error_of(splits: Array, ratio: float) -> float:
+    """Standard error of the mean over splits that overlap (Nadeau and Bengio 2003).
+
+    splits  (splits,) two finite values or more, dimensionless
+    ratio   of `share_tested`
+    """
+    return float(splits.std(ddof=1) * np.sqrt(1 / len(splits) + ratio))
 
 
 def estimate_share(splits: Array, ratio: float) -> Estimate:

@@ -7,7 +7,7 @@ from sklearn.metrics import roc_curve
 
 from ...core.checks import Array
 
-_LEVELS = (2.5, 97.5)
+LEVELS = (2.5, 97.5)
 _ROC_POINTS = 401
 METRICS = {"auc": "AUC", "balanced_accuracy": "Balanced accuracy", "macro_f1": "Macro F1"}
 
@@ -141,5 +141,5 @@ def percentiles(values: Array) -> tuple[float, float]:
     known = values[np.isfinite(values)]
     if not len(known):
         return float("nan"), float("nan")
-    low, high = np.percentile(known, _LEVELS)
+    low, high = np.percentile(known, LEVELS)
     return float(low), float(high)

@@ -95,19 +95,31 @@ def morphology(parameters: pd.DataFrame, table: RangeGrades | SeverityGrades | N
 def follows(usable: pd.DataFrame, names: list[str], parameters: pd.DataFrame, reference: str) -> pd.DataFrame:
     """Spearman's rho of every feature with every parameter, under the reference protocol.
 
-    returns  feature, parameter, rho: a row a pair, NaN where either does not vary
+    returns  feature, parameter, rho, rho_within (of ranks about their grade's mean): a row a pair, NaN where either
+             does not vary
     """
     columns = [name for name in PARAMETERS if name in parameters]
     part = usable[usable["protocol"] == reference][["knee", *names]].merge(parameters, on="knee", how="left")
     ours, theirs = _ranks(part, names), _ranks(part, columns)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        rho = ours.T @ theirs / np.sqrt((ours**2).sum(axis=0)[:, None] * (theirs**2).sum(axis=0))
+    rho = _correlation(ours, theirs)
+    within = _correlation(*(_about_grade(one, part["grade"]) for one in (ours, theirs)))
     rows = [
-        {"feature": feature, "parameter": PARAMETERS[column], "rho": rho[i, j]}
+        {"feature": feature, "parameter": PARAMETERS[column], "rho": rho[i, j], "rho_within": within[i, j]}
         for i, feature in enumerate(names)
         for j, column in enumerate(columns)
     ]
-    return pd.DataFrame(rows, columns=["feature", "parameter", "rho"])
+    return pd.DataFrame(rows, columns=["feature", "parameter", "rho", "rho_within"])
+
+
+def _correlation(ours: Array, theirs: Array) -> Array:
+    """(features, parameters) of columns whose mean is 0"""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(ours.T @ theirs / np.sqrt((ours**2).sum(axis=0)[:, None] * (theirs**2).sum(axis=0)))
+
+
+def _about_grade(ranks: Array, grades: pd.Series) -> Array:
+    # Rounded, so that what a grade decides alone does not vary within it.
+    return np.round(ranks - pd.DataFrame(ranks).groupby(grades.to_numpy()).transform("mean").to_numpy(), 9)
 
 
 def strongest(table: pd.DataFrame) -> pd.DataFrame:

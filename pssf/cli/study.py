@@ -1,0 +1,125 @@
+"""The command study."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from .options import (
+    Bilateral,
+    CohortGrades,
+    Engine,
+    KneeCounts,
+    Out,
+    Preset,
+    Processes,
+    Readme,
+    Scheduler,
+    Seed,
+    cohort_overrides,
+)
+
+
+def study(
+    *,
+    out: Out,
+    workers: Processes,
+    preset: Preset = "quick",
+    seed: Seed = 0,
+    knees: KneeCounts = "",
+    bilateral: Bilateral = -1,
+    grades: CohortGrades = "",
+    scheduler: Scheduler = None,
+    engine: Engine = "scanline",
+    protocols: Annotated[
+        str, typer.Option(help="Names or TOML files, with commas, instead of the preset's; the first may be alone.")
+    ] = "",
+    families: Annotated[str, typer.Option(help="Families of features, with commas; all if none is named.")] = "",
+    selections: Annotated[str, typer.Option(help="Selections of features, with commas; all if none is named.")] = "",
+    models: Annotated[str, typer.Option(help="Models, with commas; all if none is named.")] = "",
+    backend: Annotated[
+        str, typer.Option(help="What measures features: pyradiomics or mirp; the first that is installed if none.")
+    ] = "",
+    films: Annotated[
+        Path | None,
+        typer.Option(help="Folder or CSV of films of patients by grade, which models for films are tested on as well."),
+    ] = None,
+    films_protocol: Annotated[
+        str, typer.Option(help="Protocol of the cohort near that of the films; the study's reference if none is named.")
+    ] = "",
+    films_pixel_mm: Annotated[
+        float, typer.Option(help="Pitch that films and cohort are brought to, mm; 0: the films' own, if it is coarser.")
+    ] = 0.0,
+    films_region_mm: Annotated[
+        float, typer.Option(help="Side of the region, mm; 0: what nine of ten films hold, at most the study's.")
+    ] = 0.0,
+    curves: Annotated[
+        int,
+        typer.Option(
+            help="Knees of grades 0 and 2 to take again along dose, kV, focal spot, scatter, pixel, distance, tilt and "
+            "rotation, for response curves, 56 radiographs each; 0: none."
+        ),
+    ] = 0,
+    shares: Annotated[
+        int,
+        typer.Option(
+            help="Samples, a power of two, of the space of all parameters, for shares of a feature's variance; ten "
+            "radiographs each; 0: none."
+        ),
+    ] = 0,
+    pairs: Annotated[
+        int,
+        typer.Option(
+            help="Knees to take again with one parameter after the other changed and the noise held, for what each "
+            "does to a feature; 13 radiographs each; 0: none."
+        ),
+    ] = 0,
+    difference: Annotated[
+        float, typer.Option(help="Difference of AUC that the power to show it, and the subjects needed, are given for.")
+    ] = 0.05,
+    until: Annotated[str, typer.Option(help="report, or features: stop when they are measured.")] = "report",
+    readme: Readme = None,
+) -> None:
+    """The whole study: cohort, regions, features, models, report; goes on where an earlier run stopped.
+
+    What is left out costs nothing: protocols, families of features, selections, models.
+    """
+    from ..core.checks import require_choice
+    from ..core.execution import Execution
+    from ..core.progress import bar
+    from ..experiment import SHOWN, ByDesign, OwnFilms, make_experiment, measure_experiment, run_experiment, shown_rows
+    from ..io.readme import open_checkout
+
+    require_choice("until", until, ("features", "report"))
+    checkout = open_checkout(readme, SHOWN, preset=preset)
+    execution = Execution(workers=workers, bar=bar, scheduler=scheduler)
+    wanted = {"families": families, "selections": selections, "models": models}
+    settings: dict[str, Any] = {name: tuple(listed.split(",")) for name, listed in wanted.items() if listed}
+    settings |= {"backend": backend} if backend else {}
+    settings["difference"] = difference
+    overrides = cohort_overrides(knees, bilateral, protocols, grades)
+    own = None
+    if films is not None:
+        chosen = {"pixel_mm": films_pixel_mm or None, "region_mm": films_region_mm or None}
+        own = OwnFilms(folder=films, protocol=films_protocol or None, **chosen)
+    made = make_experiment(
+        out,
+        execution,
+        preset=preset,
+        seed=seed,
+        engine=engine,
+        cohort=overrides,
+        settings=settings,
+        films=own,
+        by_design=ByDesign(curves=curves, shares=shares, pairs=pairs),
+    )
+    if until == "features":
+        print(f"features  {measure_experiment(made, execution)}")
+        return
+    result = run_experiment(made, execution)
+    checkout.take(shown_rows(result) if readme else {}, result.pictures.values(), measured_with=result.report)
+    print(f"results   of {result.origin}")
+    print(f"report    {result.report}")
+    for what, paths in (("picture", result.pictures), ("model", result.models)):
+        for path in paths.values():
+            print(f"{what:<10}{path}")

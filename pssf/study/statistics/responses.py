@@ -1,0 +1,126 @@
+"""Response curves: how features, their ICC, a model's threshold and its AUC go with one thing of a protocol.
+
+What is of features is of all knees with curves, with intervals over the knees; what is of models is of splits, with the
+intervals of `intervals`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy.stats import t as t_distribution
+
+from ...core.checks import Array
+from .degenerate import is_degenerate
+from .icc_by_subject import icc_by_weights, knee_weights
+from .intervals import estimate, estimate_share
+from .ladder import ratio_of
+from .metrics import percentiles
+from .reliability import icc
+
+SHIFT, ICC, MEDIAN_ICC, ODDS, AUC, LOSS = (
+    "feature, SD",
+    "ICC(2,1)",
+    "median ICC(2,1)",
+    "threshold shift, log odds",
+    "AUC",
+    "loss of AUC",
+)
+COLUMNS = ["axis", "turn", "step", "measure", "feature", "knees", "value", "low", "high"]
+_LEVEL = 0.95
+# axis, number of a step from 1 -> the step
+Step = Callable[[str, int], float]
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Rows of COLUMNS, and of each axis and step the median ICC in samples of the knees, of all first."""
+
+    table: pd.DataFrame
+    medians: dict[tuple[str, int], Array]
+
+
+def curves_of_features(
+    base: pd.DataFrame, steps: pd.DataFrame, names: list[str], step: Step, *, replicates: int, seed: int
+) -> Curves:
+    """Of every axis, step and feature: its shift in SD of the cohort's knees, and its ICC(2,1) with the cohort's value.
+
+    base    radiographs of the cohort under the reference, with a region: knee, subject, features
+    steps   radiographs along the axes, with a region: knee, subject, kind (axis), turn, features
+    """
+    spread = base[names].std(ddof=1).to_numpy(np.float64)
+    varies = np.array([not is_degenerate(base[name].to_numpy()) for name in names])
+    own = base.drop_duplicates("knee").set_index("knee")[names]
+    rows, medians = [], {}
+    for (axis, turn), part in steps[steps["knee"].isin(own.index)].groupby(["kind", "turn"], sort=False):
+        part = part.sort_values("knee")
+        values = np.stack([own.loc[part["knee"]].to_numpy(np.float64), part[names].to_numpy(np.float64)], axis=1)
+        label = {"axis": axis, "turn": int(turn), "step": step(str(axis), int(turn)), "knees": len(part)}
+        weights = knee_weights(part["subject"].to_numpy(np.int64), replicates=replicates, seed=seed)
+        samples = []
+        for index in np.flatnonzero(varies):
+            one = values[:, :, index]
+            whole = np.isfinite(one).all(axis=1)
+            rows.append(label | {"measure": SHIFT, "feature": names[index]} | _shift(one[whole] / spread[index]))
+            agreement = icc(one[whole])[0]
+            if np.isfinite(agreement):
+                drawn = icc_by_weights(one[whole], weights[:, whole])[0]
+                samples.append(np.concatenate([[agreement], drawn]))
+                low, high = percentiles(drawn)
+                bounds = {"value": agreement, "low": low, "high": high}
+                rows.append(label | {"measure": ICC, "feature": names[index]} | bounds)
+        if samples:
+            medians[str(axis), int(turn)] = median = np.nanmedian(samples, axis=0)
+            low, high = percentiles(median[1:])
+            bounds = {"value": float(median[0]), "low": low, "high": high}
+            rows.append(label | {"measure": MEDIAN_ICC, "feature": ""} | bounds)
+    return Curves(pd.DataFrame(rows, columns=COLUMNS), medians)
+
+
+def _shift(values: Array) -> dict[str, float]:
+    """Mean change of knees (knees, 2) in SD, with the interval of a paired t test."""
+    change = values[:, 1] - values[:, 0]
+    mean = float(change.mean()) if len(change) else float("nan")
+    if len(change) < 2:
+        return {"value": mean, "low": float("nan"), "high": float("nan")}
+    half = float(change.std(ddof=1) / np.sqrt(len(change)) * t_distribution.ppf((1 + _LEVEL) / 2, len(change) - 1))
+    return {"value": mean, "low": mean - half, "high": mean + half}
+
+
+def curves_of_models(splits: pd.DataFrame, step: Step) -> pd.DataFrame:
+    """Of every axis and step: threshold shift, AUC, loss of AUC from the cohort's own radiographs of the same knees.
+
+    splits   of `learn.responses.respond`
+    returns  COLUMNS; knees is how many a split tests
+    """
+    rows = []
+    for (axis, turn), part in splits.groupby(["axis", "turn"], sort=False):
+        label = {"axis": axis, "turn": int(turn), "step": step(str(axis), int(turn)), "feature": ""}
+        label |= {"knees": int(part["test_subjects"].median())}
+        ratio, scores = ratio_of(part), part["auc"].to_numpy(np.float64)
+        estimates = {
+            ODDS: estimate(part["shift"].to_numpy(np.float64), ratio, -np.inf, np.inf),
+            AUC: estimate_share(scores, ratio),
+            LOSS: estimate(part["auc_own"].to_numpy(np.float64) - scores, ratio),
+        }
+        for measure, of_splits in estimates.items():
+            bounds = {"value": of_splits.value, "low": of_splits.low, "high": of_splits.high}
+            rows.append(label | {"measure": measure} | bounds)
+    return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def first_crossing(at: Array, margin: Array) -> float:
+    """Where a margin first falls below 0 along a way, between two steps by a line; infinite where it never does.
+
+    at      (steps,) places from the first on, rising or falling, of any unit
+    margin  (steps,) at each, of its own unit; a step without a number breaks
+    """
+    broken = np.flatnonzero(~(margin >= 0))
+    if not len(broken):
+        return float(np.sign(at[-1] - at[0]) * np.inf)
+    first = int(broken[0])
+    if not first or not np.isfinite(margin[first]):
+        return float(at[max(0, first - 1)])
+    share = margin[first - 1] / (margin[first - 1] - margin[first])
+    return float(at[first - 1] + share * (at[first] - at[first - 1]))

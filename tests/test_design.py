@@ -1,0 +1,66 @@
+"""Knees taken again along the axes of a protocol."""
+
+import dataclasses
+
+import pytest
+
+from pssf import InputError, load_protocol
+from pssf.cohort import plan_cohort
+from pssf.study.design import AXES, plan_curves
+
+PLAN = plan_cohort("quick", seed=3, overrides={"knees": [3, 1, 3], "protocols": ["reference"]})
+
+
+def changed(one, other) -> set[str]:
+    return {field.name for field in dataclasses.fields(one) if getattr(one, field.name) != getattr(other, field.name)}
+
+
+@pytest.mark.parametrize("name", AXES)
+@pytest.mark.parametrize("protocol", ["reference", "fixed_flexion", "geometry_shift"])
+def test_an_axis_has_seven_steps_of_which_one_changes_nothing(name, protocol):
+    axis, known = AXES[name], load_protocol(protocol)
+    assert len(set(axis.steps)) == 7
+    assert axis.varied(known, axis.own) == known
+    for step in set(axis.steps) - {axis.own}:
+        fields = changed(axis.varied(known, step), known)
+        assert axis.field in fields
+        assert fields <= {axis.field, "mas", "sod_mm", "rows", "cols"}
+
+
+def test_what_an_axis_is_not_of_stays_as_it_is():
+    known = load_protocol("reference")
+    far = AXES["distance"].varied(known, 1.3)
+    assert far.sdd_mm - far.sod_mm == pytest.approx(known.sdd_mm - known.sod_mm)
+    assert far.mas / far.sdd_mm**2 == pytest.approx(known.mas / known.sdd_mm**2, rel=1e-4)
+    coarse = AXES["pixel_size"].varied(known, 2.0)
+    assert coarse.rows * coarse.pixel_mm == pytest.approx(known.rows * known.pixel_mm)
+    # Fifteen per cent more kV, half the mAs.
+    harder = AXES["kv"].others(known, 1.15 * known.tube_kv)
+    assert harder["mas"] == pytest.approx(known.mas / 2, rel=1e-4)
+
+
+def test_a_plan_takes_the_same_knees_at_every_step_each_with_noise_of_its_own():
+    plan = plan_curves(PLAN, knees=4, reference="reference")
+    assert [case.knee.grade for case in plan.cases] == [0, 0, 2, 2]
+    known = {case.index: case.knee for case in PLAN.cases}
+    assert all(known[case.index] == case.knee for case in plan.cases)
+    exposures = [exposure for case in plan.cases for exposure in case.exposures]
+    assert len({exposure.name for exposure in exposures}) == len({exposure.seed for exposure in exposures}) == 4 * 56
+    seeds = {exposure.seed for case in PLAN.cases for exposure in case.exposures}
+    assert not seeds & {exposure.seed for exposure in exposures}
+
+
+def test_an_axis_that_is_left_out_leaves_the_others_as_they_are():
+    whole = plan_curves(PLAN, knees=4, reference="reference")
+    part = plan_curves(PLAN, knees=4, reference="reference", axes=("tilt",))
+    assert [e for e in whole.cases[0].exposures if e.kind == "tilt"] == list(part.cases[0].exposures)
+
+
+def test_what_cannot_be_planned_is_refused():
+    with pytest.raises(InputError, match="curves = 2"):
+        plan_curves(PLAN, knees=2, reference="reference")
+    with pytest.raises(InputError, match="protocol = 'other'"):
+        plan_curves(PLAN, knees=4, reference="other")
+    without = plan_cohort("quick", seed=3, overrides={"knees": [3, 3], "protocols": ["reference"]})
+    with pytest.raises(InputError, match="none of grade 2"):
+        plan_curves(without, knees=4, reference="reference")

@@ -1,0 +1,110 @@
+"""A study with radiographs taken by design, from their manifests to the report."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from drawn import LIGHT, TEMPLATE, Cohort
+
+from pssf import InputError, study
+from pssf.core.blocks import block_mean
+from pssf.core.execution import Execution
+from pssf.experiment import ByDesign, make_experiment
+from pssf.io.results import load_typed_table
+from pssf.study.design import AXES
+from pssf.study.space import SPACE
+
+BOUNDS = {"jsw_medial_mm": (2.0, 5.0), "mas": (1.0, 4.0), "chance": (0.0, 1.0)}
+SAMPLES = 2
+COARSE = AXES["pixel_size"].steps.index(2.0) + 1
+
+
+class Taken:
+    """Knees of blocks, some of them taken again: by kind and turn, each a file of its own."""
+
+    def __init__(self) -> None:
+        self.cohort = Cohort(5)
+        rows = [row for row in self.cohort.rows if row["protocol"] == "reference" and row["grade"] != 1]
+        self.manifest = pd.DataFrame(rows).assign(jsw_medial_mm=lambda t: 5.0 - t["grade"], mas=2.0)
+        self.known = {row["file"]: row for row in rows}
+
+    def load(self, file: str) -> np.ndarray:
+        name, *again = file.split(":")
+        pixels = self.cohort.load(name)
+        if not again:
+            return pixels
+        rng = np.random.default_rng(sum(map(ord, file)))
+        noisy = np.clip(pixels + np.sqrt(pixels) * rng.standard_normal(pixels.shape), 1, 65535)
+        return np.rint(block_mean(noisy, 2) if again == ["pixel_size", str(COARSE)] else noisy).astype(np.uint16)
+
+    def again(self, knees: int, taken: list[tuple[str, int]]) -> pd.DataFrame:
+        rows = []
+        for row in self.manifest.head(knees).to_dict("records"):
+            for kind, turn in taken:
+                name = f"{row['file']}:{kind}:{turn}"
+                coarser = 2.0 if (kind, turn) == ("pixel_size", COARSE) else 1.0
+                changed = {"radiograph": name, "file": name, "sha256": name, "of_knee": row["knee"]}
+                changed |= {"kind": kind, "turn": turn, "pixel_mm": coarser * row["pixel_mm"]}
+                rows.append(row | changed | ({"mas": 2.2} if kind == "mas" else {}))
+        return pd.DataFrame(rows)
+
+
+TAKEN = Taken()
+
+
+def designed() -> study.Designed:
+    groups = len({SPACE[name].group for name in BOUNDS})
+    shares = TAKEN.again(1, [("share", turn + 1) for turn in range(SAMPLES * (groups + 2))])
+    steps = [("dose", turn + 1) for turn in range(7)] + [("pixel_size", COARSE)]
+    pairs = TAKEN.again(4, [("mas", 1)])
+    return study.Designed(curves=TAKEN.again(8, steps), shares=shares, samples=SAMPLES, pairs=pairs, bounds=BOUNDS)
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory) -> study.StudyResult:
+    out = tmp_path_factory.mktemp("designed")
+    return study.run(TAKEN.manifest, TAKEN.load, [TEMPLATE], LIGHT, out, designed=designed(), execution=Execution())
+
+
+def test_what_is_taken_by_design_is_in_the_tables_and_in_the_report(result):
+    assert {"curve_dose", "curve_pixel_size", "breaks", "shares", "slopes"} <= set(result.tables)
+    assert {"curve_dose", "curve_pixel_size", "meaning"} <= set(result.pictures)
+    page = result.report.read_text(encoding="utf-8")
+    assert all(f'<section id="{name}">' in page for name in ("curves", "meaning"))
+    dose = load_typed_table(result.tables["curve_dose"])
+    assert sorted(set(dose["step"])) == sorted(AXES["dose"].steps)
+    assert set(dose["measure"]) >= {"median ICC(2,1)", "AUC", "threshold shift, log odds"}
+
+
+def test_a_region_has_the_same_side_in_mm_whatever_the_pixel(result):
+    out = result.report.parent
+    assert len(load_typed_table(out / "features_curves_80.csv")) == 8 * 7
+    assert len(load_typed_table(out / "features_curves_40.csv")) == 8
+    area = load_typed_table(result.tables["curve_pixel_size"]).query("feature == 'shape2D_PixelSurface'")
+    # Of the same pixels it would be four times the area, some ten spreads more.
+    assert (area.query("measure == 'feature, SD'")["value"].abs() < 2).all()
+
+
+def test_correlations_have_slopes_beside_them_and_those_of_the_protocol_are_there(result):
+    follows = load_typed_table(result.tables["follows"])
+    assert {"rho", "rho_within", "slope", "total"} <= set(follows.columns)
+    assert set(follows.query("parameter == 'mAs'")["feature"]) == set(follows["feature"])
+
+
+def test_a_second_run_writes_the_same_bytes(result, tmp_path):
+    for name in ("features.csv", "features_curves_80.csv", "features_pairs_80.csv", "features_shares_80.csv"):
+        (tmp_path / name).write_bytes((result.report.parent / name).read_bytes())
+    again = study.run(
+        TAKEN.manifest, TAKEN.load, [TEMPLATE], LIGHT, Path(tmp_path), designed=designed(), execution=Execution()
+    )
+    for name in ("breaks", "curve_dose", "shares", "follows"):
+        assert again.tables[name].read_bytes() == result.tables[name].read_bytes()
+    assert again.pictures["curve_dose"].read_bytes() == result.pictures["curve_dose"].read_bytes()
+
+
+@pytest.mark.parametrize("wanted", [ByDesign(shares=3), ByDesign(curves=2), ByDesign(pairs=1)])
+def test_what_cannot_be_taken_is_refused_before_anything_is_made(tmp_path, wanted):
+    with pytest.raises(InputError, match="allowed"):
+        make_experiment(tmp_path / "out", Execution(), preset="quick", seed=0, engine="scanline", by_design=wanted)
+    assert not (tmp_path / "out").exists()

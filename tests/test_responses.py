@@ -1,0 +1,149 @@
+"""Response curves of made-up cohorts, whose answer is known at every step."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.testing import assert_allclose
+
+from pssf.core.execution import Execution
+from pssf.study import StudySettings
+from pssf.study.design import AXES
+from pssf.study.learn.responses import respond, split_curves
+from pssf.study.report.sections import curves_section
+from pssf.study.statistics import breaks, responses
+
+NAMES = ["glcm_signal", "glcm_steady", "glcm_other"]
+SETTINGS = StudySettings(repeats=8, selections=("l1",), models=("lr",))
+DOSE = {"dose": AXES["dose"]}
+
+
+def step(axis: str, turn: int) -> float:
+    return AXES[axis].steps[turn - 1]
+
+
+def made(seed: int = 0, subjects: int = 80, curved: int = 32, noise: float = 0.25) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """A cohort of grades 0 and 2, and knees of it along the dose: noise of variance 1/dose on what tells."""
+    rng = np.random.default_rng(seed)
+    grade = 2 * (np.arange(subjects) % 2)
+    base = pd.DataFrame({"knee": range(subjects), "subject": range(subjects), "grade": grade})
+    base["glcm_signal"] = 1.2 * grade + rng.normal(size=subjects)
+    base["glcm_steady"], base["glcm_other"] = rng.normal(size=(2, subjects))
+    parts = []
+    for turn, dose in enumerate(AXES["dose"].steps, start=1):
+        part = base.iloc[:curved].copy()
+        part["glcm_signal"] += noise / np.sqrt(dose) * rng.normal(size=curved) + 0.3 * np.log2(dose)
+        part["glcm_other"] += noise / np.sqrt(dose) * rng.normal(size=curved)
+        parts.append(part.assign(kind="dose", turn=turn))
+    return base, pd.concat(parts, ignore_index=True)
+
+
+@pytest.fixture(scope="module")
+def answered():
+    base, steps = made()
+    of_features = responses.curves_of_features(base, steps, NAMES, step, replicates=200, seed=0)
+    of_models = responses.curves_of_models(respond(base, steps, NAMES, SETTINGS, Execution()), step)
+    return of_features, of_models
+
+
+def at(table: pd.DataFrame, measure: str, feature: str = "") -> pd.DataFrame:
+    return table[(table["measure"] == measure) & (table["feature"] == feature)].set_index("turn")
+
+
+def test_a_feature_is_followed_in_value_and_in_icc(answered):
+    table = answered[0].table
+    shift = at(table, responses.SHIFT, "glcm_signal")
+    spread = made()[0]["glcm_signal"].std(ddof=1)
+    assert_allclose(shift["value"], 0.3 * np.log2(AXES["dose"].steps) / spread, atol=0.4)
+    assert (shift["low"] < shift["value"]).all()
+    agreement = at(table, responses.ICC, "glcm_signal")["value"]
+    assert agreement[7] > 0.95
+    assert agreement[1] < 0.6
+    steady = at(table, responses.ICC, "glcm_steady")
+    assert_allclose(steady["value"], 1.0)
+    assert_allclose(at(table, responses.SHIFT, "glcm_steady")["value"], 0.0, atol=1e-12)
+
+
+def test_a_model_loses_by_noise_and_its_threshold_moves_by_the_shift(answered):
+    table = answered[1]
+    auc, odds = at(table, responses.AUC)["value"], at(table, responses.ODDS)
+    assert auc[7] > 0.9
+    assert auc[1] < auc[7] - 0.1
+    assert np.corrcoef(odds["value"], np.log2(AXES["dose"].steps))[0, 1] > 0.95
+    assert odds.loc[1, "high"] < 0
+    assert abs(odds.loc[7, "value"]) < 0.5
+
+
+def test_the_dose_below_which_a_conclusion_breaks_is_read_off_with_an_interval(answered):
+    places = breaks.breaks(*answered, DOSE, 0.05).set_index("conclusion")
+    assert set(places["side"]) == {"below"}
+    stable = places.loc[breaks.STABLE]
+    # The median of three features is the noisy one that has no trend: ICC = 1/(1 + noise variance/2) = 0.9.
+    assert stable["low"] <= stable["value"] <= stable["high"]
+    assert stable["low"] < 0.25**2 / (2 * (1 / 0.9 - 1)) < stable["high"]
+    auc = places.loc["AUC loses at most 0.05"]
+    assert 1 / 64 < auc["value"] < 1
+    assert auc["low"] <= auc["value"] <= auc["high"]
+    assert auc["reading"].startswith("below 0.")
+
+
+def test_a_conclusion_that_never_breaks_is_not_given_a_place():
+    base, steps = made(noise=1e-6)
+    steps["glcm_signal"] = np.tile(base["glcm_signal"].iloc[:32], 7)
+    of_features = responses.curves_of_features(base, steps, NAMES, step, replicates=100, seed=0)
+    of_models = responses.curves_of_models(respond(base, steps, NAMES, SETTINGS, Execution()), step)
+    places = breaks.breaks(of_features, of_models, DOSE, 0.05)
+    assert (places["value"] == 0).all()
+    assert places["reading"].str.startswith("holds to 0.0156").all()
+
+
+def test_an_auc_that_is_not_above_chance_has_nothing_to_lose():
+    base, steps = made()
+    rng = np.random.default_rng(4)
+    base, steps = (table.assign(glcm_signal=rng.normal(size=len(table))) for table in (base, steps))
+    of_models = responses.curves_of_models(respond(base, steps, NAMES, SETTINGS, Execution()), step)
+    of_features = responses.curves_of_features(base, steps, NAMES, step, replicates=100, seed=0)
+    places = breaks.breaks(of_features, of_models, DOSE, 0.05).set_index("conclusion")
+    assert places.loc["AUC loses at most 0.05", "reading"] == "not decidable"
+    assert places.loc[breaks.STABLE, "reading"] != "not decidable"
+
+
+def test_few_tested_knees_decide_nothing():
+    base, steps = made(curved=4)
+    of_models = responses.curves_of_models(respond(base, steps, NAMES, SETTINGS, Execution()), step)
+    of_features = responses.curves_of_features(base, steps, NAMES, step, replicates=100, seed=0)
+    assert set(breaks.breaks(of_features, of_models, DOSE, 0.05)["reading"]) == {"not decidable"}
+
+
+def test_no_subject_is_tested_and_learnt_from_and_only_those_with_curves_are_tested():
+    base, steps = made()
+    curved = sorted(set(steps["subject"]))
+    halves = split_curves(base, curved, 0, 3)
+    assert not set(halves.test) & {*halves.training, *halves.validation}
+    assert set(halves.test) < set(curved)
+    assert len(halves.test) == 16
+    assert {*halves.test, *halves.training, *halves.validation} == set(base["subject"])
+    assert halves != split_curves(base, curved, 0, 4)
+
+
+@pytest.mark.parametrize(
+    ("margin", "place"),
+    [([1, 1, 1], -np.inf), ([1, -1, -1], 1.5), ([1, 1, -3], 0.75), ([-1, 1, 1], 2.0), ([1, np.nan, -1], 2.0)],
+)
+def test_a_crossing_is_the_first_on_the_way(margin, place):
+    assert responses.first_crossing(np.array([2.0, 1.0, 0.0]), np.array(margin, float)) == place
+
+
+def test_both_sides_of_the_protocols_own_step_are_followed():
+    assert breaks._ways(AXES["tilt"]) == {"below": [4, 3, 2, 1], "above": [4, 5, 6, 7]}
+    assert list(breaks._ways(AXES["dose"])) == ["below"]
+    assert list(breaks._ways(AXES["scatter"])) == ["above"]
+
+
+def test_the_report_has_a_picture_an_axis_and_a_row_a_conclusion(answered):
+    of_features, of_models = answered
+    places = breaks.breaks(*answered, DOSE, 0.05)
+    table = pd.concat([of_features.table, of_models], ignore_index=True)
+    section = curves_section({"curve_dose": table}, places, DOSE, NAMES[:2], 32)
+    assert [picture.name for picture in section.pictures] == ["curve_dose"]
+    assert section.pictures[0].png.startswith(b"\x89PNG")
+    assert len(section.table) == 2

@@ -1,0 +1,148 @@
+"""What a feature measures: samples and pairs in the space of parameters, shares and slopes of known functions."""
+
+import dataclasses
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.testing import assert_allclose
+
+from pssf import InputError, Knee
+from pssf.cohort import plan_cohort
+from pssf.study import space
+from pssf.study.report.sections import meaning_section
+from pssf.study.statistics import space as statistics
+
+PLAN = plan_cohort("people", seed=3, overrides={"knees": [3, 3, 3]})
+REFERENCE = "fixed_flexion"
+BOUNDS = space.bounds_of(PLAN, REFERENCE)
+
+
+def taken(plan) -> dict[int, tuple]:
+    return {e.turn: (case.knee, e.protocol, e.seed) for case in plan.cases for e in case.exposures}
+
+
+def test_a_sample_spans_the_cohorts_knees_and_has_a_row_a_group_and_two():
+    groups = {space.SPACE[name].group for name in BOUNDS}
+    assert set(BOUNDS) == set(space.SPACE)
+    points = space.sample(BOUNDS, 8, 0)
+    assert points.shape == (8 * (len(groups) + 2), len(BOUNDS))
+    low, high = np.array(list(BOUNDS.values())).T
+    assert ((low <= points) & (points <= high)).all()
+    medial = [case.knee.jsw_medial_mm for case in PLAN.cases]
+    assert min(medial) <= BOUNDS["jsw_medial_mm"][0] < BOUNDS["jsw_medial_mm"][1] <= max(medial)
+
+
+def test_a_plan_has_every_point_and_the_values_that_it_asks_for():
+    plan = space.plan_shares(PLAN, samples=4, reference=REFERENCE)
+    points, rows = space.sample(BOUNDS, 4, PLAN.seed), taken(plan)
+    assert sorted(rows) == list(range(1, len(points) + 1))
+    for row, (knee, protocol, seed) in rows.items():
+        one = space.Taken(knee, protocol, seed)
+        for name, value in zip(BOUNDS, points[row - 1], strict=True):
+            if name not in ("chance", "largest_osteophyte_mm"):
+                assert space.SPACE[name].value(one) == pytest.approx(value, abs=1e-4)
+        grown = points[row - 1][list(BOUNDS).index("largest_osteophyte_mm")]
+        assert space.SPACE["largest_osteophyte_mm"].value(one) == pytest.approx(grown if grown >= 0.2 else 0, abs=1e-4)
+    assert len({seed for _, _, seed in rows.values()}) == 8
+    assert all(case.index == place for place, case in enumerate(plan.cases))
+
+
+def test_a_pair_differs_in_one_parameter_and_has_the_same_noise():
+    plan = space.plan_pairs(PLAN, knees=3, reference=REFERENCE)
+    known = {case.index: case for case in PLAN.cases}
+    assert sorted(known[e.of_knee].knee.grade for c in plan.cases for e in c.exposures if e.kind == "mas") == [0, 1, 2]
+    for case in plan.cases:
+        for exposure in case.exposures:
+            own = known[exposure.of_knee]
+            before = space.Taken(own.knee, own.exposures[0].protocol, own.exposures[0].seed)
+            after = space.Taken(case.knee, exposure.protocol, exposure.seed)
+            assert after.seed == before.seed
+            changed = {
+                name for name in space.SLOPES if space.SPACE[name].value(before) != space.SPACE[name].value(after)
+            }
+            assert changed == {exposure.kind}
+            assert before.knee.texture_seed == after.knee.texture_seed
+
+
+def test_osteophytes_grow_alike_and_a_knee_without_gets_two():
+    bare = space.Taken(Knee(), PLAN.cases[0].exposures[0].protocol, 0)
+    grown = space.SPACE["largest_osteophyte_mm"].changed(bare, 2.0)
+    assert [one.size_mm for one in grown.knee.osteophytes] == [2.0, 2.0]
+    assert not space.SPACE["largest_osteophyte_mm"].changed(grown, 0.1).knee.osteophytes
+    first = dataclasses.replace(grown.knee.osteophytes[0], size_mm=1.0)
+    uneven = grown._replace(knee=dataclasses.replace(grown.knee, osteophytes=(first, grown.knee.osteophytes[1])))
+    twice = space.SPACE["largest_osteophyte_mm"].changed(uneven, 4.0)
+    assert [one.size_mm for one in twice.knee.osteophytes] == [2.0, 4.0]
+
+
+def sampled(samples: int, lost: tuple[int, ...] = ()) -> pd.DataFrame:
+    """A feature of the joint space and, half as much, of the tilt; one of both together; one of nothing."""
+    points = space.sample(BOUNDS, samples, 5)
+    low, high = np.array(list(BOUNDS.values())).T
+    unit = pd.DataFrame((points - low) / (high - low) - 0.5, columns=list(BOUNDS))
+    table = pd.DataFrame({"turn": np.arange(1, len(points) + 1)})
+    table["sum"] = 2 * unit["jsw_medial_mm"] + unit["beam_angle_deg"]
+    table["product"] = unit["jsw_medial_mm"] * unit["beam_angle_deg"]
+    table["constant"] = 1.0
+    return table[~table["turn"].isin(lost)]
+
+
+def test_shares_are_those_of_known_functions():
+    names = ["sum", "product", "constant"]
+    table = statistics.shares(sampled(512, lost=(7,)), names, BOUNDS, 512, 5).set_index(["feature", "group"])
+    assert set(table.index.get_level_values(0)) == {"sum", "product"}
+    assert (table["samples"] == 511).all()
+    # Variances are as 4 to 1; of a product neither does anything alone.
+    assert table.loc[("sum", "joint space"), "first"] == pytest.approx(0.8, abs=0.05)
+    assert table.loc[("sum", "beam"), "total"] == pytest.approx(0.2, abs=0.05)
+    assert table.loc[("product", "beam"), "first"] == pytest.approx(0.0, abs=0.1)
+    assert table.loc[("product", "beam"), "total"] == pytest.approx(1.0, abs=0.15)
+    assert_allclose(table.xs("limb", level="group")["total"], 0.0, atol=1e-12)
+    assert (table["first_low"] <= table["first"]).all()
+
+
+def paired() -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
+    """Three knees whose feature rises by 2 a mm of joint space and by nothing with dose."""
+    rng = np.random.default_rng(0)
+    manifest = pd.DataFrame({"knee": range(6), "subject": range(6), "grade": [0, 2] * 3, "mas": 2.0})
+    manifest["jsw_medial_mm"] = rng.uniform(2, 5, 6)
+    base = manifest.assign(feature=2.0 * manifest["jsw_medial_mm"] + rng.normal(size=6))
+    first = base.iloc[:3].assign(of_knee=range(3))
+    wider = first.assign(kind="jsw_medial_mm", jsw_medial_mm=first["jsw_medial_mm"] + 0.2)
+    wider["feature"] += 0.4
+    brighter = first.assign(kind="mas", mas=2.4)
+    return base, pd.concat([wider, brighter], ignore_index=True), manifest
+
+
+def test_slopes_are_of_one_parameter_in_spreads_of_both():
+    base, pairs, manifest = paired()
+    table = statistics.slopes(base, pairs, manifest, ["feature"], BOUNDS).set_index("parameter")
+    span = np.ptp(BOUNDS["jsw_medial_mm"]) / np.sqrt(12)
+    row = table.loc["JSW medial, mm"]
+    assert row["slope"] == pytest.approx(2 * span / base["feature"].std())
+    assert_allclose([row["slope_low"], row["slope_high"]], row["slope"])
+    assert table.loc["mAs", "slope"] == 0
+
+
+def test_correlations_have_slopes_and_shares_beside_them_and_the_report_shows_both():
+    base, pairs, manifest = paired()
+    follows = pd.DataFrame({"feature": ["feature"], "parameter": ["JSW medial, mm"], "rho": [0.9], "rho_within": [0.5]})
+    of_shares = statistics.shares(sampled(16).rename(columns={"sum": "feature"}), ["feature"], BOUNDS, 16, 5)
+    of_slopes = statistics.slopes(base, pairs, manifest, ["feature"], BOUNDS)
+    both = statistics.beside(follows, of_slopes, of_shares).set_index("parameter")
+    assert both.loc["JSW medial, mm", "rho"] == 0.9
+    assert both.loc["JSW medial, mm", "total"] > both.loc["mAs", "total"]
+    assert np.isnan(both.loc["mAs", "rho"])
+    section = meaning_section(of_shares, both.reset_index(), ["feature"], BOUNDS)
+    assert section.pictures[0].png.startswith(b"\x89PNG")
+    assert section.table["Parameter"].tolist()[0] == "JSW medial, mm"
+
+
+def test_what_cannot_be_sampled_is_refused():
+    with pytest.raises(InputError, match="shares = 6"):
+        space.plan_shares(PLAN, samples=6, reference=REFERENCE)
+    with pytest.raises(InputError, match="pairs = 1"):
+        space.plan_pairs(PLAN, knees=1, reference=REFERENCE)
+    with pytest.raises(InputError, match="protocol = 'other'"):
+        space.plan_pairs(PLAN, knees=3, reference="other")
