@@ -1,6 +1,6 @@
 """What only a simulator can ask of a cohort: tables, and sections of the report."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import pandas as pd
@@ -76,9 +76,12 @@ def ask(
 def _ladder(
     manifest: pd.DataFrame, usable: pd.DataFrame, names: list[str], settings: StudySettings, execution: Execution
 ) -> Answers:
-    """Ladder and learning curves: nothing where the manifest has no joint spaces to hold features against."""
+    """Ladder and learning curves: nothing where the manifest has no joint spaces to hold features against.
+
+    Nor of so few tested subjects that nothing could be decided.
+    """
     known = known_of(usable, names, parameters_of(manifest), settings)
-    if len(rungs_of(known, names)) < 2:
+    if len(rungs_of(known, names)) < 2 or _tested(known, set(known["grade"]), settings) < LEAST_TESTED:
         return Answers({}, [])
     splits = climb(known, names, settings, execution)
     rungs, differences = ladder.rungs(splits), ladder.differences(splits)
@@ -106,14 +109,18 @@ def _confounders(manifest: pd.DataFrame, usable: pd.DataFrame, names: list[str],
     known = usable[["knee", "subject", "grade", "protocol", *names]]
     known = known.merge(known_of_knees[["knee", *columns]], on="knee", how="left")
     wanted = columns + (["site"] if known["protocol"].nunique() > 1 else [])
-    tested = set(split_subjects(known["subject"], known["grade"], seed=run.settings.seed).test)
-    of_classes = known[known["grade"].isin([grade for one in CLASSES for grade in one])]
-    if not wanted or len(tested & set(of_classes["subject"])) < LEAST_TESTED:
+    if not wanted or _tested(known, {grade for one in CLASSES for grade in one}, run.settings) < LEAST_TESTED:
         return Answers({}, [])
     table = confounders.confounding(confound(known, names, wanted, run.settings, run.execution))
     if table.empty:
         return Answers({}, [])
     return Answers({"confounders": table}, [confounders_section(table)])
+
+
+def _tested(known: pd.DataFrame, grades: Collection[int], settings: StudySettings) -> int:
+    """How many subjects of some grades the first split tests."""
+    tested = set(split_subjects(known["subject"], known["grade"], seed=settings.seed).test)
+    return len(tested & set(known.loc[known["grade"].isin(list(grades)), "subject"]))
 
 
 def _found(taken: pd.DataFrame, name: str, base: pd.DataFrame, run: Run) -> pd.DataFrame:
