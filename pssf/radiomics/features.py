@@ -10,7 +10,7 @@ from ..core.checks import Array, InputError, require_choice
 from ..data.ibsi import ibsi_tags
 from .backends import default_backend, require_backend
 from .bone import bone_mask
-from .families import FAMILIES
+from .families import FAMILIES, TEXTURES
 
 # A shift and scale of the grey values leaves these as they are, so on the z-scored image they would be named twice; and
 # Entropy and Uniformity would moreover hang on the last bit of the z-score, where a grey value meets the edge of a bin.
@@ -72,7 +72,7 @@ def extract(
         values |= _named("firstorder_z", {name: z[name] for name in z if name not in _AFFINE_INVARIANT})
     if "shape2D" in families:
         values |= _named("shape2D", by.shape(bone_mask(region), pixel_mm))
-    of_texture = [name for name in FAMILIES if name in families and name not in ("firstorder", "shape2D")]
+    of_texture = [name for name in TEXTURES if name in families]
     for name, of_family in by.textures(region, pixel_mm, bins, of_texture).items():
         values |= _named(name, of_family)
     return values

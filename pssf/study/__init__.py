@@ -40,6 +40,7 @@ learn/         predictions from features
   permutation  fitted model, test part         -> what is lost without a feature
   saving       fitted model                    -> bytes without pickle
   scenarios    features of a cohort            -> predictions within, across and over all protocols, of one split
+  each_split   a function, jobs                -> what it gives on every split, in parallel
   training     features of a cohort            -> one outcome a split, in parallel
   refit        features of a cohort            -> models that have learnt from all of it
   confounders  features, age, BMI, protocol    -> naive and adjusted models where one of these goes with grade

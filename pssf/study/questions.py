@@ -109,7 +109,7 @@ def _confounders(manifest: pd.DataFrame, usable: pd.DataFrame, names: list[str],
     known = usable[["knee", "subject", "grade", "protocol", *names]]
     known = known.merge(known_of_knees[["knee", *columns]], on="knee", how="left")
     wanted = columns + (["site"] if known["protocol"].nunique() > 1 else [])
-    if not wanted or _tested(known, {grade for one in CLASSES for grade in one}, run.settings) < LEAST_TESTED:
+    if not wanted or _tested(known, sum(CLASSES, ()), run.settings) < LEAST_TESTED:
         return Answers({}, [])
     table = confounders.confounding(confound(known, names, wanted, run.settings, run.execution))
     if table.empty:

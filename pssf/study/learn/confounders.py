@@ -15,22 +15,21 @@ from numpy.typing import NDArray
 
 from ...core.checks import Array
 from ...core.execution import Execution
-from ...core.parallel import ordered_map
-from ...data.code import code_digest, require_code
-from ..predictions import class_of
+from ...data.code import require_code
+from ..predictions import TASKS, class_of
 from ..settings import StudySettings
 from ..statistics.metrics import weighted_scores
 from ..statistics.reliability import protocols_of
+from .each_split import each_split
 from .models import tune
 from .selection import preparation
-from .split import split_subjects
+from .split import seed_of_split, split_subjects
 
 STRENGTHS = (0.0, 0.3, 0.6, 0.9)
 CONFOUNDERS = {"age_years": "age", "bmi": "BMI", "site": "site (protocol)"}
-CLASSES = ((0,), (2,))
+CLASSES = TASKS["0 vs 2"]
 _FEWEST = 4  # subjects of a grade to learn from
 _STREAM = 4  # key under a repeat, beside those of `ladder` and `responses`
-_CODE = ("core", "radiomics", "study")
 _COLUMNS = ["repeat", "confounder", "strength", "model", "trained", "test_subjects", "tied", "untied"]
 
 
@@ -56,17 +55,9 @@ def confound(
     returns      repeat, confounder, strength, model (naive | adjusted), trained, test_subjects, tied, untied (AUC)
     raises       WorkersLostError when workers keep being killed
     """
-    known = known[known["grade"].isin([grade for one in CLASSES for grade in one])]
+    known = known[known["grade"].isin(sum(CLASSES, ()))]
     shared = {"known": known, "names": names, "confounders": confounders, "settings": settings}
-    with execution.stage("confounders", "splits", settings.repeats) as shown:
-        tables = ordered_map(
-            confound_split,
-            range(settings.repeats),
-            shared=shared | {"code": code_digest(_CODE)},
-            workers=execution.workers,
-            scheduler=execution.scheduler,
-            arrived=lambda *_: shown.advance(),
-        )
+    tables = each_split(confound_split, range(settings.repeats), shared, execution, "confounders")
     return pd.DataFrame([row for rows in tables for row in rows], columns=_COLUMNS)
 
 
@@ -129,7 +120,7 @@ def _thinned(pool: pd.DataFrame, strength: float, rng: np.random.Generator) -> p
         key: rng.permutation(part["subject"].to_numpy())
         for key, part in subjects.groupby([subjects["grade"], _matched(subjects)])
     }
-    grades = [grade for one in CLASSES for grade in one]
+    grades = sum(CLASSES, ())
     counts = [len(cells.get((grade, side), ())) for grade in grades for side in (True, False)]
     # As many whatever the strength, up to the strongest.
     most = int(min(counts) * 2 / (1 + max(STRENGTHS)))
@@ -159,7 +150,7 @@ def _leveled(table: pd.DataFrame, sites: list[str]) -> pd.DataFrame:
 
 def _scored(tie: Tie, names: list[str], strength: float, settings: StudySettings, repeat: int) -> list[dict[str, Any]]:
     """Model and its two AUCs."""
-    seed = int(np.random.SeedSequence(settings.seed, spawn_key=(repeat, 1)).generate_state(1)[0] >> 1)
+    seed = seed_of_split(settings.seed, repeat)
     weights = np.stack([cell_weights(tie.test, tie_of) for tie_of in (strength, 0.0)], axis=1)
     rows = []
     for model in ("naive", "adjusted"):

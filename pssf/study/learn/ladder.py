@@ -16,16 +16,17 @@ from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import StandardScaler
 
 from ...core.execution import Execution
-from ...core.parallel import ordered_map
-from ...data.code import code_digest, require_code
-from ...radiomics.families import FAMILIES, family
+from ...data.code import require_code
+from ...radiomics.families import TEXTURES, family
 from ..predictions import class_of
 from ..settings import StudySettings
 from ..statistics.metrics import auc
 from ..statistics.parameters import PARAMETERS
+from ..statistics.subjects import worst_grades
+from .each_split import each_split
 from .models import tune
 from .selection import preparation
-from .split import Split, split_subjects
+from .split import Split, seed_of_split, split_subjects
 
 RUNGS = {
     "parameters": "all true parameters",
@@ -38,11 +39,9 @@ RUNGS = {
 # Standard error of a joint space measured by software on semiflexed films of one unit (Mazzuca 1999, J Rheumatol 26,
 # 1359; 174 knees radiographed twice): positioning is in it.
 READING_SD_MM = 0.32
-TEXTURES = tuple(name for name in FAMILIES if name not in ("firstorder", "shape2D"))
 _SPACES = ("medial", "lateral", "least")
 _TRUE, _MEASURED = (tuple(f"{kind}_{name}_mm" for name in _SPACES) for kind in ("true", "measured"))
 _READING, _THINNING = 2**31 + 5, 2  # keys of streams under a seed and under a split's
-_CODE = ("core", "radiomics", "study")
 _COLUMNS = ["grades", "rung", "repeat", "trained", "test_subjects", "auc"]
 
 
@@ -154,16 +153,8 @@ def climb(
     """
     jobs = [Job(repeat, share) for share in shares for repeat in range(settings.repeats)]
     chosen = {name: rung for name, rung in rungs_of(known, names).items() if name in rungs}
-    shared = {"known": known, "rungs": chosen, "settings": settings, "code": code_digest(_CODE)}
-    with execution.stage(stage, "splits", len(jobs)) as shown:
-        tables = ordered_map(
-            climb_split,
-            jobs,
-            shared=shared,
-            workers=execution.workers,
-            scheduler=execution.scheduler,
-            arrived=lambda *_: shown.advance(),
-        )
+    shared = {"known": known, "rungs": chosen, "settings": settings}
+    tables = each_split(climb_split, jobs, shared, execution, stage)
     rows = [row | {"share": job.share} for job, of_job in zip(jobs, tables, strict=True) for row in of_job]
     return pd.DataFrame(rows, columns=[*_COLUMNS, "share"])
 
@@ -179,7 +170,7 @@ def climb_split(
     require_code(code)
     split = split_subjects(known["subject"], known["grade"], seed=settings.seed, repeat=job.repeat)
     learnt = thinned(split, known, job, settings.seed)
-    seed = int(np.random.SeedSequence(settings.seed, spawn_key=(job.repeat, 1)).generate_state(1)[0] >> 1)
+    seed = seed_of_split(settings.seed, job.repeat)
     first, *others = sorted({int(grade) for grade in known["grade"]})
     rows = []
     for grade in others:
@@ -198,7 +189,7 @@ def thinned(split: Split, known: pd.DataFrame, job: Job, seed: int) -> list[list
     if job.share >= 1:
         return [split.training.tolist(), split.validation.tolist()]
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(job.repeat, _THINNING)))
-    worst = known.groupby("subject")["grade"].max()
+    worst = worst_grades(known["subject"], known["grade"])
     parts = []
     for subjects in (split.training, split.validation):
         kept: list[Any] = []

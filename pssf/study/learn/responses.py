@@ -8,19 +8,20 @@ import pandas as pd
 from scipy.special import logit
 
 from ...core.execution import Execution
-from ...core.parallel import ordered_map
-from ...data.code import code_digest, require_code
-from ..predictions import class_of
+from ...data.code import require_code
+from ..predictions import TASKS, class_of
 from ..settings import StudySettings
 from ..statistics.metrics import auc
+from ..statistics.subjects import worst_grades
+from .each_split import each_split
 from .models import tune
 from .selection import preparation
+from .split import seed_of_split
 
-CLASSES = ((0,), (2,))
+CLASSES = TASKS["0 vs 2"]
 _SPLIT = 3  # key of the stream under a repeat, beside that of `ladder`
 _VALIDATION = 0.15
 _CLIP = 1e-6
-_CODE = ("core", "radiomics", "study")
 _COLUMNS = ["repeat", "axis", "turn", "trained", "test_subjects", "auc", "auc_own", "shift"]
 
 
@@ -40,7 +41,7 @@ def split_curves(base: pd.DataFrame, curved: list[Any], seed: int, repeat: int) 
     curved  subjects with curves
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(repeat, _SPLIT)))
-    worst = base.groupby("subject")["grade"].max()
+    worst = worst_grades(base["subject"], base["grade"])
     parts: dict[str, list[Any]] = {"training": [], "validation": [], "test": []}
     for grade in sorted(set(worst)):
         members = worst.index[worst == grade]
@@ -66,18 +67,9 @@ def respond(
              shift: mean change of the log odds of grade 2, by which a threshold would have to move
     raises   WorkersLostError when workers keep being killed
     """
-    grades = [grade for one in CLASSES for grade in one]
-    base, steps = (table[table["grade"].isin(grades)] for table in (base, steps))
-    shared = {"base": base, "steps": steps, "names": names, "settings": settings, "code": code_digest(_CODE)}
-    with execution.stage("response curves", "splits", settings.repeats) as shown:
-        tables = ordered_map(
-            respond_split,
-            range(settings.repeats),
-            shared=shared,
-            workers=execution.workers,
-            scheduler=execution.scheduler,
-            arrived=lambda *_: shown.advance(),
-        )
+    base, steps = (table[table["grade"].isin(sum(CLASSES, ()))] for table in (base, steps))
+    shared = {"base": base, "steps": steps, "names": names, "settings": settings}
+    tables = each_split(respond_split, range(settings.repeats), shared, execution, "response curves")
     return pd.DataFrame([row for rows in tables for row in rows], columns=_COLUMNS)
 
 
@@ -97,7 +89,7 @@ def respond_split(
     """
     require_code(code)
     halves = split_curves(base, sorted(set(steps["subject"])), settings.seed, repeat)
-    seed = int(np.random.SeedSequence(settings.seed, spawn_key=(repeat, 1)).generate_state(1)[0] >> 1)
+    seed = seed_of_split(settings.seed, repeat)
     training, validation, test = (
         base[base["subject"].isin(of)] for of in (halves.training, halves.validation, halves.test)
     )

@@ -15,7 +15,7 @@ from .baselines import baselines_of
 from .models import Fitted, tune
 from .permutation import permuted
 from .selection import preparation
-from .split import split_subjects
+from .split import seed_of_split, split_subjects
 from .transfer import harmonise, stable_features
 
 Part = tuple[pd.DataFrame, NDArray[np.int64]]
@@ -58,7 +58,7 @@ def one_split(repeat: int, *, table: pd.DataFrame, names: list[str], settings: S
            `baselines.measures_of` finds in it
     """
     split = split_subjects(table["subject"], table["grade"], seed=settings.seed, repeat=repeat)
-    seed = int(np.random.SeedSequence(settings.seed, spawn_key=(repeat, 1)).generate_state(1)[0] >> 1)
+    seed = seed_of_split(settings.seed, repeat)
     protocols = protocols_of(table, settings.reference)
     stable = None
     if len(protocols) > 1:

@@ -53,6 +53,11 @@ def split_subjects(subjects: Sequence[Any], grades: Sequence[int], *, seed: int,
     return Split(*(np.array(sorted(parts[part]), dtype=kind) for part in PARTS))
 
 
+def seed_of_split(seed: int, repeat: int) -> int:
+    """Seed of what is fitted on a split, which the subjects' own chance does not hang on."""
+    return int(np.random.SeedSequence(seed, spawn_key=(repeat, 1)).generate_state(1)[0] >> 1)
+
+
 def _cuts(count: int) -> list[int]:
     """Where to cut `count` members in three, each part at least one."""
     validation, test = (max(1, round(share * count)) for share in _SHARES[1:])

@@ -15,10 +15,10 @@ from ..predictions import Outcome
 from ..settings import StudySettings
 from ..statistics.subjects import worst_grades
 from .baselines import measures_of
+from .each_split import CODE
 from .scenarios import one_split
 from .split import PARTS
 
-_CODE = ("core", "radiomics", "study")  # what an outcome depends on
 _SHARES = (0.5, 0.25)  # of the subjects, on which the first split is taken once more
 
 
@@ -48,7 +48,7 @@ def train(usable: pd.DataFrame, names: list[str], settings: StudySettings, execu
         splits = ordered_map(
             one_job,
             jobs,
-            shared={"table": table, "names": names, "settings": settings, "code": code_digest(_CODE)},
+            shared={"table": table, "names": names, "settings": settings, "code": code_digest(CODE)},
             workers=execution.workers,
             scheduler=execution.scheduler,
             arrived=lambda index, _: stage.advance() if index < settings.repeats else None,

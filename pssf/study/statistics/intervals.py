@@ -140,10 +140,19 @@ def differences(splits: pd.DataFrame, ratio: float) -> pd.DataFrame:
             values = {"difference": of_splits.value, "low": of_splits.low, "high": of_splits.high, "p": of_splits.p}
             rows.append({"comparison": comparison, **label, "metric": metric, **values, "test_subjects": tested})
     table = pd.DataFrame(rows, columns=[*_LABELS, "difference", "low", "high", "p", "test_subjects"])
-    table.insert(len(table.columns) - 1, "p_holm", np.nan)
-    for _, part in table.dropna(subset="p").groupby(["comparison", "task", "metric"], sort=False):
-        table.loc[part.index, "p_holm"] = holm(part["p"].to_numpy())
+    table.insert(len(table.columns) - 1, "p_holm", holm_within(table, ["comparison", "task", "metric"]))
     return table
+
+
+def holm_within(table: pd.DataFrame, family: list[str]) -> pd.Series:
+    """(rows,) `holm` of the column p within each family; NaN where there is no p.
+
+    family  columns that name it
+    """
+    corrected = pd.Series(np.nan, index=table.index, dtype=np.float64)
+    for _, part in table.dropna(subset="p").groupby(family, sort=False):
+        corrected[part.index] = holm(part["p"].to_numpy())
+    return corrected
 
 
 def holm(p: Array) -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from .claims import LEAST_TESTED, UNDECIDED
-from .intervals import estimate, estimate_share, holm
+from .intervals import estimate, estimate_share, holm_within
 
 CEILING = "best possible"
 # Question -> a rung, and the one that is taken from it.
@@ -68,9 +68,8 @@ def differences(splits: pd.DataFrame) -> pd.DataFrame:
             values = {"difference": of_splits.value, "low": of_splits.low, "high": of_splits.high, "p": of_splits.p}
             rows.append({**label, **values})
     columns = ["question", "grades", "rung", "minus", "test_subjects", "splits", "difference", "low", "high", "p"]
-    table = pd.DataFrame(rows, columns=columns).assign(p_holm=np.nan)
-    for _, part in table.dropna(subset="p").groupby("question", sort=False):
-        table.loc[part.index, "p_holm"] = holm(part["p"].to_numpy())
+    table = pd.DataFrame(rows, columns=columns)
+    table = table.assign(p_holm=holm_within(table, ["question"]))
     return table.assign(answer=[_answer(row) for row in table.to_dict("records")])
 
 

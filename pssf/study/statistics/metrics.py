@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import rankdata
+from scipy.stats import t as t_distribution
 from sklearn.metrics import roc_curve
 
 from ...core.checks import Array
@@ -143,3 +144,16 @@ def percentiles(values: Array) -> tuple[float, float]:
         return float("nan"), float("nan")
     low, high = np.percentile(known, LEVELS)
     return float(low), float(high)
+
+
+def mean_interval(values: Array) -> tuple[float, float, float]:
+    """Mean of independent values and its 95 per cent interval by t; NaN for what too few of them leave open.
+
+    values  (n,) of any unit, finite
+    """
+    nothing = float("nan")
+    if len(values) < 2:
+        return (float(values[0]) if len(values) else nothing), nothing, nothing
+    mean, quantile = float(values.mean()), t_distribution.ppf(LEVELS[1] / 100, len(values) - 1)
+    half = float(values.std(ddof=1) / np.sqrt(len(values)) * quantile)
+    return mean, mean - half, mean + half

@@ -9,14 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from scipy.stats import t as t_distribution
 
 from ...core.checks import Array
 from .degenerate import is_degenerate
 from .icc_by_subject import icc_by_weights, knee_weights
 from .intervals import estimate, estimate_share
 from .ladder import ratio_of
-from .metrics import percentiles
+from .metrics import mean_interval, percentiles
 from .reliability import icc
 
 SHIFT, ICC, MEDIAN_ICC, ODDS, AUC, LOSS = (
@@ -28,7 +27,6 @@ SHIFT, ICC, MEDIAN_ICC, ODDS, AUC, LOSS = (
     "loss of AUC",
 )
 COLUMNS = ["axis", "turn", "step", "measure", "feature", "knees", "value", "low", "high"]
-_LEVEL = 0.95
 # axis, number of a step from 1 -> the step
 Step = Callable[[str, int], float]
 
@@ -80,12 +78,7 @@ def curves_of_features(
 
 def _shift(values: Array) -> dict[str, float]:
     """Mean change of knees (knees, 2) in SD, with the interval of a paired t test."""
-    change = values[:, 1] - values[:, 0]
-    mean = float(change.mean()) if len(change) else float("nan")
-    if len(change) < 2:
-        return {"value": mean, "low": float("nan"), "high": float("nan")}
-    half = float(change.std(ddof=1) / np.sqrt(len(change)) * t_distribution.ppf((1 + _LEVEL) / 2, len(change) - 1))
-    return {"value": mean, "low": mean - half, "high": mean + half}
+    return dict(zip(("value", "low", "high"), mean_interval(values[:, 1] - values[:, 0]), strict=True))
 
 
 def curves_of_models(splits: pd.DataFrame, step: Step) -> pd.DataFrame:

@@ -6,11 +6,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from SALib.analyze import sobol
-from scipy.stats import t as t_distribution
 
-from ...core.checks import Array
 from ..space import SPACE, problem_of
 from .degenerate import is_degenerate
+from .metrics import mean_interval
 from .parameters import parameters_of
 
 SHARES = ["feature", "group", "samples", "first", "first_low", "first_high", "total", "total_low", "total_high"]
@@ -86,7 +85,7 @@ def slopes(
         for index, name in enumerate(names):
             values = slope[np.isfinite(slope[:, index]), index]
             label = {"feature": name, "parameter": SPACE[str(parameter)].label, "knees": len(values)}
-            rows.append(label | _mean(values))
+            rows.append(label | dict(zip(("slope", "slope_low", "slope_high"), mean_interval(values), strict=True)))
     return pd.DataFrame(rows, columns=SLOPES)
 
 
@@ -94,15 +93,6 @@ def _values(table: pd.DataFrame) -> pd.DataFrame:
     """The table with the largest osteophyte of each of its rows."""
     largest = parameters_of(table.assign(knee=range(len(table)))).get("largest_osteophyte_mm")
     return table.assign(largest_osteophyte_mm=0.0 if largest is None else largest.to_numpy())
-
-
-def _mean(values: Array) -> dict[str, float]:
-    """Mean of values (knees,), dimensionless, with its interval."""
-    if len(values) < 2:
-        return {"slope": float(values[0]) if len(values) else np.nan, "slope_low": np.nan, "slope_high": np.nan}
-    half = values.std(ddof=1) / np.sqrt(len(values)) * t_distribution.ppf((1 + _LEVEL) / 2, len(values) - 1)
-    mean = float(values.mean())
-    return {"slope": mean, "slope_low": mean - float(half), "slope_high": mean + float(half)}
 
 
 def beside(follows: pd.DataFrame, of_slopes: pd.DataFrame, of_shares: pd.DataFrame) -> pd.DataFrame:
