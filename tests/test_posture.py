@@ -50,6 +50,18 @@ def test_a_joint_space_as_readers_take_it_is_the_one_asked_for(side):
     assert_allclose(pssf.build(knee, FIXED_FLEXION).measured_jsw_mm(FIXED_FLEXION), [4.2, 5.1], atol=1e-3)
 
 
+def test_spaces_are_met_where_the_floor_of_the_plateau_jumps_as_the_tibia_moves():
+    """A drawn knee that has 0.07 mm of height against 0.28 mm of space: its joint line never came to rest."""
+    shape = (-1.1221, 1.0708, 0.5, 0.4836, 0.2127, 0.71, 0.313, -0.0709, 0.1872, 1.2917, -1.0504, 0.1207, -1.9536)
+    knee = pssf.Knee(
+        sex="female", stature_mm=1585.822, bone_scale=1.0457, shape=shape, jsw_as="read", jsw_medial_mm=4.1388,
+        jsw_lateral_mm=4.7705, subchondral_plate=1.2447, cortex_scale=1.0437, varus_deg=-1.1264, flexion_deg=0.1007,
+        rotation_deg=-0.81, tibial_slope_deg=4.779, lean_deg=4.1602,
+        osteophytes=(pssf.Osteophyte(site="medial_tibia", size_mm=0.8988, curve_deg=10.0),),
+    )  # fmt: skip
+    assert_allclose(pssf.build(knee, FIXED_FLEXION).measured_jsw_mm(FIXED_FLEXION), [4.1388, 4.7705], atol=1e-3)
+
+
 def test_a_bent_knee_keeps_its_height_above_the_plateau(bent):
     """Rays along the tibia's axis, cast by another library, from a grid below either condyle."""
     straight = pssf.build(READ)

@@ -26,6 +26,9 @@ _TOLERANCE_MM = 1e-4
 # The joint line need lie no nearer to the origin than this. Once it does the tibia stays where it is, and with it the
 # landmarks on its floor, which jump a little where it moves.
 _LEVEL_MM = 0.02
+# Where such a jump answers each shift with another the two never end: after so many turns the tibia stays if the line is
+# as near as this, and the spaces alone are solved for.
+_LEVELLED, _NEARLY_LEVEL_MM = 8, 0.2
 _TURNS = 40
 # Of a pose: medial and lateral space, mm, where in x each is least, and by how much the joint line is too high.
 Measure = Callable[[Pose], tuple[Array, Array, float]]
@@ -53,13 +56,14 @@ def solve_pose(knee: Knee, build: Build, femur: Manifold, tibia: Manifold, proto
         medial_mm=knee.subluxation_mm,
     )
     measure = _measure(knee, build, (femur, tibia), protocol)
-    for _ in range(_TURNS):
+    for turn in range(_TURNS):
+        level_mm = _LEVEL_MM if turn < _LEVELLED else _NEARLY_LEVEL_MM
         spaces, x, high = measure(pose)
         error = wanted - spaces
-        if np.abs(error).max() < _TOLERANCE_MM and abs(high) < _LEVEL_MM:
+        if np.abs(error).max() < _TOLERANCE_MM and abs(high) < level_mm:
             return pose
         better = turned_by(pose, x, error)
-        if abs(high) >= _LEVEL_MM:
+        if abs(high) >= level_mm:
             better = replace(better, shift_mm=pose.shift_mm - high - (better.raise_mm - pose.raise_mm) / 2)
         pose = better
     raise InputError(
