@@ -13,7 +13,7 @@ from pssf.realism import domains, films_section
 from pssf.realism.blind import blind_test
 from pssf.realism.effects import effects
 from pssf.realism.films import centred, measured
-from pssf.realism.form import PITCH_MM, PLATEAU_MM, Place, field_of, joint_pixel, stretched
+from pssf.realism.form import PITCH_MM, PLATEAU_MM, Place, field_of, joint_pixel, made_smaller, stretched
 from pssf.realism.outline import cheapest_path, trace_outline
 from pssf.realism.page import Section, Table, render
 from pssf.realism.shape_features import plateau_edges, shape_groups
@@ -72,6 +72,27 @@ def test_a_film_of_another_side_size_or_pitch_has_the_same_form(side, size, pixe
     there = centred(other, middle_of(other, pixel_mm, side, size))
     difference = stretched(field_of(one, here)) - stretched(field_of(other, there))
     assert np.abs(difference).mean() < 8
+
+
+def test_a_film_made_smaller_has_the_form_of_one_taken_in_larger_pixels():
+    """Crops are made smaller before they are given; what is told of the film is told in its own pixels."""
+    fine, coarse = (
+        drawn_knee(pixel_mm=pixel_mm, rows=rows, cols=rows) for pixel_mm, rows in ((0.15, 1020), (0.45, 340))
+    )
+    smaller, place = made_smaller(fine, middle_of(fine, 0.15), 3)
+    assert smaller.shape == coarse.shape
+    here, there = (
+        stretched(field_of(film, centred(film, near)))
+        for film, near in ((smaller, place), (coarse, middle_of(coarse, 0.45)))
+    )
+    assert np.abs(here - there).mean() < 8
+    values = measured(fine, middle_of(fine, 0.15), 0.15, 3)
+    plain = measured(fine, middle_of(fine, 0.15), 0.15)
+    assert values["pitch_mm"] == pytest.approx(plain["pitch_mm"], rel=0.02)
+    assert abs(values["joint_row_px"] - plain["joint_row_px"]) < 5
+    assert abs(values["joint_col_px"] - plain["joint_col_px"]) < 5
+    back = place.binned(1 / 3)
+    assert (back.row, back.col, back.pitch_mm) == pytest.approx((509.5, 509.5, 0.15))
 
 
 def test_a_place_off_by_centimetres_and_a_wrong_pitch_are_mended():
@@ -187,6 +208,7 @@ def records(source, count, grades=(0, 2)):
         made.append({
             **values, **noisy, "source": source, "file": f"{index}.png", "subject": f"{source}{index}", "side": "right",
             "grade": grades[index % len(grades)], "status": "found", "polarity": "bone bright", "pixel_mm": 0.3,
+            "binned": 1,
         })  # fmt: skip
     return [*made, {"source": source, "file": "x.png", "subject": "x", "grade": 0, "status": "no knee"}]
 

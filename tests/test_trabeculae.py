@@ -16,7 +16,16 @@ from pssf.data.spongy import trabecular_bone
 from pssf.geometry.density import Density
 from pssf.geometry.view import View
 
-HEALTHY = dict(seed=3, scale=1.0, frame=np.eye(3, 4), mirror=(1.0, 1.0, 1.0), sclerosis=1.0, age_years=55.0, sex="male")
+HEALTHY = dict(
+    seed=3,
+    scale=1.0,
+    frame=np.eye(3, 4),
+    mirror=(1.0, 1.0, 1.0),
+    sclerosis=1.0,
+    age_years=55.0,
+    sex="male",
+    density=1.0,
+)
 FLAT = dict(
     margin_per_mm=0.0,
     shaft=0.15,

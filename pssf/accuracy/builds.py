@@ -29,6 +29,7 @@ _RANGES = {
     "rotation_deg": (-10.0, 10.0),
     "bone_scale": (0.9, 1.1),
     "cortex_scale": (0.7, 1.3),
+    "bone_density": (0.5, 1.5),
     "tibial_slope_deg": (0.0, 12.0),
     "limb_ap_mm": (90.0, 160.0),
     "fat_mm": (3.0, 25.0),

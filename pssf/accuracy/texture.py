@@ -42,6 +42,7 @@ def step_rows() -> list[Row]:
         mirror=(1.0, 1.0, 1.0),
         sclerosis=1.0,
         age_years=55.0,
+        density=1.0,
         sex="male",
     )
     even = replace(bone, region=bone.region._replace(gain=0.0, gain_shaft=0.0))

@@ -208,6 +208,7 @@ def _texture(knee: Knee, bone: str, table: TrabecularBone, assembly: KneeAssembl
         sclerosis=knee.subchondral_plate,
         age_years=knee.age_years,
         sex=knee.sex,
+        density=knee.bone_density,
     )
 
 

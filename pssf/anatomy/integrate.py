@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..core.checks import Array
 from ..data.records import Triple
 from .lattice import Block
+from .region import Region
 
 LANES = 16
 # Rows of the array, in steps of LANES. Of a segment's line: a point, its direction, the length of a step, where on it
@@ -61,62 +62,15 @@ class Steps(NamedTuple):
     piece: int
 
 
-class Region(NamedTuple):
-    """The smooth part of one bone's density, as in `data/trabeculae.toml`; lengths inverted, for divisions take time.
-
-    plate                        relative rise of BV/TV at the subchondral plate
-    hard_medial, hard_lateral    what sclerosis adds to it there, and deeper
-    scar_x, scar_y, scar_z       where this bone's scar is
-    scar_phase, scar_bvtv        of its ripple, and how strong it is
-    marrow, per_bvtv             density without bone, and what a BV/TV of 1 adds to it
-    """
-
-    shaftward: float
-    bvtv: float
-    shaft: float
-    fade_per_mm: float
-    medial: float
-    middle_mm: float
-    load: float
-    column_mm: float
-    column_per_mm: float
-    margin_mm: float
-    margin_per_mm: float
-    plate: float
-    plate_per_mm: float
-    hard_medial: float
-    hard_lateral: float
-    hard_per_mm: float
-    fan: float
-    fan_mm: float
-    squat: float
-    joint: Triple
-    below: float
-    dips: tuple[Triple, Triple, Triple]
-    gain: float
-    gain_shaft: float
-    scar_x: float
-    scar_y: float
-    scar_z: float
-    scar_phase: float
-    scar_slope: float
-    scar_bow_per_mm: float
-    scar_dome_per_mm: float
-    scar_ripple_mm: float
-    scar_ripple_per_mm: float
-    scar_bvtv: float
-    scar_per_mm: float
-    scar_wide_per_mm: float
-    scale: float
-    per_scale: float
-    marrow: float
-    per_bvtv: float
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
 def _bell(x: float) -> float:
     fall = 1.0 / (1.0 + x * x)
     return fall * fall
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _step(x: float) -> float:
+    return 1.0 / (1.0 + x * x * x * x * x * x)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -143,9 +97,9 @@ def _nodes(lanes: Array, region: Region, struts: Struts) -> None:
         high, deep = min(z - surface - region.joint[1], region.below), y - region.joint[0]
         depth = max(region.joint[2] - math.sqrt(deep * deep + high * high), 0.0)
         hard = region.hard_medial * (0.5 + 0.5 * medial) + region.hard_lateral * (0.5 - 0.5 * medial)
-        more = region.plate * _bell(depth * region.plate_per_mm) + hard * _bell(depth * region.hard_per_mm)
-        # What bone there is more at the plate is a dense mesh, not thicker struts.
+        more = region.plate * _step(depth * region.plate_per_mm) + hard * _bell(depth * region.hard_per_mm)
         swing = mean * (region.gain_shaft + (region.gain - region.gain_shaft) * fade)
+        swing *= 1.0 + region.plate_struts * more * fade
         mean *= 1.0 + more * fade
         back = y - region.scar_y
         over = z - region.scar_z - region.scar_slope * x - region.scar_bow_per_mm * x * x

@@ -26,7 +26,7 @@ _TOLERANCE_MM = 1e-4
 # The joint line need lie no nearer to the origin than this. Once it does the tibia stays where it is, and with it the
 # landmarks on its floor, which jump a little where it moves.
 _LEVEL_MM = 0.02
-# Where such a jump answers each shift with another the two never end: after so many turns the tibia stays if the line is
+# Where such a jump answers each shift with another this never ends: after so many turns the tibia stays if the line is
 # as near as this, and the spaces alone are solved for.
 _LEVELLED, _NEARLY_LEVEL_MM = 8, 0.2
 _TURNS = 40

@@ -13,9 +13,10 @@ import numpy as np
 
 from ..core.checks import Array, InputError, require, require_choice, require_seed
 from ..data.records import Triple
-from ..data.spongy import Lattice, TrabecularBone
-from .integrate import Region, Steps, Struts, integrate_density
+from ..data.spongy import Ageing, Lattice, TrabecularBone
+from .integrate import Steps, Struts, integrate_density
 from .lattice import lattice
+from .region import Region
 
 BONES = ("femur", "tibia", "fibula", "patella", "fabella")
 # Spongy as another bone.
@@ -76,6 +77,7 @@ def trabeculae(
     sclerosis: float,
     age_years: float,
     sex: str,
+    density: float,
 ) -> Trabeculae:
     """The trabecular density of one bone of a knee.
 
@@ -85,6 +87,7 @@ def trabeculae(
     frame      (3, 4)  rigid transform from the bone's frame to that of a right knee, mm
     mirror     (x, y, z) factors of 1 or -1 by which that knee is mirrored, as a left one is in x
     sclerosis  thickness of the subchondral plate over a healthy one's (`Knee.subchondral_plate`)
+    density    of a person over others of that age and sex (`Knee.bone_density`)
     raises     InputError for an unknown bone, mirror or sex, a value out of range, a frame that is not rigid
     """
     require_choice("bone", bone, BONES)
@@ -93,10 +96,13 @@ def trabeculae(
     require("scale", scale, 0.5, 2.0, "(relative)")
     require("sclerosis", sclerosis, 0.5, 2.5, "(relative)")
     require("age_years", age_years, 18, 100, "years")
+    require("density", density, 0.4, 1.8, "(relative)")
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1 + BONES.index(bone),)))
     x, z, y = (rng.random(3) * table.lattice.voxels).tolist()
     return Trabeculae(
-        region=_region(bone, table, rng.random(5).tolist(), scale, sclerosis, age_years, sex),
+        region=_region(
+            bone, table, rng.random(5).tolist(), scale, sclerosis, _aged(table.ageing, age_years, sex, density)
+        ),
         seed=int(seed),
         table=table.lattice,
         shift=(x, z, y),
@@ -110,23 +116,23 @@ def _region(
     chance: list[float],
     scale: float,
     sclerosis: float,
-    age_years: float,
-    sex: str,
+    aged: tuple[float, float],
 ) -> Region:
-    """chance  uniform numbers: height of the scar, how strong it is, where across, where front to back, its ripple"""
-    part, hard, scar, ageing, tissue = (
+    """The smooth part of a bone.
+
+    chance  uniform numbers: height of the scar, how strong it is, where across, where front to back, its ripple
+    aged    BV/TV and contrast of the struts over those of the table
+    """
+    part, hard, scar, tissue = (
         getattr(table, _AS.get(bone, bone)),
         table.sclerosis,
         table.scar,
-        table.ageing,
         table.tissue,
     )
     excess = part.sclerosis * hard.per_plate * (sclerosis - 1)
     # A plate thinner than a healthy one takes no more than its own rise.
     added = [max(-part.plate, (1 + part.plate) * excess * share) for share in (1.0, hard.lateral_share)]
-    years = age_years - ageing.reference_years
-    left = (1 - ageing.per_year * years) * ageing.mean[sex]
-    contrast = 1 + ageing.contrast_per_year[sex] * years
+    left, contrast = aged
     same = {name: value for name in Region._fields if isinstance(value := getattr(part, name, None), float)}
     same |= {name: min(1.0, getattr(part, name) * contrast) for name in ("gain", "gain_shaft")}
     same |= {f"{name}_per_mm": 1 / getattr(part, f"{name}_mm") for name in ("fade", "plate")}
@@ -153,6 +159,12 @@ def _region(
         marrow=tissue.marrow,
         per_bvtv=left * (1 - tissue.marrow) / tissue.bvtv,
     )
+
+
+def _aged(ageing: Ageing, age_years: float, sex: str, density: float) -> tuple[float, float]:
+    """BV/TV and contrast of the struts of a person over those of the table."""
+    years = age_years - ageing.reference_years
+    return density * (1 - ageing.per_year * years) * ageing.mean[sex], 1 + ageing.contrast_per_year[sex] * years
 
 
 def _inverse(frame: Array, mirror: Triple) -> tuple[float, ...]:

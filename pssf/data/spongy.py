@@ -44,6 +44,12 @@ class Ageing(Record, frozen=True):
     contrast_per_year: dict[str, float]
 
 
+class Person(Record, frozen=True):
+    """How people of one age and sex differ: mean and deviation of `Knee.bone_density`."""
+
+    density: Pair
+
+
 class Sclerosis(Record, frozen=True):
     """Rise of BV/TV with the subchondral plate."""
 
@@ -85,6 +91,7 @@ class SpongyBone(Record, frozen=True):
     margin_half_mm: float
     plate: float
     plate_mm: float
+    plate_struts: float
     fan: float
     fan_mm: float
     squat: float
@@ -107,6 +114,7 @@ class TrabecularBone(Record, frozen=True):
     tissue: Mix
     lattice: Lattice
     ageing: Ageing
+    person: Person
     sclerosis: Sclerosis
     side: Side
     scar: Scar

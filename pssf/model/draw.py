@@ -10,6 +10,7 @@ from ..data.grades import RangeGrades, SeverityGrades, grade_table
 from ..data.limbs import Limbs, limbs
 from ..data.records import Pair
 from ..data.shapes import shape_table
+from ..data.spongy import trabecular_bone
 from .knee import MOST_SD, SITES, Knee, Osteophyte
 from .severity import severity_fields
 
@@ -18,7 +19,7 @@ _FARTHEST_SD = 2.0
 # What the two knees of a person share.
 _BODY_FIELDS = (
     "sex", "stature_mm", "bone_scale", "cortex_scale", "bmi", "limb_ap_mm", "fat_mm", "age_years",
-    "shape", "fibular_tip_mm", "insall_salvati", "fabella_mm",
+    "bone_density", "shape", "fibular_tip_mm", "insall_salvati", "fabella_mm",
 )  # fmt: skip
 
 
@@ -62,6 +63,7 @@ def draw_knee(*, grade: int, rng: np.random.Generator, table: str = "paper", **f
     bmi = fixed.get("bmi", round(_normal(rng.spawn(1)[0], of_limbs.bmi, sex) + more, 4))
     field_laws("knee")["bmi"].check("bmi", bmi)
     drawn |= _limb(bmi, sex, drawn, of_limbs)
+    drawn["bone_density"] = _normal(rng.spawn(1)[0], trabecular_bone().person.density, sex)
     return from_table(Knee, {**drawn, **fixed}, "draw_knee")
 
 

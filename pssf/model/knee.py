@@ -91,6 +91,7 @@ class Knee:
     limb_ap_mm         antero-posterior thickness of the limb at the joint; None: as people of that BMI and sex have it
     fat_mm             subcutaneous fat, medial and lateral; None: likewise
     age_years          thins the trabeculae
+    bone_density       of the spongy bone over the mean of that age and sex
     texture_seed       of the trabeculae, of how uneven the cortex is and of how rough the bone, which a knee changed in
                        another field keeps
     grade              KL grade that it was drawn for, or None
@@ -124,6 +125,7 @@ class Knee:
     limb_ap_mm: float = cast(float, None)
     fat_mm: float = cast(float, None)
     age_years: float = 55.0
+    bone_density: float = 1.0
     texture_seed: int = 0
     grade: int | None = None
     grade_read: int | None = None

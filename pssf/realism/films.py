@@ -20,7 +20,7 @@ from ..radiomics.locate import locate
 from ..radiomics.patches import Template
 from ..radiomics.table import SAVE_SECONDS
 from .domains import Films
-from .form import PITCH_MM, PLATEAU_MM, Place, field_of, joint_pixel, stretched
+from .form import PITCH_MM, PLATEAU_MM, Place, field_of, joint_pixel, made_smaller, stretched
 from .grey_features import grey_groups
 from .outline import trace_outline
 from .shape_features import plateau_edges, shape_groups
@@ -110,7 +110,7 @@ def measure_film(film: Film, *, folder: Path, templates: Sequence[Template], cod
     raises  InputError where the code is another here
     """
     require_code(code)
-    record: Record = {"sha256": film.sha256, "side": film.side or "", "reason": ""}
+    record: Record = {"sha256": film.sha256, "side": film.side or "", "reason": "", "binned": film.binned}
     try:
         image = read_film(folder / film.file, film.look)
     except InputError as error:
@@ -130,23 +130,26 @@ def measure_film(film: Film, *, folder: Path, templates: Sequence[Template], cod
     middle = joint.col + lateral * _TO_MIDDLE * plateau_mm / joint.pixel_mm
     pitch_mm = joint.pixel_mm * PLATEAU_MM / plateau_mm
     place = Place(row=joint.row, col=middle, side=joint.side, pitch_mm=pitch_mm)
-    return record | measured(bright, place, joint.pixel_mm)
+    return record | measured(bright, place, joint.pixel_mm, film.binned)
 
 
-def measured(film: Array, near: Place, pixel_mm: float) -> Record:
+def measured(film: Array, near: Place, pixel_mm: float, binned: int = 1) -> Record:
     """group|feature -> value of a film about its joint.
 
     film      (rows, cols) grey, a display value, bone bright
     near      about where the joint's middle is
     pixel_mm  pitch of the film
+    binned    pixels of it that are taken as one, but for the texture that is told at its own pitch
     """
-    place = centred(film, near)
-    field = field_of(film, place)
+    shown, near = made_smaller(film, near, binned)
+    place = centred(shown, near)
+    field = field_of(shown, place)
     form = stretched(field)
     outline = trace_outline(form)
     groups = shape_groups(outline) | grey_groups(form, outline)
-    groups |= {TONE: tone(film, field, outline, place), FINE: fine_texture(film, outline, place, pixel_mm)}
-    values: Record = {"joint_row_px": place.row, "joint_col_px": place.col, "pitch_mm": place.pitch_mm}
+    own = place.binned(1 / binned)
+    groups |= {TONE: tone(shown, field, outline, place), FINE: fine_texture(film, outline, own, pixel_mm)}
+    values: Record = {"joint_row_px": own.row, "joint_col_px": own.col, "pitch_mm": own.pitch_mm}
     return values | {f"{group}{_BETWEEN}{name}": value for group, of in groups.items() for name, value in of.items()}
 
 
@@ -193,7 +196,8 @@ def learnable(name: str, records: Sequence[Record]) -> Films:
 
 def _shown_key(key: str, film: Film) -> str:
     """The key of a film's record, by what it was shown with."""
-    return key if film.look is None else hashlib.sha256(f"{key} {film.look!r}".encode()).hexdigest()[:16]
+    shown = f"{key} {film.look!r} {film.binned}"
+    return key if film.look is None and film.binned == 1 else hashlib.sha256(shown.encode()).hexdigest()[:16]
 
 
 def _said(film: Film, source: str) -> Record:

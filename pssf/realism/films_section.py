@@ -14,7 +14,7 @@ from .blind import blind_test
 from .domains import ALL, told_apart, transferred
 from .effects import effects
 from .films import FINE, TONE, Record, learnable
-from .form import Place, field_of, stretched
+from .form import Place, field_of, made_smaller, stretched
 from .page import Section, Table
 from .sheets import sheet
 
@@ -27,10 +27,11 @@ TASKS = ((2,), (3, 4))
 _A_SHEET = 6
 _TEXT = (
     "Every film, real or simulated, is searched for its joint, turned into a right knee and brought to one size of the "
-    "plateau (78 mm), one pitch (0.46 mm), one field (92 by 77 mm) and one histogram (8 bits between the 1st and 99th "
-    "percentile); its contours are traced, and groups of features measured. Models are logistic regressions (L2) on "
-    "standardised features. Intervals are 95 per cent, from a bootstrap of subjects with the models held: they hold "
-    "the chance of which films were tested, and are wide where films are few."
+    "plateau (78 mm), one pitch (0.46 mm; simulated films first to pixels as large as those of most real ones), one "
+    "field (92 by 77 mm) and one histogram (8 bits between the 1st and 99th percentile); its contours are traced, and "
+    "groups of features measured. Models are logistic regressions (L2) on standardised features. Intervals are 95 per "
+    "cent, from a bootstrap of subjects with the models held: they hold the chance of which films were tested, and are "
+    "wide where films are few."
 )
 _CAPTIONS = {
     "domains": "(a) Real against simulated, and real against real as a control: 0.5 is alike, 1 told apart always.",
@@ -195,7 +196,7 @@ def _form(film: Array, record: Record) -> NDArray[np.uint8]:
     place = Place(
         row=record["joint_row_px"], col=record["joint_col_px"], side=record["side"], pitch_mm=record["pitch_mm"]
     )
-    return stretched(field_of(bright, place)).astype(np.uint8)
+    return stretched(field_of(*made_smaller(bright, place, int(record["binned"])))).astype(np.uint8)
 
 
 def _called(grade: int) -> str:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from ..core.blocks import block_mean
 from ..core.checks import Array, InputError, require, require_choice
 
 # Mean of people on films (Tiulpin et al. 2019, see `data/landmarks.toml`).
@@ -47,10 +48,23 @@ class Place:
         across = medial_mm if self.side == "right" else -medial_mm
         return self.row + below_mm / self.pitch_mm, self.col + across / self.pitch_mm
 
+    def binned(self, pixels: float) -> "Place":
+        """The same place on a film whose pixels are so many of this one's wide; 1 / n leads back from n."""
+        row, col = ((at + 0.5) / pixels - 0.5 for at in (self.row, self.col))
+        return Place(row=row, col=col, side=self.side, pitch_mm=self.pitch_mm * pixels)
+
     def moved(self, rows: float, cols: float) -> "Place":
         """So many pixels of the standard form farther down and towards medial."""
         row, col = self.pixels_at(np.array(rows * PITCH_MM), np.array(cols * PITCH_MM))
         return Place(row=float(row), col=float(col), side=self.side, pitch_mm=self.pitch_mm)
+
+
+def made_smaller(film: Array, place: Place, pixels: int) -> tuple[Array, Place]:
+    """A film in pixels that are the mean of so many by so many of its own, as crops are made, and a place on it.
+
+    film  (rows, cols) grey, a display value
+    """
+    return (film, place) if pixels == 1 else (block_mean(film, pixels), place.binned(pixels))
 
 
 def field_of(film: Array, place: Place) -> Array:

@@ -1,7 +1,7 @@
 """The meter: what is given is measured, and one page says how far simulated knees are from people's."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from ..io.records import read_manifest
 from ..model.knee import Knee
 from ..model.look import draw_look
 from ..model.protocol import load_protocol
+from ..radiomics.patches import Template
 from ..study.report.page import Picture
 from . import bones, contours
 from .cohort_landmarks import cohort_landmarks
@@ -189,18 +190,30 @@ def _films(out: Path, sources: Sequence[Source], plan: Plan, execution: Executio
     with execution.stage("templates", "knees", 1):
         templates = standard_templates("scanline")
     simulated = _simulated(out / "simulated", plan, execution)
-    records = {}
-    for source in (*sources, simulated):
-        path = out / f"films_{source.name}.csv"
-        records[source.name] = measure_films(
-            source,
-            templates,
-            execution,
-            known=_known(path),
-            save=partial(_save, path),
-        )
+    records = {source.name: _measured(source, out, templates, execution) for source in sources}
+    simulated = _as_large(simulated, records)
+    records[SIMULATED] = _measured(simulated, out, templates, execution)
     with execution.stage("models", "parts", 1):
         return films_section(records, partial(_read, {one.name: one for one in (*sources, simulated)}), seed=plan.seed)
+
+
+def _measured(source: Source, out: Path, templates: Sequence[Template], execution: Execution) -> list[Record]:
+    path = out / f"films_{source.name}.csv"
+    return measure_films(source, templates, execution, known=_known(path), save=partial(_save, path))
+
+
+def _as_large(simulated: Source, records: Mapping[str, Sequence[Record]]) -> Source:
+    """Simulated films in pixels about as large as those of the real source of which most were found.
+
+    What a film is made smaller by blurs it, and tells it from one that was not.
+    """
+    pitches = [[one["pixel_mm"] for one in of if one["status"] == "found"] for of in records.values()]
+    own_mm = simulated.films[0].pixel_mm if simulated.films else None
+    pixel_mm = max(pitches, key=len, default=[])
+    if own_mm is None or not pixel_mm:
+        return simulated
+    binned = max(1, round(float(np.median(pixel_mm)) / own_mm))
+    return replace(simulated, films=tuple(replace(film, binned=binned) for film in simulated.films))
 
 
 def _plan(protocol: str, knees: int, grades: str, count: int, seed: int) -> Plan:

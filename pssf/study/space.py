@@ -88,6 +88,7 @@ SPACE = {
     "largest_osteophyte_mm": Parameter("osteophytes", "largest osteophyte, mm", _largest_mm, _grown),
     "subchondral_plate": _of_knee("plate and cortex", "subchondral plate, relative", "subchondral_plate"),
     "cortex_scale": _of_knee("plate and cortex", "cortex scale", "cortex_scale"),
+    "bone_density": _of_knee("spongy bone", "bone density, relative", "bone_density"),
     "varus_deg": _of_knee("alignment and pose", "varus, deg", "varus_deg"),
     "flexion_deg": _of_knee("alignment and pose", "flexion, deg", "flexion_deg"),
     "rotation_deg": _of_knee("alignment and pose", "rotation, deg", "rotation_deg"),

@@ -21,6 +21,7 @@ GRADED = {
 }
 BODY = {
     "age_years": "age, years",
+    "bone_density": "bone density, relative",
     "stature_mm": "stature, mm",
     "bone_scale": "bone scale",
     "cortex_scale": "cortex scale",

@@ -1,0 +1,58 @@
+"""Region: the smooth part of one bone's density, as numbers that compiled code takes."""
+
+from typing import NamedTuple
+
+from ..data.records import Triple
+
+
+class Region(NamedTuple):
+    """The smooth part of one bone's density, as in `data/trabeculae.toml`; lengths inverted, for divisions take time.
+
+    plate                        relative rise of BV/TV at the subchondral plate
+    hard_medial, hard_lateral    what sclerosis adds to it there, and deeper
+    scar_x, scar_y, scar_z       where this bone's scar is
+    scar_phase, scar_bvtv        of its ripple, and how strong it is
+    marrow, per_bvtv             density without bone, and what a BV/TV of 1 adds to it
+    """
+
+    shaftward: float
+    bvtv: float
+    shaft: float
+    fade_per_mm: float
+    medial: float
+    middle_mm: float
+    load: float
+    column_mm: float
+    column_per_mm: float
+    margin_mm: float
+    margin_per_mm: float
+    plate: float
+    plate_per_mm: float
+    plate_struts: float
+    hard_medial: float
+    hard_lateral: float
+    hard_per_mm: float
+    fan: float
+    fan_mm: float
+    squat: float
+    joint: Triple
+    below: float
+    dips: tuple[Triple, Triple, Triple]
+    gain: float
+    gain_shaft: float
+    scar_x: float
+    scar_y: float
+    scar_z: float
+    scar_phase: float
+    scar_slope: float
+    scar_bow_per_mm: float
+    scar_dome_per_mm: float
+    scar_ripple_mm: float
+    scar_ripple_per_mm: float
+    scar_bvtv: float
+    scar_per_mm: float
+    scar_wide_per_mm: float
+    scale: float
+    per_scale: float
+    marrow: float
+    per_bvtv: float
