@@ -122,7 +122,8 @@ def _below(places: Array, faces: Indices, tip: Array) -> tuple[int, float]:
     """The triangle that is nearest to a tip, and how far away it is."""
     from trimesh.triangles import closest_point  # loading trimesh takes a second, and many knees have no tips
 
-    about = np.flatnonzero(_within(tip, places[faces].mean(axis=1)))
+    one, two, three = places[faces.T]
+    about = np.flatnonzero(_within(tip, (one + two + three) / 3))
     away = lengths(closest_point(places[faces[about]], np.repeat(tip[None], len(about), axis=0)) - tip)
     return int(about[away.argmin()]), float(away.min())
 

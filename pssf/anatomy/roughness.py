@@ -22,6 +22,8 @@ def roughness(points: Array, zones: tuple[RoughZone, ...], seed: int, end: int) 
     for number, zone in enumerate(zones):
         within = 1.0 - _from_middle(points, zone)
         some = np.flatnonzero(within > 0)
+        if not len(some):
+            continue
         waves = noise(points[some], zone.lengths_mm, seed, (102, end + 1, number)).clip(-_MOST_SD, _MOST_SD)
         moves[some] += (zone.sd_mm * within[some] ** 2 * waves)[:, None] * np.array(zone.way)
     return moves
