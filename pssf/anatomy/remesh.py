@@ -190,7 +190,12 @@ def _flipped(places: Array, faces: Indices, folded: Indices, field: Field) -> tu
 
     And those that stay folded.
     """
-    faces, mended = faces.copy(), np.zeros(len(folded), np.bool_)
+    all_faces, mended = faces.copy(), np.zeros(len(folded), np.bool_)
+    # All that is looked for has a corner of a folded one.
+    touched = np.zeros(len(places), np.bool_)
+    touched[folded] = True
+    about = touched[faces].any(axis=1)
+    faces = faces[about]
     for number, corners in enumerate(folded):
         still = np.flatnonzero((faces == corners).all(axis=1))
         mended[number] = not len(still)  # joined another way as a neighbour
@@ -209,7 +214,8 @@ def _flipped(places: Array, faces: Indices, folded: Indices, field: Field) -> tu
             if not joined and not _face_inwards(places[pair], field).any():
                 faces[[mine, across]], mended[number] = pair, True
                 break
-    return faces, folded[~mended]
+    all_faces[about] = faces
+    return all_faces, folded[~mended]
 
 
 def _spread(places: Array, around: NDArray[np.bool_], amid: csr_array, field: Field) -> Array:
@@ -245,11 +251,9 @@ def _split_where_off(
     """
 
     def off(places: Array, edges: Indices) -> tuple[Indices, Array]:
-        if near is not None:
-            edges = edges[near(places)[edges].all(axis=1)]
         middles = places[edges].mean(axis=1)
         settled = project_to_surface(middles, field, None, 3)
         away = np.linalg.norm(settled - middles, axis=1) > tolerance_mm
         return edges[away], settled[away]
 
-    return split_where(places, faces, rounds, off)
+    return split_where(places, faces, rounds, off, near)

@@ -39,4 +39,5 @@ def in_zones(points: Array, zones: tuple[RoughZone, ...]) -> NDArray[np.bool_]:
 
 def _from_middle(points: Array, zone: RoughZone) -> Array:
     """(n,)  squared way from a zone's middle over that to its edge"""
-    return np.asarray((((points - zone.centre) / zone.half) ** 2).sum(axis=1))
+    x, y, z = (((points[:, axis] - zone.centre[axis]) / zone.half[axis]) ** 2 for axis in range(3))
+    return np.asarray(x + y + z)

@@ -52,7 +52,7 @@ def edges_of(faces: Indices) -> Indices:
 
     faces  (m, 3)  vertex numbers
     """
-    number = int(faces.max()) + 1
+    number = int(faces.max(initial=0)) + 1
     ends = np.stack((faces, np.roll(faces, -1, axis=1)), axis=-1)
     # Sorted here: numpy finds what is unique by a hash, which takes several times as long.
     key = np.sort((ends.min(axis=-1) * number + ends.max(axis=-1)).reshape(-1))
@@ -92,33 +92,49 @@ def split_edges(faces: Indices, edges: Indices, first: int) -> Indices:
     faces  (m, 3)
     edges  (n, 2)  those to halve, the smaller vertex first; their middles are vertices first, first + 1, ...
     """
+    touched = np.zeros(first, np.bool_)
+    touched[edges] = True
+    number = np.flatnonzero(touched[faces].sum(axis=1) > 1)
+    about, kept = faces[number], np.ones(len(faces), np.bool_)
     key = edges[:, 0] * first + edges[:, 1]
     order = np.argsort(key)
-    ends = np.sort(np.stack((faces, np.roll(faces, -1, axis=1)), axis=-1), axis=-1)
+    ends = np.sort(np.stack((about, np.roll(about, -1, axis=1)), axis=-1), axis=-1)
     wanted = ends[..., 0] * first + ends[..., 1]
     place = np.minimum(np.searchsorted(key, wanted, sorter=order), len(key) - 1)
     middle = np.where(key[order[place]] == wanted, first + order[place], -1)
     count = (middle >= 0).sum(axis=1)
+    kept[number[count > 0]] = False
     # Turned so that the edges to halve come first: corners a, b, c, and the middles of ab, bc, ca.
     start = np.where(count == 1, np.argmax(middle >= 0, axis=1), (np.argmax(middle < 0, axis=1) + 1) % 3)
     turn = (start[:, None] + np.arange(3)) % 3
-    turned = np.hstack([np.take_along_axis(part, turn, axis=1) for part in (faces, middle)])
-    pieces = [faces[count == 0]]
+    turned = np.hstack([np.take_along_axis(part, turn, axis=1) for part in (about, middle)])
+    pieces = [faces[kept]]
     for halves, corners in _PIECES.items():
         pieces.append(turned[count == halves][:, corners].reshape(-1, 3))
     return np.vstack(pieces)
 
 
 def split_where(
-    places: Array, faces: Indices, rounds: int, choose: Callable[[Array, Indices], tuple[Indices, Array]]
+    places: Array,
+    faces: Indices,
+    rounds: int,
+    choose: Callable[[Array, Indices], tuple[Indices, Array]],
+    near: Callable[[Array], NDArray[np.bool_]] | None = None,
 ) -> tuple[Array, Indices]:
     """Places (n, 3) and faces (m, 3) of a closed mesh with edges split in half, so often as any is chosen.
 
     rounds  at most
-    choose  places (n, 3), mm, and all edges (k, 2) -> those to split (l, 2), and where their middles go (l, 3)
+    choose  places (n, 3), mm, and edges (k, 2) -> those to split (l, 2), and where their middles go (l, 3)
+    near    which vertices both ends of an edge must be among: (n, 3) -> (n,) bool; all of them if None
     """
     for _ in range(rounds):
-        edges, middles = choose(places, edges_of(faces))
+        if near is None:
+            edges = edges_of(faces)
+        else:
+            close = near(places)
+            edges = edges_of(faces[close[faces].sum(axis=1) > 1])
+            edges = edges[close[edges].all(axis=1)]
+        edges, middles = choose(places, edges)
         if not len(edges):
             break
         faces = split_edges(faces, edges, len(places))
