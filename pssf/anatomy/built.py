@@ -44,6 +44,7 @@ class BuiltKnee:
     assembly  how its bones stand
     bones     femur, tibia, fibula and patella, by name, before they are turned and mirrored as `assembly` says
     cysts     bone -> its cysts, likewise
+    worn      whether its femur would stand in its tibia as they stand here, which is worn then
     """
 
     knee: Knee
@@ -51,6 +52,7 @@ class BuiltKnee:
     assembly: KneeAssembly
     bones: dict[str, bones.Bone]
     cysts: dict[str, list[CystSolids]]
+    worn: bool
 
     def truth(self, protocol: Protocol) -> Truth:
         """Labels and landmarks on a radiograph of it under a protocol; without masks, which `simulate` casts."""
@@ -81,6 +83,9 @@ class BuiltKnee:
     @cached_property
     def _worn_mm(self) -> dict[str, float]:
         # Of the posture that spaces are defined in, and so the same under every protocol.
+        now, defined = (pose.femur_on_tibia() for pose in (self.assembly.pose, self.assembly.defined))
+        if not self.worn and np.array_equal(now, defined):
+            return {"medial": 0.0, "lateral": 0.0}
         return attrition_mm(self.assembly)
 
     def _outer(self) -> dict[str, Mesh]:
@@ -128,7 +133,8 @@ def build(knee: Knee, protocol: Protocol | None = None) -> BuiltKnee:
     solids = {name: part.solids for name, part in placed.items()}
     cysts = cysts_of(knee, assembly, solids)
     scene = Scene(_surfaces(knee, assembly, placed, cysts))
-    return BuiltKnee(knee=knee, scene=scene, assembly=assembly, bones=solids, cysts=cysts)
+    worn = placed["tibia"].worn
+    return BuiltKnee(knee=knee, scene=scene, assembly=assembly, bones=solids, cysts=cysts, worn=worn)
 
 
 def _surfaces(
@@ -164,10 +170,14 @@ def _surfaces(
 
 @dataclass(frozen=True)
 class _Placed:
-    """Solids of a bone in the knee frame, and the (3, 4) transform into it from the frame of its trabeculae."""
+    """Solids of a bone in the knee frame, and the (3, 4) transform into it from the frame of its trabeculae.
+
+    worn  whether another bone has taken of it
+    """
 
     solids: bones.Bone
     frame: Array
+    worn: bool = False
 
 
 def _bones(knee: Knee, assembly: KneeAssembly) -> dict[str, _Placed]:
@@ -188,8 +198,9 @@ def _bones(knee: Knee, assembly: KneeAssembly) -> dict[str, _Placed]:
         parts["fabella"] = (fabella, _after(in_femur, pose.femur()), still)
     placed = {name: _Placed(_placed(part, at), _after(inner, at)) for name, (part, at, inner) in parts.items()}
     plate_mm = build.shape.tibia.plate_mm * build.plates.medial * build.scale
-    tibia = worn(placed["tibia"].solids, placed["femur"].solids.outer, plate_mm)
-    placed |= {"tibia": replace(placed["tibia"], solids=tibia)}
+    whole = placed["tibia"].solids
+    tibia = worn(whole, placed["femur"].solids.outer, plate_mm)
+    placed |= {"tibia": replace(placed["tibia"], solids=tibia, worn=tibia is not whole)}
     return {name: replace(part, solids=_nested(name, part.solids)) for name, part in placed.items()}
 
 

@@ -120,12 +120,22 @@ def _add_tip(places: Array, faces: Indices, field: Field, tip: Array) -> tuple[A
 
 def _below(places: Array, faces: Indices, tip: Array) -> tuple[int, float]:
     """The triangle that is nearest to a tip, and how far away it is."""
-    from trimesh.triangles import closest_point  # loading trimesh takes a second, and many knees have no tips
-
     one, two, three = places[faces.T]
     about = np.flatnonzero(_within(tip, (one + two + three) / 3))
-    away = lengths(closest_point(places[faces[about]], np.repeat(tip[None], len(about), axis=0)) - tip)
+    away = _distances(places[faces[about]], tip)
     return int(about[away.argmin()]), float(away.min())
+
+
+def _distances(triangles: Array, point: Array) -> Array:
+    """(n,)  of a point (3,) from triangles (n, 3, 3), mm"""
+    # trimesh has this too, and takes a quarter of a second to be loaded.
+    sides, away = np.roll(triangles, -1, axis=1) - triangles, point - triangles
+    along = np.clip((away * sides).sum(axis=2) / np.maximum((sides**2).sum(axis=2), 1e-300), 0.0, 1.0)
+    beside = np.sqrt(((away - along[..., None] * sides) ** 2).sum(axis=2)).min(axis=1)
+    normals = np.cross(sides[:, 0], sides[:, 1])
+    above = ((np.cross(sides, away) * normals[:, None]).sum(axis=2) > 0).all(axis=1)
+    height = np.abs((away[:, 0] * normals).sum(axis=1)) / np.maximum(lengths(normals), 1e-300)
+    return np.where(above, height, beside)
 
 
 def _within(tip: Array, points: Array) -> NDArray[np.bool_]:
