@@ -14,7 +14,7 @@ from ..data.soft import Menisci, Meniscus
 from ..geometry.mesh import Indices
 from .femur import field_of as femur_field
 from .implicit import Field, lengths, with_gradient
-from .solids import checked, dilate_rings, edges_of, loft, mesh_of, ring
+from .solids import checked, closed_edges, dilate_rings, loft, mesh_of, ring
 from .tibia import above
 from .tibia import field_of as tibia_field
 
@@ -140,10 +140,10 @@ def _layer(outer: Manifold, field: Field, zone: Field, full_mm: Field) -> Layer:
 
 def _room(points: Array, bearing: NDArray[np.int64], way: Array, faces: Indices) -> Array:
     """(n,)  how thick a layer may be where the bone is hollow: half the radius in which the ways outward converge"""
-    normals = np.zeros_like(points)
-    normals[bearing] = way
-    edges = edges_of(faces)
-    edges = edges[(normals[edges] != 0).any(axis=2).all(axis=1)]
+    normals, bears = np.zeros_like(points), np.zeros(len(points), np.bool_)
+    normals[bearing], bears[bearing] = way, (way != 0).any(axis=1)
+    edges = closed_edges(faces)
+    edges = edges[bears[edges].all(axis=1)]
     span, turn = (part[edges[:, 1]] - part[edges[:, 0]] for part in (points, normals))
     bend = np.maximum(-(span * turn).sum(axis=1) / (span**2).sum(axis=1), 0.0)
     most = np.zeros(len(points))

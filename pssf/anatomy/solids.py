@@ -60,6 +60,16 @@ def edges_of(faces: Indices) -> Indices:
     return np.column_stack((key // number, key % number))
 
 
+def closed_edges(faces: Indices) -> Indices:
+    """(m, 2)  every edge of a closed mesh once, the smaller vertex first, in no order of their own
+
+    faces  (k, 3)  vertex numbers, wound alike, so that each edge is run along once in either direction
+    """
+    starts, ends = faces.T.ravel(), faces[:, [1, 2, 0]].T.ravel()
+    upwards = starts < ends
+    return np.column_stack((starts[upwards], ends[upwards]))
+
+
 def crossing_sides(values: Array, faces: Indices, at: float) -> tuple[Indices, Indices, Array]:
     """Sides of triangles that cross a level: vertices (n,) at which they start and end, and the share (n,) of the way.
 
@@ -149,12 +159,19 @@ def hull(points_mm: Array, name: str) -> Manifold:
 
 def ring(half_x: float, half_y: float, centre: tuple[float, float, float], power: float, count: int) -> Array:
     """(count, 3)  a superellipse |x/a|^p + |y/b|^p = 1 at one height, counter-clockwise seen from +z"""
+    return rings(np.array([half_x]), np.array([half_y]), np.array([centre]), power, count)[0]
+
+
+def rings(half_x: Array, half_y: Array, centres: Array, power: float, count: int) -> Array:
+    """(n, count, 3)  a `ring` for each of half axes (n,) and centres (n, 3), mm"""
     angle = np.arange(count) * (2 * np.pi / count)
     cos, sin = np.cos(angle), np.sin(angle)
     radius = (np.abs(cos) ** power + np.abs(sin) ** power) ** (-1 / power)
-    return np.column_stack(
-        (centre[0] + half_x * radius * cos, centre[1] + half_y * radius * sin, np.full(count, centre[2]))
-    )
+    places = np.empty((len(centres), count, 3))
+    places[..., 0] = centres[:, :1] + half_x[:, None] * radius * cos
+    places[..., 1] = centres[:, 1:2] + half_y[:, None] * radius * sin
+    places[..., 2] = centres[:, 2:]
+    return places
 
 
 def loft(rings_mm: Array, name: str) -> Manifold:
@@ -196,8 +213,7 @@ def column(
     half_x, half_y, centre_y, centre_x = PchipInterpolator(table[:, 0], table[:, 1:])(heights_mm).T
     inset = inset_mm(heights_mm)
     a, b = np.maximum(half_x - inset, 0.05), np.maximum(half_y - inset, 0.05)
-    rings = [ring(a[i], b[i], (centre_x[i], centre_y[i], heights_mm[i]), power, count) for i in range(len(heights_mm))]
-    return loft(np.array(rings), name)
+    return loft(rings(a, b, np.column_stack((centre_x, centre_y, heights_mm)), power, count), name)
 
 
 def thickness(table: Rows | Array, factor: float = 1.0) -> Callable[[Array], Array]:
