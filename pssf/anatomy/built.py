@@ -1,5 +1,6 @@
 """BuiltKnee: a knee, its solids as a scene, and its labels, as one object."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -39,12 +40,12 @@ _MENDED_MM3, _DRAWN_IN_MM = 1.0, 0.1
 class BuiltKnee:
     """A knee that is built: its scene and its labels cannot be another's.
 
-    knee      its parameters
-    scene     closed surfaces between named materials, in the knee frame, mm
-    assembly  how its bones stand
-    bones     femur, tibia, fibula and patella, by name, before they are turned and mirrored as `assembly` says
-    cysts     bone -> its cysts, likewise
-    worn      whether its femur would stand in its tibia as they stand here, which is worn then
+    knee       its parameters
+    scene      closed surfaces between named materials, in the knee frame, mm
+    assembly   how its bones stand
+    bones      femur, tibia, fibula and patella, by name, before they are turned and mirrored as `assembly` says
+    cysts      bone -> its cysts, likewise
+    attrition  `wear.attrition_mm` of it; None where that is still to be found
     """
 
     knee: Knee
@@ -52,7 +53,7 @@ class BuiltKnee:
     assembly: KneeAssembly
     bones: dict[str, bones.Bone]
     cysts: dict[str, list[CystSolids]]
-    worn: bool
+    attrition: Mapping[str, float] | None
 
     def truth(self, protocol: Protocol) -> Truth:
         """Labels and landmarks on a radiograph of it under a protocol; without masks, which `simulate` casts."""
@@ -81,12 +82,9 @@ class BuiltKnee:
         return inter_margin_mm(self.assembly, mesh_of(self.bones["tibia"].outer), self.aimed(protocol))
 
     @cached_property
-    def _worn_mm(self) -> dict[str, float]:
+    def _worn_mm(self) -> Mapping[str, float]:
         # Of the posture that spaces are defined in, and so the same under every protocol.
-        now, defined = (pose.femur_on_tibia() for pose in (self.assembly.pose, self.assembly.defined))
-        if not self.worn and np.array_equal(now, defined):
-            return {"medial": 0.0, "lateral": 0.0}
-        return attrition_mm(self.assembly)
+        return attrition_mm(self.assembly) if self.attrition is None else self.attrition
 
     def _outer(self) -> dict[str, Mesh]:
         return {name: mesh_of(bone.outer) for name, bone in self.bones.items()}
@@ -131,10 +129,18 @@ def build(knee: Knee, protocol: Protocol | None = None) -> BuiltKnee:
     assembly = assemble(knee, anatomy_tables(), posture, defining_protocol(knee))
     placed = _bones(knee, assembly)
     solids = {name: part.solids for name, part in placed.items()}
-    cysts = cysts_of(knee, assembly, solids)
+    attrition = _attrition_mm(knee, assembly, placed["tibia"].worn)
+    cysts = cysts_of(knee, assembly, solids, attrition)
     scene = Scene(_surfaces(knee, assembly, placed, cysts))
-    worn = placed["tibia"].worn
-    return BuiltKnee(knee=knee, scene=scene, assembly=assembly, bones=solids, cysts=cysts, worn=worn)
+    return BuiltKnee(knee=knee, scene=scene, assembly=assembly, bones=solids, cysts=cysts, attrition=attrition)
+
+
+def _attrition_mm(knee: Knee, assembly: KneeAssembly, worn: bool) -> Mapping[str, float] | None:
+    """Side -> how deep the plateau is worn, where cysts ask for it or there is nothing to be found; else None."""
+    now, defined = assembly.pose.femur_on_tibia(), assembly.defined.femur_on_tibia()
+    if not worn and np.array_equal(now, defined):
+        return {"medial": 0.0, "lateral": 0.0}
+    return attrition_mm(assembly) if knee.cysts else None
 
 
 def _surfaces(

@@ -163,7 +163,11 @@ def ring(half_x: float, half_y: float, centre: tuple[float, float, float], power
 
 
 def rings(half_x: Array, half_y: Array, centres: Array, power: float, count: int) -> Array:
-    """(n, count, 3)  a `ring` for each of half axes (n,) and centres (n, 3), mm"""
+    """(n, count, 3)  a `ring` each
+
+    half_x, half_y  (n,)    mm
+    centres         (n, 3)  mm
+    """
     angle = np.arange(count) * (2 * np.pi / count)
     cos, sin = np.cos(angle), np.sin(angle)
     radius = (np.abs(cos) ** power + np.abs(sin) ** power) ** (-1 / power)
