@@ -168,6 +168,13 @@ def test_halved_edges_leave_a_closed_surface_of_the_same_volume(data):
     assert_allclose(mesh.volume, 30.0, rtol=1e-12)
 
 
+def test_a_point_is_as_far_from_triangles_as_trimesh_finds():
+    rng = np.random.default_rng(3)
+    triangles, point = rng.normal(size=(2000, 3, 3)), rng.normal(size=3)
+    nearest = trimesh.triangles.closest_point(triangles, np.repeat(point[None], len(triangles), axis=0))
+    assert_allclose(remesh._distances(triangles, point), np.linalg.norm(nearest - point, axis=1), atol=1e-12)
+
+
 def test_edges_of_a_closed_mesh_are_found_each_once_without_a_sort():
     faces = mesh_of(Manifold.sphere(3.0, 24) - Manifold.cube((1.0, 1.0, 9.0), True)).faces
     found = closed_edges(faces)
