@@ -13,7 +13,17 @@ from pssf.accuracy import morphometry
 from pssf.anatomy import bones, cartilage, implicit, remesh
 from pssf.anatomy.bone_build import build_of, formed
 from pssf.anatomy.femur import mean_femur
-from pssf.anatomy.solids import checked, edges_of, height_field, loft, mesh_of, ring, solid_of, split_edges
+from pssf.anatomy.solids import (
+    checked,
+    closed_edges,
+    edges_of,
+    height_field,
+    loft,
+    mesh_of,
+    ring,
+    solid_of,
+    split_edges,
+)
 from pssf.data.anatomy import anatomy_tables
 from pssf.model.knee import SITES
 
@@ -156,6 +166,20 @@ def test_halved_edges_leave_a_closed_surface_of_the_same_volume(data):
     assert mesh.is_winding_consistent
     assert len(mesh.faces) == len(box.faces) + 2 * len(chosen)
     assert_allclose(mesh.volume, 30.0, rtol=1e-12)
+
+
+def test_a_point_is_as_far_from_triangles_as_trimesh_finds():
+    rng = np.random.default_rng(3)
+    triangles, point = rng.normal(size=(2000, 3, 3)), rng.normal(size=3)
+    nearest = trimesh.triangles.closest_point(triangles, np.repeat(point[None], len(triangles), axis=0))
+    assert_allclose(remesh._distances(triangles, point), np.linalg.norm(nearest - point, axis=1), atol=1e-12)
+
+
+def test_edges_of_a_closed_mesh_are_found_each_once_without_a_sort():
+    faces = mesh_of(Manifold.sphere(3.0, 24) - Manifold.cube((1.0, 1.0, 9.0), True)).faces
+    found = closed_edges(faces)
+    assert len(np.unique(found, axis=0)) == len(found)
+    np.testing.assert_array_equal(found[np.lexsort(found.T[::-1])], edges_of(faces))
 
 
 def test_a_resolved_solid_keeps_every_edge_within_tolerance_of_its_field():

@@ -102,3 +102,11 @@ def test_bones_apart_have_no_attrition():
     wide = dataclasses.replace(WORN, jsw_medial_mm=4.0, varus_deg=0.0)
     assembly = assemble(wide, anatomy_tables(), FIXED_FLEXION.posture, defining_protocol(wide))
     assert attrition_mm(assembly) == {"medial": 0.0, "lateral": 0.0}
+
+
+@pytest.mark.parametrize("wide_mm", [0.0, 4.0])
+@pytest.mark.parametrize("protocol", [FIXED_FLEXION, None], ids=["as defined", "straight"])
+def test_a_built_knee_has_the_attrition_of_its_bones_whether_they_were_looked_at_or_not(wide_mm, protocol):
+    knee = dataclasses.replace(WORN, jsw_medial_mm=wide_mm, varus_deg=0.0) if wide_mm else WORN
+    built = pssf.build(knee, protocol)
+    assert built._worn_mm == attrition_mm(built.assembly)

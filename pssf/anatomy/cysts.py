@@ -1,5 +1,6 @@
 """Subchondral cysts: balls in the spongy bone of femur and tibia, each in a wall of compact bone, clear of all else."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,15 +46,18 @@ class CystSolids:
     soft: Manifold
 
 
-def cysts_of(knee: Knee, assembly: KneeAssembly, placed: dict[str, Bone]) -> dict[str, list[CystSolids]]:
+def cysts_of(
+    knee: Knee, assembly: KneeAssembly, placed: dict[str, Bone], worn_mm: Mapping[str, float] | None = None
+) -> dict[str, list[CystSolids]]:
     """Bone -> its cysts, each as near to the plate as there is room, deeper under a plateau that is worn.
 
-    placed  the bones in the knee's frame
-    raises  InputError for a cyst that its bone has no room for
+    placed   the bones in the knee's frame
+    worn_mm  `wear.attrition_mm` of it, where that is known
+    raises   InputError for a cyst that its bone has no room for
     """
     if not knee.cysts:
         return {}
-    worn_mm, build, pose = attrition_mm(assembly), assembly.build, assembly.pose
+    worn_mm, build, pose = worn_mm or attrition_mm(assembly), assembly.build, assembly.pose
     femur, tibia = (mesh_of(bone.outer).vertices for bone in (assembly.femur, assembly.tibia))
     ways = {
         "femur": _Joint(stand_femur(femur, build), pose.femur(), -1.0, build.half_ml_mm),

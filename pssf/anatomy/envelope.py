@@ -2,11 +2,12 @@
 
 import numpy as np
 from manifold3d import Manifold
+from numba import njit
 from scipy import ndimage
 
 from ..core.checks import Array
 from ..data.records import Rows
-from ..geometry.mesh import Mesh
+from ..geometry.mesh import Indices, Mesh
 from .solids import loft
 
 _DIRECTIONS, _STEP_MM = 16, 5.0
@@ -55,13 +56,22 @@ def _supports(mesh: Mesh, levels: Array, normals: Array) -> Array:
     # A face that ends on a level is of the bands on both sides of it.
     first = np.searchsorted(levels, lowest, side="left") - 1
     last = np.searchsorted(levels, highest, side="right") - 1
-    reach = (mesh.vertices[:, :2] @ normals.T)[mesh.faces].max(axis=1)
+    reach = np.ascontiguousarray(mesh.vertices[:, :2] @ normals.T)
     supports = np.full((len(levels) - 1, len(normals)), -np.inf)
-    for band in range(len(supports)):
-        meets = (first <= band) & (last >= band)
-        if meets.any():
-            supports[band] = reach[meets].max(axis=0)
+    _raise(supports, mesh.faces, reach, np.maximum(first, 0), np.minimum(last, len(supports) - 1))
     return supports
+
+
+@njit(cache=True, nogil=True)
+def _raise(supports: Array, faces: Indices, reach: Array, first: Indices, last: Indices) -> None:
+    """Raise supports of bands (n, directions) to those of faces (m, 3), whose vertices reach so far, by their bands."""
+    for k in range(len(faces)):
+        if first[k] > last[k]:
+            continue
+        for way in range(supports.shape[1]):
+            far = max(reach[faces[k, 0], way], reach[faces[k, 1], way], reach[faces[k, 2], way])
+            for band in range(first[k], last[k] + 1):
+                supports[band, way] = max(supports[band, way], far)
 
 
 def _corners(supports: Array, angle: Array, levels: Array) -> Array:

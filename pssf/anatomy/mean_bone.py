@@ -87,7 +87,7 @@ class MeanBone:
         plates  likewise
         uneven  from places (n, 3) of the outer surface and thickness there (n,): what that is multiplied by (n,)
         """
-        _, ways, faces = self._parts
+        _, coarser, ways = self._parts
         plate = plates.at(ways[0])
         depth = self.shell(ways[0], cortex, plate)
         share = np.ones(len(depth)) if uneven is None else uneven(ways[0], depth)
@@ -100,7 +100,8 @@ class MeanBone:
             step = (share[unsettled] * there - depth[unsettled]) / 2
             depth[unsettled] += step
             unsettled = unsettled[np.abs(step) > _SETTLED_MM]
-        return solid_of(_along(ways, depth), faces, f"{self.name} marrow")
+        # The faces stay as they are, which takes half as long as to join them anew.
+        return checked(coarser.warp_batch(lambda points: _along(ways, depth)), f"{self.name} marrow")
 
     def prepare(self) -> None:
         """Make its solids now, or read them, where that is still to be done."""
@@ -111,10 +112,15 @@ class MeanBone:
         return checked(mesh_bone(self.rough(), self.field, self.edge_mm, (tolerance_mm,))[0], self.name)
 
     @cached_property
-    def _parts(self) -> tuple[Manifold, Array, Indices]:
-        """Its outer solid; (depths, n, 3) ways inwards of a coarser one's vertices, and its faces."""
+    def _parts(self) -> tuple[Manifold, Manifold, Array]:
+        """Its outer solid; a coarser one, and (depths, n, 3) ways inwards of its vertices in their order."""
         arrays = kept(self.name, _ORIGIN, self._made)
-        return solid_of(arrays["points"], arrays["faces"], self.name), arrays["ways"], arrays["inner_faces"]
+        ways = arrays["ways"]
+        coarser = solid_of(ways[0], arrays["inner_faces"], self.name)
+        # A solid has its vertices in an order of its own.
+        number = np.empty(len(ways[0]), np.int64)
+        number[np.lexsort(mesh_of(coarser).vertices.T)] = np.lexsort(ways[0].T)
+        return solid_of(arrays["points"], arrays["faces"], self.name), coarser, ways[:, number]
 
     def _made(self) -> Arrays:
         solids = mesh_bone(self.rough(), self.field, self.edge_mm, (self.tolerance_mm, _INNER_MM))

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from manifold3d import Manifold, OpType
+from manifold3d import Manifold
 from numpy.typing import NDArray
 
 from ..core.checks import Array, InputError
@@ -103,8 +103,11 @@ class BoneWithOsteophytes:
             about = self.outer ^ _box(within)
             # A rounded margin may not hold the feet of a small one; what is outside of the bone, drawn in, is cut off.
             if (within - about).volume() > 0:
-                drawn_in = [about.translate(_DRAWN_IN_MM * way) for way in (*np.eye(3), *-np.eye(3), -shape.out)]
-                within = Manifold.batch_boolean([within, about, *drawn_in], OpType.Intersect)
+                within = within ^ about
+                for way in (*np.eye(3), *-np.eye(3), -shape.out):
+                    # One after the other: of two copies of the bone the surfaces cross everywhere.
+                    within.status()
+                    within = within ^ about.translate(_DRAWN_IN_MM * way)
             # With edges short enough to bend with the bone.
             inner = inner + within.refine_to_length(_EDGE_MM)
         return inner

@@ -120,11 +120,22 @@ def _add_tip(places: Array, faces: Indices, field: Field, tip: Array) -> tuple[A
 
 def _below(places: Array, faces: Indices, tip: Array) -> tuple[int, float]:
     """The triangle that is nearest to a tip, and how far away it is."""
-    from trimesh.triangles import closest_point  # loading trimesh takes a second, and many knees have no tips
-
-    about = np.flatnonzero(_within(tip, places[faces].mean(axis=1)))
-    away = lengths(closest_point(places[faces[about]], np.repeat(tip[None], len(about), axis=0)) - tip)
+    one, two, three = places[faces.T]
+    about = np.flatnonzero(_within(tip, (one + two + three) / 3))
+    away = _distances(places[faces[about]], tip)
     return int(about[away.argmin()]), float(away.min())
+
+
+def _distances(triangles: Array, point: Array) -> Array:
+    """(n,)  of a point (3,) from triangles (n, 3, 3), mm"""
+    # trimesh has this too, and takes a quarter of a second to be loaded.
+    sides, away = np.roll(triangles, -1, axis=1) - triangles, point - triangles
+    along = np.clip((away * sides).sum(axis=2) / np.maximum((sides**2).sum(axis=2), 1e-300), 0.0, 1.0)
+    beside = np.sqrt(((away - along[..., None] * sides) ** 2).sum(axis=2)).min(axis=1)
+    normals = np.cross(sides[:, 0], sides[:, 1])
+    above = ((np.cross(sides, away) * normals[:, None]).sum(axis=2) > 0).all(axis=1)
+    height = np.abs((away[:, 0] * normals).sum(axis=1)) / np.maximum(lengths(normals), 1e-300)
+    return np.where(above, height, beside)
 
 
 def _within(tip: Array, points: Array) -> NDArray[np.bool_]:
@@ -189,7 +200,12 @@ def _flipped(places: Array, faces: Indices, folded: Indices, field: Field) -> tu
 
     And those that stay folded.
     """
-    faces, mended = faces.copy(), np.zeros(len(folded), np.bool_)
+    all_faces, mended = faces.copy(), np.zeros(len(folded), np.bool_)
+    # All that is looked for has a corner of a folded one.
+    touched = np.zeros(len(places), np.bool_)
+    touched[folded] = True
+    about = touched[faces].any(axis=1)
+    faces = faces[about]
     for number, corners in enumerate(folded):
         still = np.flatnonzero((faces == corners).all(axis=1))
         mended[number] = not len(still)  # joined another way as a neighbour
@@ -208,7 +224,8 @@ def _flipped(places: Array, faces: Indices, folded: Indices, field: Field) -> tu
             if not joined and not _face_inwards(places[pair], field).any():
                 faces[[mine, across]], mended[number] = pair, True
                 break
-    return faces, folded[~mended]
+    all_faces[about] = faces
+    return all_faces, folded[~mended]
 
 
 def _spread(places: Array, around: NDArray[np.bool_], amid: csr_array, field: Field) -> Array:
@@ -244,11 +261,9 @@ def _split_where_off(
     """
 
     def off(places: Array, edges: Indices) -> tuple[Indices, Array]:
-        if near is not None:
-            edges = edges[near(places)[edges].all(axis=1)]
         middles = places[edges].mean(axis=1)
         settled = project_to_surface(middles, field, None, 3)
         away = np.linalg.norm(settled - middles, axis=1) > tolerance_mm
         return edges[away], settled[away]
 
-    return split_where(places, faces, rounds, off)
+    return split_where(places, faces, rounds, off, near)

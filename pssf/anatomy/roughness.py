@@ -22,6 +22,8 @@ def roughness(points: Array, zones: tuple[RoughZone, ...], seed: int, end: int) 
     for number, zone in enumerate(zones):
         within = 1.0 - _from_middle(points, zone)
         some = np.flatnonzero(within > 0)
+        if not len(some):
+            continue
         waves = noise(points[some], zone.lengths_mm, seed, (102, end + 1, number)).clip(-_MOST_SD, _MOST_SD)
         moves[some] += (zone.sd_mm * within[some] ** 2 * waves)[:, None] * np.array(zone.way)
     return moves
@@ -37,4 +39,5 @@ def in_zones(points: Array, zones: tuple[RoughZone, ...]) -> NDArray[np.bool_]:
 
 def _from_middle(points: Array, zone: RoughZone) -> Array:
     """(n,)  squared way from a zone's middle over that to its edge"""
-    return np.asarray((((points - zone.centre) / zone.half) ** 2).sum(axis=1))
+    x, y, z = (((points[:, axis] - zone.centre[axis]) / zone.half[axis]) ** 2 for axis in range(3))
+    return np.asarray(x + y + z)

@@ -1,11 +1,16 @@
 """Fibula, patella and fabella of a right knee, beside the bones that they lie on."""
 
+import atexit
+from collections.abc import Callable
+from functools import lru_cache
+
 import numpy as np
 from manifold3d import Manifold, OpType
 from scipy.interpolate import LinearNDInterpolator
 from scipy.optimize import brentq
 
 from ..core.checks import Array, InputError
+from ..data.bones import PatellaShape
 from ..geometry.freeform import displaced
 from ..model.knee import Knee
 from .bone_build import Build, eased, formed, scaled
@@ -68,15 +73,8 @@ def fibula(knee: Knee, build: Build, tibia: Manifold) -> Bone:
 def patella(build: Build) -> Bone:
     """Patella about its middle."""
     table, s = build.shape.patella, build.scale
-    sections = scaled(table.sections, 1.0)
-    low, high = sections[:, 0].min(), sections[:, 0].max()
-    cortex = thickness(table.cortex, build.cortex)
-    outer, inner = (
-        column(sections, inset, levels(low + end, high - end, _PATELLA_STEP_MM), name, 2.1, _PATELLA_COUNT)
-        for inset, end, name in ((np.zeros_like, 0.0, "patella"), (cortex, 0.4, "patella marrow"))
-    )
-    # Sections are drawn in sideways, which leaves little where the outline is all but level.
-    drawn_in = [outer.translate((0.0, 0.0, way * _DRAWN_IN_MM)) for way in (-1.0, 1.0)]
+    outer, *drawn_in = _mean_patella(table)
+    inner = _patella_column(table, thickness(table.cortex, build.cortex), 0.4, "patella marrow")
     inner = Manifold.batch_boolean([inner, *drawn_in], OpType.Intersect)
 
     def formed_as(solid: Manifold) -> Manifold:
@@ -88,6 +86,26 @@ def patella(build: Build) -> Bone:
         outer=checked(formed_as(outer).simplify(_COARSER_MM), "patella"),
         inner=checked(formed_as(inner).simplify(_COARSER_MM), "patella marrow"),
     )
+
+
+@lru_cache(maxsize=4)
+def _mean_patella(table: PatellaShape) -> tuple[Manifold, Manifold, Manifold]:
+    """The mean man's, and two copies of it that what is within is cut with.
+
+    Sections are drawn in sideways, which leaves little where the outline is all but level.
+    """
+    outer = _patella_column(table, np.zeros_like, 0.0, "patella")
+    return outer, outer.translate((0.0, 0.0, -_DRAWN_IN_MM)), outer.translate((0.0, 0.0, _DRAWN_IN_MM))
+
+
+# manifold3d says on standard error what of it still stands when Python has ended.
+atexit.register(_mean_patella.cache_clear)
+
+
+def _patella_column(table: PatellaShape, inset: Callable[[Array], Array], end_mm: float, name: str) -> Manifold:
+    sections = scaled(table.sections, 1.0)
+    heights = levels(sections[:, 0].min() + end_mm, sections[:, 0].max() - end_mm, _PATELLA_STEP_MM)
+    return column(sections, inset, heights, name, 2.1, _PATELLA_COUNT)
 
 
 def patella_place(knee: Knee, build: Build, patella: Manifold, femur: Manifold, pose: Pose) -> Array:

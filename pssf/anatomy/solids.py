@@ -52,10 +52,22 @@ def edges_of(faces: Indices) -> Indices:
 
     faces  (m, 3)  vertex numbers
     """
-    number = int(faces.max()) + 1
+    number = int(faces.max(initial=0)) + 1
     ends = np.stack((faces, np.roll(faces, -1, axis=1)), axis=-1)
-    key = np.unique(ends.min(axis=-1) * number + ends.max(axis=-1))
+    # Sorted here: numpy finds what is unique by a hash, which takes several times as long.
+    key = np.sort((ends.min(axis=-1) * number + ends.max(axis=-1)).reshape(-1))
+    key = key[np.append(True, key[1:] != key[:-1])]
     return np.column_stack((key // number, key % number))
+
+
+def closed_edges(faces: Indices) -> Indices:
+    """(m, 2)  every edge of a closed mesh once, the smaller vertex first, in no order of their own
+
+    faces  (k, 3)  vertex numbers, wound alike, so that each edge is run along once in either direction
+    """
+    starts, ends = faces.T.ravel(), faces[:, [1, 2, 0]].T.ravel()
+    upwards = starts < ends
+    return np.column_stack((starts[upwards], ends[upwards]))
 
 
 def crossing_sides(values: Array, faces: Indices, at: float) -> tuple[Indices, Indices, Array]:
@@ -90,33 +102,49 @@ def split_edges(faces: Indices, edges: Indices, first: int) -> Indices:
     faces  (m, 3)
     edges  (n, 2)  those to halve, the smaller vertex first; their middles are vertices first, first + 1, ...
     """
+    touched = np.zeros(first, np.bool_)
+    touched[edges] = True
+    number = np.flatnonzero(touched[faces].sum(axis=1) > 1)
+    about, kept = faces[number], np.ones(len(faces), np.bool_)
     key = edges[:, 0] * first + edges[:, 1]
     order = np.argsort(key)
-    ends = np.sort(np.stack((faces, np.roll(faces, -1, axis=1)), axis=-1), axis=-1)
+    ends = np.sort(np.stack((about, np.roll(about, -1, axis=1)), axis=-1), axis=-1)
     wanted = ends[..., 0] * first + ends[..., 1]
     place = np.minimum(np.searchsorted(key, wanted, sorter=order), len(key) - 1)
     middle = np.where(key[order[place]] == wanted, first + order[place], -1)
     count = (middle >= 0).sum(axis=1)
+    kept[number[count > 0]] = False
     # Turned so that the edges to halve come first: corners a, b, c, and the middles of ab, bc, ca.
     start = np.where(count == 1, np.argmax(middle >= 0, axis=1), (np.argmax(middle < 0, axis=1) + 1) % 3)
     turn = (start[:, None] + np.arange(3)) % 3
-    turned = np.hstack([np.take_along_axis(part, turn, axis=1) for part in (faces, middle)])
-    pieces = [faces[count == 0]]
+    turned = np.hstack([np.take_along_axis(part, turn, axis=1) for part in (about, middle)])
+    pieces = [faces[kept]]
     for halves, corners in _PIECES.items():
         pieces.append(turned[count == halves][:, corners].reshape(-1, 3))
     return np.vstack(pieces)
 
 
 def split_where(
-    places: Array, faces: Indices, rounds: int, choose: Callable[[Array, Indices], tuple[Indices, Array]]
+    places: Array,
+    faces: Indices,
+    rounds: int,
+    choose: Callable[[Array, Indices], tuple[Indices, Array]],
+    near: Callable[[Array], NDArray[np.bool_]] | None = None,
 ) -> tuple[Array, Indices]:
     """Places (n, 3) and faces (m, 3) of a closed mesh with edges split in half, so often as any is chosen.
 
     rounds  at most
-    choose  places (n, 3), mm, and all edges (k, 2) -> those to split (l, 2), and where their middles go (l, 3)
+    choose  places (n, 3), mm, and edges (k, 2) -> those to split (l, 2), and where their middles go (l, 3)
+    near    which vertices both ends of an edge must be among: (n, 3) -> (n,) bool; all of them if None
     """
     for _ in range(rounds):
-        edges, middles = choose(places, edges_of(faces))
+        if near is None:
+            edges = edges_of(faces)
+        else:
+            close = near(places)
+            edges = edges_of(faces[close[faces].sum(axis=1) > 1])
+            edges = edges[close[edges].all(axis=1)]
+        edges, middles = choose(places, edges)
         if not len(edges):
             break
         faces = split_edges(faces, edges, len(places))
@@ -131,12 +159,23 @@ def hull(points_mm: Array, name: str) -> Manifold:
 
 def ring(half_x: float, half_y: float, centre: tuple[float, float, float], power: float, count: int) -> Array:
     """(count, 3)  a superellipse |x/a|^p + |y/b|^p = 1 at one height, counter-clockwise seen from +z"""
+    return rings(np.array([half_x]), np.array([half_y]), np.array([centre]), power, count)[0]
+
+
+def rings(half_x: Array, half_y: Array, centres: Array, power: float, count: int) -> Array:
+    """(n, count, 3)  a `ring` each
+
+    half_x, half_y  (n,)    mm
+    centres         (n, 3)  mm
+    """
     angle = np.arange(count) * (2 * np.pi / count)
     cos, sin = np.cos(angle), np.sin(angle)
     radius = (np.abs(cos) ** power + np.abs(sin) ** power) ** (-1 / power)
-    return np.column_stack(
-        (centre[0] + half_x * radius * cos, centre[1] + half_y * radius * sin, np.full(count, centre[2]))
-    )
+    places = np.empty((len(centres), count, 3))
+    places[..., 0] = centres[:, :1] + half_x[:, None] * radius * cos
+    places[..., 1] = centres[:, 1:2] + half_y[:, None] * radius * sin
+    places[..., 2] = centres[:, 2:]
+    return places
 
 
 def loft(rings_mm: Array, name: str) -> Manifold:
@@ -178,8 +217,7 @@ def column(
     half_x, half_y, centre_y, centre_x = PchipInterpolator(table[:, 0], table[:, 1:])(heights_mm).T
     inset = inset_mm(heights_mm)
     a, b = np.maximum(half_x - inset, 0.05), np.maximum(half_y - inset, 0.05)
-    rings = [ring(a[i], b[i], (centre_x[i], centre_y[i], heights_mm[i]), power, count) for i in range(len(heights_mm))]
-    return loft(np.array(rings), name)
+    return loft(rings(a, b, np.column_stack((centre_x, centre_y, heights_mm)), power, count), name)
 
 
 def thickness(table: Rows | Array, factor: float = 1.0) -> Callable[[Array], Array]:

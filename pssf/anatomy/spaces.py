@@ -15,7 +15,7 @@ from .bone_build import Build, formed, stand_tibia
 from .contours import measure_gap
 from .landmarks import plateau_floor
 from .pose import Pose, moved, turned_by
-from .solids import edges_of, mesh_of
+from .solids import closed_edges, edges_of, mesh_of
 from .subluxation import SubluxedPose
 
 # Of the mean man's femur: about here it flexes, the middle of the condyles' round backs.
@@ -75,14 +75,13 @@ def solve_pose(knee: Knee, build: Build, femur: Manifold, tibia: Manifold, proto
 def _measure(knee: Knee, build: Build, bones: tuple[Manifold, Manifold], protocol: Protocol) -> Measure:
     """Spaces as vertical gaps on the detector: to the tibia's contour, or to the floor of its plateau."""
     lower, upper = _lower(bones[0], build), _upper(bones[1], build)
-    edges = edges_of(upper.faces)
+    edges = None if knee.jsw_as == "read" else edges_of(upper.faces)
     view, mirror = view_of(protocol), [1.0, protocol.posture.mirror_y, 1.0]
 
     def measure(pose: Pose) -> tuple[Array, Array, float]:
         femur, lean = (moved(lower[0], pose.femur()) * mirror, lower[1]), pose.lean_deg
         plateau = Mesh(moved(upper.vertices, pose.tibia()) * mirror, upper.faces)
-        read = knee.jsw_as == "read"
-        tibia = plateau_floor(plateau, view, 1, lean) if read else (plateau.vertices, edges)
+        tibia = plateau_floor(plateau, view, 1, lean) if edges is None else (plateau.vertices, edges)
         gaps = [measure_gap(femur, tibia, view, side, build.half_ml_mm, lean) for side in (+1, -1)]
         x = [(gap.columns_px[gap.narrowest] - (view.cols - 1) / 2) * gap.scale_mm for gap in gaps]
         return np.array([gap.jsw_mm for gap in gaps]), np.array(x), _middle_mm(gaps, view)
@@ -93,7 +92,7 @@ def _measure(knee: Knee, build: Build, bones: tuple[Manifold, Manifold], protoco
 def _lower(femur: Manifold, build: Build) -> tuple[Array, Indices]:
     """Vertices and edges of the lower end of a femur at the mean man's size, in this knee's."""
     mesh = mesh_of(femur)
-    edges = edges_of(mesh.faces)
+    edges = closed_edges(mesh.faces)
     lower = edges[(mesh.vertices[edges, 2] < _FEMUR_BELOW_MM).any(axis=1)]
     return formed(mesh.vertices, build.femur) * build.scale, lower
 

@@ -1,6 +1,5 @@
 """Soft structures of the joint, each carved clear of the bones and of those before it."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,8 +22,6 @@ _LEAST_MM3 = 1.0
 _MEETING_MM3 = 1e-6
 # In a joint space below this cartilage of one bone may meet the other, away from where the space is told.
 _NARROW_MM = 3.0
-# The joint and its tendons lie between these heights; bones are cut there before they are carved with.
-_BELOW_MM, _ABOVE_MM = 75.0, 170.0
 # Less than what lies between the fat and all else: edges of muscles are seen through centimetres of others.
 _COARSER_MM = 0.1
 # No soft tissue is farther up or down.
@@ -61,7 +58,7 @@ def between(
         vertices, faces = layer.alone()
         used, number = np.unique(faces, return_inverse=True)
         parts.append(Part(name, "cartilage", Mesh(move(vertices[used]), number.reshape(-1, 3))))
-        keep.append(_near(layer.covered(), move))
+        keep.append(layer.covered(move))
     parts = _clear(parts[0], parts[1], placed, min(spaces_mm) < _NARROW_MM or knee.subluxation_mm != 0)
     small = [placed[name].outer for name in placed if name not in ("femur", "tibia")]
     rings = [solid.transform(pose.tibia()) for solid in cartilage.menisci(shape.menisci, s)]
@@ -83,7 +80,7 @@ def between(
         ("quadriceps_tendon", "tendon", thin[1]),
         ("fat_pad", "adipose", thin[2]),
     ]
-    parts += _carved(joint, keep + [_cut(solid) for solid in small], muscle)
+    parts += _carved(joint, keep + small, muscle)
     return [*parts, _between_muscles(fat, placed, parts, sheaths, shape.deep_fat)]
 
 
@@ -115,8 +112,8 @@ def _clear(femoral: Part, tibial: Part, placed: dict[str, bones.Bone], narrow: b
     met = parts if narrow else [part for part in parts if takes[part.name]]
     solids = {part.name: solid_of(part.mesh.vertices, part.mesh.faces, part.name) for part in met}
     if narrow:
-        takes[femoral.name].append(_cut(placed["tibia"].outer))
-        takes[tibial.name] += [_cut(placed["femur"].outer), *(solids[n] for n in (femoral.name,) if n in solids)]
+        takes[femoral.name].append(placed["tibia"].outer)
+        takes[tibial.name] += [placed["femur"].outer, *(solids[n] for n in (femoral.name,) if n in solids)]
     kept = []
     for part in parts:
         meeting = [other for other in takes[part.name] if (solids[part.name] ^ other).volume() > _MEETING_MM3]
@@ -159,6 +156,8 @@ def _without(solids: list[Manifold], bones: list[Manifold]) -> list[Manifold]:
         whole = Manifold.compose(list(own.values()))
         for bone in _touching(whole, bones):
             whole = whole - bone
+            # Now: later the bones would be made one first, which takes twice as long.
+            whole.status()
         whose = {solid.original_id(): i for i, solid in own.items()}
         pieces: dict[int | None, list[Manifold]] = {i: [] for i in (None, *group)}
         for piece in whole.decompose():
@@ -195,14 +194,6 @@ def _behind(patella: Manifold, table: PatellaShape, scale: float, frame: Array) 
     heights = mesh_of(patella).vertices @ up
     least = float(heights.min() + table.cartilage_from * np.ptp(heights))
     return patella.translate(tuple(table.cartilage_mm * scale * back)).trim_by_plane(tuple(up), least)
-
-
-def _near(solid: Manifold, move: Callable[[Array], Array]) -> Manifold:
-    return _cut(solid.warp_batch(lambda points: move(np.array(points))))
-
-
-def _cut(solid: Manifold) -> Manifold:
-    return solid.trim_by_plane((0.0, 0.0, 1.0), -_BELOW_MM).trim_by_plane((0.0, 0.0, -1.0), -_ABOVE_MM)
 
 
 def _touching(solid: Manifold, others: list[Manifold]) -> list[Manifold]:

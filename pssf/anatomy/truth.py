@@ -16,7 +16,7 @@ from .implicit import project_solid
 from .joint import KneeAssembly
 from .landmarks import contour_landmarks, plateau_floor
 from .osteophytes import BONE
-from .solids import edges_of, mesh_of
+from .solids import closed_edges, mesh_of
 
 # Joint space is told at these fractions of the plateau's width from its medial edge, as JSW(x) (Neumann et al. 2009).
 FRACTIONS = (0.15, 0.175, 0.2, 0.225, 0.25, 0.275, 0.3, 0.7, 0.725, 0.75, 0.775, 0.8, 0.825, 0.85, 0.875, 0.9)
@@ -92,7 +92,7 @@ def _by_site(added: Manifold, sites: list[str], tips: Array) -> dict[str, Manifo
 def _gaps(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> tuple[Gap, Gap]:
     """The medial and the lateral joint space as a detector sees them."""
     meshes = _outer(scene)
-    femur, tibia = ((mesh.vertices, edges_of(mesh.faces)) for mesh in meshes)
+    femur, tibia = ((mesh.vertices, closed_edges(mesh.faces)) for mesh in meshes)
     medial, half, lean = _medial(knee), assembly.build.half_ml_mm, _lean_deg(knee, assembly)
     upper = plateau_floor(meshes[1], view, medial, lean) if knee.jsw_as == "read" else tibia
     one, other = (measure_gap(femur, upper, view, side * medial, half, lean) for side in (+1, -1))

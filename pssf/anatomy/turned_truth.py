@@ -23,7 +23,7 @@ from .contours import envelope
 from .joint import KneeAssembly
 from .plateau import SIDES, plateau_margins
 from .pose import moved
-from .solids import edges_of
+from .solids import closed_edges
 
 # The trochlea lies within this share of half the plateau's width from the middle (judgement).
 _TROCHLEA = 0.75
@@ -74,7 +74,9 @@ def trochlea_px(assembly: KneeAssembly, femur: Mesh, view: View) -> dict[str, tu
     ends = assembly.seen(np.array([[-half, 0.0, 0.0], [half, 0.0, 0.0]]))
     lateral, medial = project(ends, view)[:, 1]
     first, last = sorted((round(lateral), round(medial)))
-    rows = envelope(project(assembly.seen(femur.vertices), view), edges_of(femur.faces), first, last - first + 1, -1.0)
+    rows = envelope(
+        project(assembly.seen(femur.vertices), view), closed_edges(femur.faces), first, last - first + 1, -1.0
+    )
     middle = len(rows) // 2
     left, right = int(rows[:middle].argmin()), middle + int(rows[middle:].argmin())
     low = left + int(rows[left : right + 1].argmax())

@@ -1,0 +1,225 @@
+"""Whether one closed mesh lies within another, without a face of either in the other's: no solid is made for it.
+
+Faces are put into the cells of a grid; two that share one are told apart by an axis between them (Gottschalk, Lin and
+Manocha 1996). What no axis tells apart counts as meeting. Where no faces meet, each body is in or out as a whole, which
+the solid angle of the other mesh at one of its places says (van Oosterom and Strackee 1983).
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ..core.checks import Array
+from .mesh import Mesh
+from .topology import bodies
+
+# Side of a cell over the mean extent of a face, and cells along an axis at most.
+_SIDE, _MOST_CELLS = 2.5, 128
+# Faces nearer to each other than this meet.
+_APART_MM = 1e-9
+
+
+class _Faces(NamedTuple):
+    """Faces of a mesh, mm.
+
+    corners  (n, 3, 3)
+    boxes    (n, 2, 3)  lowest and highest place
+    planes   (n, 4)     normal of length 1, and the place of the plane along it
+    """
+
+    corners: Array
+    boxes: Array
+    planes: Array
+
+
+class _Grid(NamedTuple):
+    """Faces of a mesh by cell, from starts[k] on in `order`, x first."""
+
+    mesh: "_Faces"
+    low: tuple[float, float, float]
+    side_mm: float
+    counts: tuple[int, int, int]
+    starts: NDArray[np.int64]
+    order: NDArray[np.int64]
+
+
+def lies_within(inner: Mesh, outer: Mesh) -> bool:
+    """Whether all that a closed mesh bounds is within another closed one, whose faces its own nowhere meet.
+
+    False as well where faces touch as near as rounding tells. Both are wound outwards, and may have several bodies.
+    """
+    one, other = (_faces(np.asarray(mesh.vertices, np.float64), mesh.faces) for mesh in (inner, outer))
+    low, high = other.boxes[:, 0].min(axis=0), other.boxes[:, 1].max(axis=0)
+    if (one.boxes[:, 0].min(axis=0) <= low).any() or (one.boxes[:, 1].max(axis=0) >= high).any():
+        return False
+    if _any_meets(one, _grid(other, low, high)):
+        return False
+    return all(_turns(place, other.corners) > 0.5 for place in _places(inner)) and all(
+        _turns(place, one.corners) < 0.5 for place in _places(outer)
+    )
+
+
+def _grid(mesh: _Faces, low: Array, high: Array) -> _Grid:
+    """Cells between two corners of the box of a mesh, filled."""
+    extent_mm = float((mesh.boxes[:, 1] - mesh.boxes[:, 0]).mean())
+    side_mm = max(_SIDE * extent_mm, float((high - low).max()) / _MOST_CELLS)
+    x, y, z = (int(count) for count in np.floor((high - low) / side_mm) + 1)
+    starts, no_order = np.zeros(x * y * z + 1, np.int64), np.empty(0, np.int64)
+    grid = _Grid(mesh, tuple(low.tolist()), side_mm, (x, y, z), starts, no_order)
+    _fill(grid)
+    grid = grid._replace(order=np.empty(grid.starts[-1], np.int64))
+    _fill(grid)
+    return grid
+
+
+def _places(mesh: Mesh) -> Array:
+    """(bodies, 3)  a vertex of each body of a mesh, mm"""
+    faces = np.ascontiguousarray(mesh.faces, np.int32)
+    body, count = bodies(faces, len(mesh.vertices))
+    first = np.full(count, -1)
+    first[body[faces[::-1, 0]]] = faces[::-1, 0]
+    return np.asarray(mesh.vertices[first[first >= 0]])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _faces(vertices: Array, faces: NDArray[np.integer]) -> _Faces:
+    corners, boxes, planes = np.empty((len(faces), 3, 3)), np.empty((len(faces), 2, 3)), np.empty((len(faces), 4))
+    for k in range(len(faces)):
+        for axis in range(3):
+            one, two, three = (
+                vertices[faces[k, 0], axis],
+                vertices[faces[k, 1], axis],
+                vertices[faces[k, 2], axis],
+            )
+            corners[k, 0, axis], corners[k, 1, axis], corners[k, 2, axis] = one, two, three
+            boxes[k, 0, axis], boxes[k, 1, axis] = min(one, two, three), max(one, two, three)
+        face = corners[k]
+        ux, uy, uz = face[1, 0] - face[0, 0], face[1, 1] - face[0, 1], face[1, 2] - face[0, 2]
+        vx, vy, vz = face[2, 0] - face[0, 0], face[2, 1] - face[0, 1], face[2, 2] - face[0, 2]
+        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        # A face without area has no normal, and 0 tells nothing apart.
+        length = math.sqrt(x * x + y * y + z * z)
+        share = 1.0 / length if length > 0.0 else 0.0
+        x, y, z = x * share, y * share, z * share
+        planes[k, 0], planes[k, 1], planes[k, 2] = x, y, z
+        planes[k, 3] = x * face[0, 0] + y * face[0, 1] + z * face[0, 2]
+    return _Faces(corners, boxes, planes)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cells(grid: _Grid, boxes: Array, k: int, axis: int) -> tuple[int, int]:
+    """First and last cell along an axis that a box may reach into; none where the last is below the first."""
+    first = int((boxes[k, 0, axis] - grid.low[axis] - _APART_MM) / grid.side_mm)
+    last = int((boxes[k, 1, axis] - grid.low[axis] + _APART_MM) / grid.side_mm)
+    return first, min(last, grid.counts[axis] - 1)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill(grid: _Grid) -> None:
+    """Count the faces of each cell into `starts`; where `order` has room for them, put them there."""
+    counts, starts, boxes = grid.counts, grid.starts, grid.mesh.boxes
+    for k in range(len(boxes)):
+        x, x_last = _cells(grid, boxes, k, 0)
+        y, y_last = _cells(grid, boxes, k, 1)
+        z, z_last = _cells(grid, boxes, k, 2)
+        for i in range(z, z_last + 1):
+            for j in range(y, y_last + 1):
+                row = (i * counts[1] + j) * counts[0]
+                for cell in range(row + x, row + x_last + 1):
+                    if len(grid.order):
+                        starts[cell] -= 1
+                        grid.order[starts[cell]] = k
+                    else:
+                        starts[cell] += 1
+    if not len(grid.order):
+        for cell in range(1, len(starts)):
+            starts[cell] += starts[cell - 1]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _any_meets(faces: _Faces, grid: _Grid) -> bool:
+    counts, boxes, around = grid.counts, faces.boxes, grid.mesh.boxes
+    for k in range(len(boxes)):
+        x, x_last = _cells(grid, boxes, k, 0)
+        y, y_last = _cells(grid, boxes, k, 1)
+        z, z_last = _cells(grid, boxes, k, 2)
+        x_low, y_low, z_low = boxes[k, 0, 0] - _APART_MM, boxes[k, 0, 1] - _APART_MM, boxes[k, 0, 2] - _APART_MM
+        x_high, y_high, z_high = boxes[k, 1, 0] + _APART_MM, boxes[k, 1, 1] + _APART_MM, boxes[k, 1, 2] + _APART_MM
+        for i in range(z, z_last + 1):
+            for j in range(y, y_last + 1):
+                row = (i * counts[1] + j) * counts[0]
+                for n in range(grid.starts[row + x], grid.starts[row + x_last + 1]):
+                    m = grid.order[n]
+                    if around[m, 0, 0] > x_high or around[m, 1, 0] < x_low or around[m, 0, 1] > y_high:
+                        continue
+                    if around[m, 1, 1] < y_low or around[m, 0, 2] > z_high or around[m, 1, 2] < z_low:
+                        continue
+                    if _one_side(faces.corners[k], grid.mesh.planes[m]) or _one_side(
+                        grid.mesh.corners[m], faces.planes[k]
+                    ):
+                        continue
+                    if _cross(faces.corners[k], grid.mesh.corners[m]):
+                        return True
+    return False
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _one_side(face: Array, plane: Array) -> bool:
+    """Whether a face (3, 3) lies on one side of a plane (4,)."""
+    one = face[0, 0] * plane[0] + face[0, 1] * plane[1] + face[0, 2] * plane[2] - plane[3]
+    two = face[1, 0] * plane[0] + face[1, 1] * plane[1] + face[1, 2] * plane[2] - plane[3]
+    three = face[2, 0] * plane[0] + face[2, 1] * plane[1] + face[2, 2] * plane[2] - plane[3]
+    return min(one, two, three) > _APART_MM or max(one, two, three) < -_APART_MM
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cross(one: Array, other: Array) -> bool:
+    """Whether no axis across an edge of both separates two faces (3, 3)."""
+    for i in range(3):
+        j = (i + 1) % 3
+        ux, uy, uz = one[j, 0] - one[i, 0], one[j, 1] - one[i, 1], one[j, 2] - one[i, 2]
+        for m in range(3):
+            n = (m + 1) % 3
+            vx, vy, vz = other[n, 0] - other[m, 0], other[n, 1] - other[m, 1], other[n, 2] - other[m, 2]
+            if _apart(one, other, uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx):
+                return False
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _apart(one: Array, other: Array, x: float, y: float, z: float) -> bool:
+    """Whether two faces (3, 3) lie apart along an axis of any length; never along one that is none."""
+    a, b, c = (
+        one[0, 0] * x + one[0, 1] * y + one[0, 2] * z,
+        one[1, 0] * x + one[1, 1] * y + one[1, 2] * z,
+        one[2, 0] * x + one[2, 1] * y + one[2, 2] * z,
+    )
+    d, e, f = (
+        other[0, 0] * x + other[0, 1] * y + other[0, 2] * z,
+        other[1, 0] * x + other[1, 1] * y + other[1, 2] * z,
+        other[2, 0] * x + other[2, 1] * y + other[2, 2] * z,
+    )
+    gap = max(min(d, e, f) - max(a, b, c), min(a, b, c) - max(d, e, f))
+    return gap > 0.0 and gap * gap > _APART_MM * _APART_MM * (x * x + y * y + z * z)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _turns(place: Array, faces: Array) -> float:
+    """How often a closed mesh of faces (n, 3, 3) goes around a place (3,)."""
+    total = 0.0
+    for k in range(len(faces)):
+        ax, ay, az = faces[k, 0, 0] - place[0], faces[k, 0, 1] - place[1], faces[k, 0, 2] - place[2]
+        bx, by, bz = faces[k, 1, 0] - place[0], faces[k, 1, 1] - place[1], faces[k, 1, 2] - place[2]
+        cx, cy, cz = faces[k, 2, 0] - place[0], faces[k, 2, 1] - place[1], faces[k, 2, 2] - place[2]
+        a, b, c = (
+            math.sqrt(ax * ax + ay * ay + az * az),
+            math.sqrt(bx * bx + by * by + bz * bz),
+            math.sqrt(cx * cx + cy * cy + cz * cz),
+        )
+        volume = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+        ab, bc, ca = ax * bx + ay * by + az * bz, bx * cx + by * cy + bz * cz, cx * ax + cy * ay + cz * az
+        total += math.atan2(volume, a * b * c + ab * c + bc * a + ca * b)
+    return total / (2 * math.pi)
