@@ -84,7 +84,8 @@ class Plan:
 
 def _asked(case: Case) -> dict[str, Any]:
     names = [exposure.name for exposure in case.exposures]
-    return {"subject": case.subject, "index": case.index, "radiographs": names, **knee_table(case.knee)}
+    asked = {"subject": case.subject, "index": case.index, "grades": case.grades, "radiographs": names}
+    return {**asked, **knee_table(case.knee)}
 
 
 def preset_names() -> list[str]:
@@ -145,7 +146,8 @@ def plan_retest(plan: Plan, *, reference: str = "reference") -> Plan | None:
     for case in _spread(plan):
         at = len(plan.cases) + 2 * case.index
         cases += _retest(plan.seed, case, protocols[reference], at)
-    return Plan(preset=f"{plan.preset}, retest", seed=plan.seed, repeats=plan.repeats, cases=tuple(cases))
+    # With masks, for they are few, and what finds the bone is held against the bone.
+    return Plan(preset=f"{plan.preset}, retest", seed=plan.seed, repeats=plan.repeats, cases=tuple(cases), masks="tif")
 
 
 def _spread(plan: Plan) -> list[Case]:
