@@ -113,7 +113,7 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
         require_choice("preset entry", name, presets()[preset].__struct_fields__)
     chosen = structs.replace(presets()[preset], **(overrides or {}))
     require_choice("exposures", chosen.exposures, ("fixed", "drawn"))
-    protocols = [load_protocol(name) for name in chosen.protocols]
+    protocols = [taken for name in chosen.protocols for taken in _variants(load_protocol(name), chosen)]
     names = [protocol.name for protocol in protocols]
     if len(set(names)) < len(names) or not names:
         raise InputError(f"protocols = {', '.join(names) or 'none'}; allowed: one or more, each once")
@@ -209,6 +209,18 @@ def _people(knees: Sequence[int], bilateral: int) -> list[tuple[int, int, str | 
             people.append((subject, grade, None))
             subject += 1
     return people
+
+
+def _variants(protocol: Protocol, preset: Preset) -> list[Protocol]:
+    """The protocol at every tilt and, within one, at every dose, so that those of one geometry follow each other."""
+    variants = []
+    for tilt_deg in preset.tilts_deg:
+        for dose in preset.doses:
+            angle_deg, mas = protocol.beam_angle_deg + tilt_deg, round(protocol.mas * dose, 4)
+            tilted = f"_beam{angle_deg:g}" if tilt_deg else ""
+            name = f"{protocol.name}{tilted}" + (f"_dose{100 * dose:g}" if dose != 1 else "")
+            variants.append(replace(protocol, name=name, mas=mas, beam_angle_deg=angle_deg))
+    return variants
 
 
 class _Place(NamedTuple):

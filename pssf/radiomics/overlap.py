@@ -9,10 +9,10 @@ def overlap(segmented: NDArray[np.bool_], true: NDArray[np.bool_], unit_mm: floa
     """Dice coefficient (Dice 1945), and how far the outlines of two masks lie apart.
 
     segmented, true  (rows, cols) True where it is
-    unit_mm      side of a pixel
-    returns      dice; mean_mm and p95_mm of the distances of either outline's pixels to the other outline (Taha
-                 and Hanbury 2015, average and 95th percentile of the symmetric distance); area: segmented over true. NaN
-                 where a mask is empty
+    unit_mm          side of a pixel
+    returns          dice; mean_mm and p95_mm of the distances of either outline's pixels to the other outline (Taha and
+                     Hanbury 2015, average and 95th percentile of the symmetric distance); area: segmented over true.
+                     NaN where a mask is empty
     """
     both = int(segmented.sum()) + int(true.sum())
     dice = 2 * int((segmented & true).sum()) / both if both else float("nan")
