@@ -128,6 +128,23 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
     )
 
 
+def some_people(plan: Plan, people: int) -> Plan:
+    """People of a plan, evenly over those of each grade, with their images as they are in the whole.
+
+    people  in all; of each grade as many
+    raises  InputError for more than there are, or a number that is no multiple of the number of grades
+    """
+    of_grade: dict[int | None, dict[int, None]] = {}
+    for case in plan.cases:
+        of_grade.setdefault(case.knee.grade, {})[case.subject] = None
+    each, rest = divmod(people, len(of_grade))
+    most = min(map(len, of_grade.values()))
+    if rest or not 1 <= each <= most:
+        raise InputError(f"people = {people}; allowed: a multiple of {len(of_grade)} grades, to {most * len(of_grade)}")
+    chosen = {list(whole)[k * len(whole) // each] for whole in of_grade.values() for k in range(each)}
+    return replace(plan, cases=tuple(case for case in plan.cases if case.subject in chosen))
+
+
 def plan_retest(plan: Plan, *, reference: str = "reference") -> Plan | None:
     """Knees of a cohort, one a subject and evenly over the grades, to be taken again under one protocol.
 

@@ -48,6 +48,8 @@ learn/         predictions from features
   responses    features by step of an axis     -> what models make of the same test knees at every step
   separability table of grades                 -> how well they could be told at best, from drawn parameters
   ladder       parameters, features            -> AUC by what is known: parameters, joint space, features, both
+  network      regions, grades                 -> a small convolutional network (extra "cnn")
+  frozen       features, regions, splits       -> predictions of the baselines of a frozen data set
   modelfile    a model, templates              -> one file that films can be read by, and back
 
 external       films, a cohort                 -> models of the cohort as displayed, tested on films
