@@ -108,8 +108,8 @@ def _name_of_image() -> dict[str, Any]:
         "extract": {"column": "file"},
         "transform": {"regex": "images/(.*)"},
     }
-    field = _field("radiographs/image", "sc:Text", "File of the image.", source)
-    return field | {"references": {"field": {"@id": "images_by_name/name"}}}
+    # No reference to images_by_name, for then a loader reads every image to list the labels.
+    return _field("radiographs/image", "sc:Text", "File of the image, by which images_by_name knows it.", source)
 
 
 def _pictures() -> dict[str, Any]:
@@ -141,10 +141,11 @@ def _context() -> dict[str, Any]:
     """The JSON-LD context that the specification recommends (its appendix 1)."""
     terms = (
         *("citeAs", "column", "extract", "field", "fileProperty", "fileObject", "fileSet", "format", "includes"),
-        *("isLiveDataset", "jsonPath", "key", "md5", "parentField", "path", "recordSet", "references", "regex"),
-        *("repeated", "replace", "separator", "source", "subField", "transform"),
+        *("equivalentProperty", "isLiveDataset", "jsonPath", "key", "md5", "parentField", "path", "recordSet"),
+        *("references", "regex", "repeated", "replace", "samplingRate", "separator", "source", "subField", "transform"),
     )
     spaces = {"cr": "http://mlcommons.org/croissant/", "dct": "http://purl.org/dc/terms/", "sc": "https://schema.org/"}
+    spaces["rai"] = "http://mlcommons.org/croissant/RAI/"
     typed = {name: {"@id": f"cr:{name}", "@type": "@json"} for name in ("data", "examples")}
     typed["dataType"] = {"@id": "cr:dataType", "@type": "@vocab"}
     plain = {name: f"cr:{name}" for name in terms} | {"conformsTo": "dct:conformsTo"}

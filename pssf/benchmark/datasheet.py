@@ -21,6 +21,7 @@ class Told:
     """What the datasheet is about.
 
     whole      people of the whole data set
+    variant    what was asked for instead of what the data set has; "" where it is the one
     refused    radiographs whose joint was not found
     reference  protocol that baselines learn from
     baselines  of `make.make_benchmark`
@@ -30,6 +31,7 @@ class Told:
     frozen: FrozenSet
     manifest: pd.DataFrame
     whole: int
+    variant: str
     refused: int
     reference: str
     baselines: pd.DataFrame
@@ -48,6 +50,7 @@ def datasheet(told: Told) -> str:
         "datasheet.md.j2",
         told=told.frozen,
         whole=told.whole,
+        variant=told.variant,
         people=len(of_subject),
         pairs=int((of_subject > 1).sum()),
         knees=len(knees),

@@ -1,6 +1,6 @@
 """Makes the data set: images first, then what is written about them; goes on where an earlier run stopped."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -60,6 +60,10 @@ def make_benchmark(
                WorkersLostError when workers keep being killed
     """
     require_extra(execution.scheduler)
+    from ..study.statistics.claims import LEAST_TESTED
+    from .croissant import croissant
+    from .datasheet import Told, citation, datasheet
+
     told = frozen_set()
     whole = plan_cohort(told.preset, seed=told.seed, overrides=overrides)
     plan = some_people(whole, people) if people else whole
@@ -68,11 +72,26 @@ def make_benchmark(
         path = make_cohort(plan, out, progress=stage.advance, kept=stage.keep, **how)
     manifest = read_manifest(path)
     baselines, refused, notes = _baselines(out, manifest, told, execution)
+    if baselines["test_subjects"].min() < LEAST_TESTED:
+        notes += (f"Some splits test fewer than {LEAST_TESTED} people, of whom nothing can be decided",)
     with execution.timer.stage("hashes"):
         made = hashes(manifest, partial(_pixels, out.absolute()))
     results.save_text(out / "frozen.toml", as_toml(made))
-    count = len({case.subject for case in whole.cases})
-    _write_about(out, told, manifest, count, refused, baselines, notes)
+    about = Told(
+        frozen=told,
+        manifest=manifest,
+        whole=len({case.subject for case in whole.cases}),
+        variant=" and ".join(overrides or {}).replace("_", " "),
+        refused=refused,
+        reference=str(manifest["protocol"].iloc[0]),
+        baselines=baselines,
+        notes=notes,
+        versions=versions(),
+    )
+    results.save_text(out / "datasheet.md", datasheet(about))
+    results.save_text(out / "CITATION.cff", citation(told, versions()))
+    files = {name: (sha256(out / name), len(results.load_bytes(out / name))) for name in _TABLES}
+    results.save_json(out / "croissant.json", croissant(told, files, list(manifest.columns)))
     return BenchmarkResult(folder=out, baselines=baselines, notes=notes, frozen=agreement(made, frozen_hashes()))
 
 
@@ -132,34 +151,6 @@ def shown_to_network(row: Mapping[str, Any], *, load_pixels: Any, region_px: int
     from ..study.learn.network import seen
 
     return seen(cut_region(load_pixels(row["file"]), row["row_px"], row["col_px"], region_px), row["side"])
-
-
-def _write_about(
-    out: Path,
-    told: FrozenSet,
-    manifest: "pd.DataFrame",
-    whole: int,
-    refused: int,
-    baselines: "pd.DataFrame",
-    notes: Sequence[str],
-) -> None:
-    from .croissant import croissant
-    from .datasheet import Told, citation, datasheet
-
-    about = Told(
-        frozen=told,
-        manifest=manifest,
-        whole=whole,
-        refused=refused,
-        reference=str(manifest["protocol"].iloc[0]),
-        baselines=baselines,
-        notes=notes,
-        versions=versions(),
-    )
-    results.save_text(out / "datasheet.md", datasheet(about))
-    results.save_text(out / "CITATION.cff", citation(told, versions()))
-    files = {name: (sha256(out / name), len(results.load_bytes(out / name))) for name in _TABLES}
-    results.save_json(out / "croissant.json", croissant(told, files, list(manifest.columns)))
 
 
 def _pixels(folder: Path, file: str) -> NDArray[np.uint16]:
