@@ -98,6 +98,9 @@ def test_subjects_a_feature_are_those_of_the_task_in_the_worst_split():
     (row,) = dimensions(pd.DataFrame(kept), pd.DataFrame(offered), subjects, usable).to_dict("records")
     assert row == {**arm, "subjects": 20, "offered": 5, "kept": 3, "subjects_per_feature": pytest.approx(20 / 3)}
 
+    (row,) = dimensions(pd.DataFrame(kept), pd.DataFrame(offered).iloc[:0], subjects, usable).to_dict("records")
+    assert pd.isna(row["offered"])
+
 
 def test_what_was_chosen_is_counted_by_split_and_the_most_frequent_first():
     arm = {"task": "0 vs 2", "trained_on": "reference", "model": "lr", "selection": "l1", "parameter": "C"}

@@ -35,7 +35,7 @@ _SPLIT = {
 }
 
 
-def croissant(told: FrozenSet, files: Mapping[str, tuple[str, int]], columns: Sequence[str]) -> dict[str, Any]:
+def croissant(frozen: FrozenSet, files: Mapping[str, tuple[str, int]], columns: Sequence[str]) -> dict[str, Any]:
     """The description, JSON-ready.
 
     files    CSV file of the folder -> its sha256 and its size in bytes; manifest.csv and splits.csv among them
@@ -46,16 +46,16 @@ def croissant(told: FrozenSet, files: Mapping[str, tuple[str, int]], columns: Se
         "@context": _context(),
         "@type": "sc:Dataset",
         "conformsTo": CONFORMS_TO,
-        "name": told.preset,
-        "description": f"{told.title}. {told.description}",
-        "version": told.version,
-        "license": told.license,
-        "url": told.url,
-        "creator": {"@type": "sc:Organization", "name": told.creator},
-        "datePublished": told.date,
-        "keywords": list(told.keywords),
-        "citeAs": f"@misc{{{told.preset}, title = {{{told.title}}}, author = {{{{{told.creator}}}}}, "
-        f"year = {{{told.date[:4]}}}, version = {{{told.version}}}}}",
+        "name": frozen.preset,
+        "description": f"{frozen.title}. {frozen.description}",
+        "version": frozen.version,
+        "license": frozen.license,
+        "url": frozen.url,
+        "creator": {"@type": "sc:Organization", "name": frozen.creator},
+        "datePublished": frozen.date,
+        "keywords": list(frozen.keywords),
+        "citeAs": f"@misc{{{frozen.preset}, title = {{{frozen.title}}}, author = {{{{{frozen.creator}}}}}, "
+        f"year = {{{frozen.date[:4]}}}, version = {{{frozen.version}}}}}",
         "isLiveDataset": False,
         "distribution": [*(_file(name, *about) for name, about in files.items()), _images()],
         "recordSet": [

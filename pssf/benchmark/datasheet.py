@@ -17,7 +17,7 @@ HEADINGS = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Told:
+class About:
     """What the datasheet is about.
 
     whole      people of the whole data set
@@ -39,18 +39,18 @@ class Told:
     versions: Mapping[str, str]
 
 
-def datasheet(told: Told) -> str:
+def datasheet(about: About) -> str:
     """The page, in Markdown, under the headings of Gebru 2021."""
-    manifest, knees = told.manifest, told.manifest.drop_duplicates("knee")
+    manifest, knees = about.manifest, about.manifest.drop_duplicates("knee")
     of_subject = knees.groupby("subject").size()
     counted = {"people": ("subject", "nunique"), "knees": ("knee", "nunique"), "radiographs": ("knee", "size")}
     columns = ["protocol", "beam_angle_deg", "mas", "tube_kv"]
     first = manifest.iloc[0]
     return _rendered(
         "datasheet.md.j2",
-        told=told.frozen,
-        whole=told.whole,
-        variant=told.variant,
+        frozen=about.frozen,
+        whole=about.whole,
+        variant=about.variant,
         people=len(of_subject),
         pairs=int((of_subject > 1).sum()),
         knees=len(knees),
@@ -60,18 +60,18 @@ def datasheet(told: Told) -> str:
         pixel_mm=f"{first['pixel_mm']:g}",
         grades=manifest.groupby("grade").agg(**counted).reset_index().to_dict("records"),
         protocols=manifest[columns].drop_duplicates("protocol").to_dict("records"),
-        splits=told.frozen.splits,
-        versions=told.versions,
-        refused=told.refused,
-        reference=told.reference,
-        baselines=[_shown(row) for row in told.baselines.to_dict("records")],
-        notes=told.notes,
+        splits=about.frozen.splits,
+        versions=about.versions,
+        refused=about.refused,
+        reference=about.reference,
+        baselines=[_shown(row) for row in about.baselines.to_dict("records")],
+        notes=about.notes,
     )
 
 
 def citation(frozen: FrozenSet, versions: Mapping[str, str]) -> str:
     """The Citation File Format of the data set."""
-    return _rendered("citation.cff.j2", told=frozen, versions=versions)
+    return _rendered("citation.cff.j2", frozen=frozen, versions=versions)
 
 
 def _rendered(template: str, **values: Any) -> str:

@@ -62,23 +62,23 @@ def make_benchmark(
     require_extra(execution.scheduler)
     from ..study.statistics.claims import LEAST_TESTED
     from .croissant import croissant
-    from .datasheet import Told, citation, datasheet
+    from .datasheet import About, citation, datasheet
 
-    told = frozen_set()
-    whole = plan_cohort(told.preset, seed=told.seed, overrides=overrides)
+    frozen = frozen_set()
+    whole = plan_cohort(frozen.preset, seed=frozen.seed, overrides=overrides)
     plan = some_people(whole, people) if people else whole
     with execution.stage("images", "radiographs", sum(len(case.exposures) for case in plan.cases)) as stage:
         how: dict[str, Any] = {"workers": execution.workers, "scheduler": execution.scheduler, "engine": engine}
         path = make_cohort(plan, out, progress=stage.advance, kept=stage.keep, **how)
     manifest = read_manifest(path)
-    baselines, refused, notes = _baselines(out, manifest, told, execution)
+    baselines, refused, notes = _baselines(out, manifest, frozen, execution)
     if baselines["test_subjects"].min() < LEAST_TESTED:
         notes += (f"Some splits test fewer than {LEAST_TESTED} people, of whom nothing can be decided",)
     with execution.timer.stage("hashes"):
         made = hashes(manifest, partial(_pixels, out.absolute()))
     results.save_text(out / "frozen.toml", as_toml(made))
-    about = Told(
-        frozen=told,
+    about = About(
+        frozen=frozen,
         manifest=manifest,
         whole=len({case.subject for case in whole.cases}),
         variant=" and ".join(overrides or {}).replace("_", " "),
@@ -89,14 +89,14 @@ def make_benchmark(
         versions=versions(),
     )
     results.save_text(out / "datasheet.md", datasheet(about))
-    results.save_text(out / "CITATION.cff", citation(told, versions()))
+    results.save_text(out / "CITATION.cff", citation(frozen, versions()))
     files = {name: (sha256(out / name), len(results.load_bytes(out / name))) for name in _TABLES}
-    results.save_json(out / "croissant.json", croissant(told, files, list(manifest.columns)))
+    results.save_json(out / "croissant.json", croissant(frozen, files, list(manifest.columns)))
     return BenchmarkResult(folder=out, baselines=baselines, notes=notes, frozen=agreement(made, frozen_hashes()))
 
 
 def _baselines(
-    out: Path, manifest: "pd.DataFrame", told: FrozenSet, execution: Execution
+    out: Path, manifest: "pd.DataFrame", frozen: FrozenSet, execution: Execution
 ) -> tuple["pd.DataFrame", int, tuple[str, ...]]:
     """Splits, features and predictions are written; scores, radiographs without a region, and what there is not."""
     from ..study.learn.frozen import films_of, predict, splits_of, without_network
@@ -108,7 +108,7 @@ def _baselines(
 
     region_px = max(16, round(_REGION_MM / float(manifest["pixel_mm"].iloc[0])))
     settings = StudySettings(
-        region_px=region_px, repeats=told.splits, seed=told.seed, reference=str(manifest["protocol"].iloc[0])
+        region_px=region_px, repeats=frozen.splits, seed=frozen.seed, reference=str(manifest["protocol"].iloc[0])
     )
     splits = splits_of(manifest, settings)
     results.save_table(out / "splits.csv", splits)

@@ -18,8 +18,8 @@ def dimensions(
     offered      task, trained_on, selection, repeat, feature: what pruning left to select from
     subjects     repeat, subject, part
     usable       subject, grade of every radiograph
-    returns      training subjects of the task's grades; features that a selection was offered, and that it kept; their
-                 quotient. Ten subjects a feature are a common least (Kocak 2024, METRICS 16)
+    returns      training subjects of the task's grades; features that a selection was offered, where that is known, and
+                 that it kept; subjects a feature. Ten subjects a feature are a common least (Kocak 2024, METRICS 16)
     """
     grades = usable.groupby("subject")["grade"].agg(set)
     training = subjects[subjects["part"] == "training"].groupby("repeat")["subject"].agg(list)
@@ -33,9 +33,8 @@ def dimensions(
         of_split["subjects_per_feature"] = of_split["subjects"] / of_split["kept"]
         least = of_split["subjects_per_feature"].idxmin()
         pruned = offered[(offered[_RECIPE] == pd.Series(recipe)).all(axis=1) & (offered["repeat"] == least)]
-        rows.append({**recipe, **of_split.loc[least].to_dict(), "offered": len(pruned)})
-    table = pd.DataFrame(rows, columns=_COLUMNS)
-    return table.astype({name: int for name in ("subjects", "offered", "kept") if len(table)})
+        rows.append({**recipe, **of_split.loc[least].to_dict(), "offered": len(pruned) or pd.NA})
+    return pd.DataFrame(rows, columns=_COLUMNS).astype(dict.fromkeys(("subjects", "offered", "kept"), "Int64"))
 
 
 def tuned(chosen: pd.DataFrame) -> pd.DataFrame:
