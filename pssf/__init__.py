@@ -16,6 +16,7 @@ cohort      preset, seed         -> many radiographs and their manifest
 radiomics   radiograph           -> region and features              (extra "study")
 study       features             -> models, statistics, report       (extra "study")
 experiment  a cohort, then its study
+benchmark   a frozen data set, with splits and baselines      (extra "study")
 quality     a protocol beside references
 explore     a page with sliders in the browser                (extra "explore")
 accuracy    error against run time

@@ -15,6 +15,7 @@ from .core.execution import Execution
 from .io import films as film_files
 from .io.atomic import sweep
 from .io.images import load
+from .io.masks import load_masks
 from .io.records import read_manifest
 from .model.knee import Knee
 from .model.protocol import load_protocol
@@ -145,6 +146,7 @@ def run_experiment(experiment: Experiment, execution: Execution) -> StudyResult:
         result = run(
             *_given(experiment, execution),
             retest=experiment.retest,
+            load_masks=partial(_masks, experiment.out.absolute()),
             films=experiment.films,
             designed=experiment.designed,
             execution=execution,
@@ -237,7 +239,8 @@ def _plans_by_design(plan: Plan, wanted: ByDesign, reference: str) -> dict[str, 
 
 def _below(folder: str, manifest: "pd.DataFrame") -> "pd.DataFrame":
     """The manifest with files as they are called from the folder above."""
-    return manifest.assign(file=f"{folder}/" + manifest["file"])
+    files = [name for name in ("file", "masks") if name in manifest]
+    return manifest.assign(**{name: f"{folder}/" + manifest[name] for name in files})
 
 
 def _film_set(own: OwnFilms, out: Path, protocols: list[str], settings: StudySettings) -> FilmSet:
@@ -261,3 +264,7 @@ def _film(folder: Path, file: str) -> film_files.FilmImage:
 
 def _pixels(folder: Path, file: str) -> NDArray[np.uint16]:
     return load(folder / file).pixels
+
+
+def _masks(folder: Path, file: str) -> dict[str, NDArray[np.bool_]]:
+    return load_masks(folder / file)

@@ -1,21 +1,171 @@
 """Items of reporting guidelines."""
 
+import csv
 import json
+import shutil
 
+import pytest
+
+from pssf.data.reporting import guidelines
+from pssf.io.evidence import lacking
 from pssf.study.report.checklist import STATUSES, checklist
 
 
-def test_an_item_is_answered_only_where_its_evidence_is(tmp_path):
-    (tmp_path / "scores.csv").write_text("model,auc\n")
-    (tmp_path / "study.json").write_text(json.dumps({"settings": {}}))
-    answered = checklist(tmp_path)
-    answers = {(item["guideline"], item["id"]): item for item in answered["items"]}
-    assert answers["CLEAR", "39"]["status"] == "yes"
-    assert answers["CLEAR", "40"] == {
-        "guideline": "CLEAR", "id": "40", "item": "Uncertainty", "status": "no",
-        "evidence": "scores.csv auc_low: not made in this run",
-    }  # fmt: skip
-    assert answers["CLEAR", "1-6"]["status"] == "human"
+def write_table(path, rows):
+    with open(path, "w", newline="") as handle:
+        writer = csv.DictWriter(handle, fieldnames=list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def changed(path, change):
+    """A table with each of its rows changed."""
+    with open(path, newline="") as handle:
+        rows = list(csv.DictReader(handle))
+    write_table(path, [row | change(row) for row in rows])
+
+
+@pytest.fixture(scope="module")
+def whole(film_study, tmp_path_factory):
+    """A study's folder, and beside what it has, what only a larger one has: every item is answered."""
+    folder = tmp_path_factory.mktemp("whole_study") / "out"
+    shutil.copytree(film_study.report.parent, folder)
+    for name in ("cohort", "repeats"):
+        (folder / name).mkdir(exist_ok=True)
+    known = {"file": "images/a.tif", "sha256": "a", "grade": 0, "tube_kv": 70, "pixel_mm": 0.15, "mas": 2}
+    write_table(folder / "cohort/manifest.csv", [known | {"stature_mm": 1700}, known | {"sha256": "b"}])
+    write_table(folder / "repeats/manifest.csv", [{"masks": "masks/a.tif"}])
+    asked = {"protocols": [{"name": "reference"}], "knees": [{"index": 0}], "versions": {"pssf": "0"}}
+    (folder / "cohort/cohort.json").write_text(json.dumps(asked))
+    write_table(folder / "segmentation.csv", [{"grade": "all", "dice": 0.7, "mean_mm": 3.0}])
+    write_table(folder / "confounders.csv", [{"confounder": "age_years", "value": 0.1}])
+    write_table(folder / "subgroups.csv", [{"subgroup": "female", "auc": 0.9}])
+    write_table(folder / "morphology.csv", [{"parameter": "stature_mm", "mean": 1700}])
+    write_table(folder / "dimensions.csv", [dict.fromkeys(("offered", "kept"), 5) | {"subjects_per_feature": 12.5}])
+    write_table(folder / "calibration.csv", [{"model": "lr", "slope": 1.1}])
+    write_table(folder / "reliability.csv", [{"feature": "a", "ICC(2,1)": 0.9, "share_knee": 0.8}])
+    changed(folder / "scores.csv", lambda row: {"auc_low": 0.5})
+    write_table(folder / "differences.csv", [{"difference": 0.1, "low": 0.1, "p_holm": 0.5}])
+    with open(folder / "scores.csv", newline="") as handle:
+        rows = list(csv.DictReader(handle))
+    others = [{"scenario": "cross_stable"}, {"scenario": "cross"}, {"model": "jsw"}, {"model": "chance"}]
+    write_table(folder / "scores.csv", [*rows, *({**rows[0], **other} for other in others)])
+    return folder
+
+
+@pytest.fixture
+def folder(whole, tmp_path):
+    shutil.copytree(whole, tmp_path / "out")
+    return tmp_path / "out"
+
+
+def status(folder, guideline, item):
+    (one,) = [one for one in checklist(folder)["items"] if (one["guideline"], one["id"]) == (guideline, item)]
+    return one["status"], one["evidence"]
+
+
+def test_what_a_whole_study_has_answers_all_that_a_program_can(whole):
+    answered = checklist(whole)
+    asked = {(name, item.id): item.status for name, one in guidelines().items() for item in one.items}
+    given = {(item["guideline"], item["id"]): item["status"] for item in answered["items"]}
+    assert given == asked
     assert {item["status"] for item in answered["items"]} <= set(STATUSES)
-    assert 0 < answered["metrics_score_percent"] < 60
     assert sum(answered["summary"]["METRICS"].values()) == 30
+    weights = {item.id: item.weight for item in guidelines()["METRICS"].items if item.status != "none"}
+    ours = [item for item in answered["items"] if item["guideline"] == "METRICS"]
+    earned = sum(weights[item["id"]] for item in ours if item["status"] == "yes")
+    assert answered["metrics_score_percent"] == round(100 * earned / sum(weights.values()), 1)
+
+
+def test_an_empty_folder_answers_nothing_but_that_it_was_asked(tmp_path):
+    items = checklist(tmp_path)["items"]
+    assert {item["evidence"] for item in items if item["status"] == "yes"} == {"checklist.json"}
+    (no,) = [item for item in items if (item["guideline"], item["id"]) == ("CLEAR", "40")]
+    assert no == {
+        "guideline": "CLEAR", "id": "40", "item": "Uncertainty", "status": "no",
+        "evidence": "scores.csv auc_low: not so in this run",
+    }  # fmt: skip
+
+
+def emptied(file, **values):
+    return lambda folder: changed(folder / file, lambda row: values)
+
+
+def without(file, *keys):
+    def cut(folder):
+        content = json.loads((folder / file).read_text())
+        inner = content
+        for key in keys[:-1]:
+            inner = inner[key]
+        del inner[keys[-1]]
+        (folder / file).write_text(json.dumps(content))
+
+    return cut
+
+
+def unsaid(words):
+    def cut(folder):
+        page = folder / "report.html"
+        assert words in " ".join(page.read_text().split())
+        page.write_text(" ".join(page.read_text().split()).replace(words, ""))
+
+    return cut
+
+
+def without_models(folder):
+    for path in (folder / "models").iterdir():
+        path.rename(path.with_suffix(".txt"))
+
+
+CONTENT = [
+    ("METRICS", "9", "segmentation.csv dice", emptied("segmentation.csv", dice="")),
+    ("METRICS", "9", "segmentation.csv mean_mm", emptied("segmentation.csv", mean_mm="nan")),
+    ("METRICS", "14", "scores.csv scenario = cross_stable", emptied("scores.csv", scenario="within")),
+    ("METRICS", "16", "dimensions.csv subjects_per_feature >= 10", emptied("dimensions.csv", subjects_per_feature=9.9)),
+    ("METRICS", "18", "subjects.csv part = test", emptied("subjects.csv", part="training")),
+    ("METRICS", "18", "subjects.csv repeat+subject unique", emptied("subjects.csv", subject="1")),
+    ("METRICS", "19", "confounders.csv value", emptied("confounders.csv", value="")),
+    ("METRICS", "20", "scores.csv balanced_accuracy", emptied("scores.csv", balanced_accuracy="")),
+    ("METRICS", "20", "confusion.csv count", emptied("confusion.csv", count="")),
+    ("METRICS", "21", "scores.csv auc_low", emptied("scores.csv", auc_low="")),
+    ("METRICS", "22", "calibration.csv slope", emptied("calibration.csv", slope="")),
+    ("METRICS", "22", "calibration_curve.csv observed_share", emptied("calibration_curve.csv", observed_share="")),
+    ("METRICS", "24", "scores.csv model = jsw", emptied("scores.csv", model="lr")),
+    ("METRICS", "25", "scores.csv model = chance", emptied("scores.csv", model="lr")),
+    ("IBSI", "56", "study.json processing.discretisation", without("study.json", "processing", "discretisation")),
+    ("IBSI", "62-71", "study.json processing.texture", without("study.json", "processing", "texture")),
+    ("TRIPOD+AI", "12b", "report.html standardisation and selection", unsaid("standardisation and selection")),
+    ("TRIPOD+AI", "12c", "tuning.csv value", emptied("tuning.csv", value="")),
+    ("TRIPOD+AI", "12c", "models/*.skops", without_models),
+    ("TRIPOD+AI", "12e", "calibration.csv slope", emptied("calibration.csv", slope="")),
+    ("TRIPOD+AI", "13", "report.html Grades weigh the same in fitting", unsaid("Grades weigh the same in fitting")),
+    ("CLEAR", "14", "cohort/manifest.csv sha256 unique", emptied("cohort/manifest.csv", sha256="a")),
+    ("CLEAR", "35", "tuning.csv value", emptied("tuning.csv", value="")),
+    ("CLEAR", "36", "confounders.csv value", emptied("confounders.csv", value="nan")),
+    ("CLEAR", "37", "report.html No model is chosen for its result", unsaid("No model is chosen for its result")),
+    ("CLEAR", "58", "models/*.skops", without_models),
+]
+
+
+@pytest.mark.parametrize(("guideline", "item", "lacks", "harm"), CONTENT, ids=[" ".join(one[:3]) for one in CONTENT])
+def test_an_item_whose_content_is_missing_is_not_answered(folder, guideline, item, lacks, harm):
+    assert status(folder, guideline, item)[0] == "yes"
+    harm(folder)
+    assert status(folder, guideline, item) == ("no", f"{lacks}: not so in this run")
+
+
+def test_a_header_alone_is_no_evidence(tmp_path):
+    (tmp_path / "scores.csv").write_text("model,auc\n")
+    assert lacking(tmp_path, "scores.csv auc") == "scores.csv auc"
+    (tmp_path / "scores.csv").write_text("model,auc\nlr,0.5\n")
+    assert lacking(tmp_path, "scores.csv auc") == ""
+    assert lacking(tmp_path, "scores.csv auc; scores.csv model = rf") == "scores.csv model = rf"
+    assert lacking(tmp_path, "scores.csv auc >= 0.6") == "scores.csv auc >= 0.6"
+
+
+def test_a_file_that_cannot_be_read_is_no_evidence(tmp_path):
+    (tmp_path / "study.json").write_text("{")
+    assert lacking(tmp_path, "study.json settings.bins") == "study.json settings.bins"
+    (tmp_path / "study.json").write_text('{"settings": {"bins": 0, "none": {}}}')
+    assert lacking(tmp_path, "study.json settings.bins") == ""
+    assert lacking(tmp_path, "study.json settings.none") == "study.json settings.none"

@@ -79,11 +79,14 @@ def test_meshes_writes_what_is_asked_for(tmp_path):
         (("meshes", "--formats", "obj3"), "pssf: format = 'obj3'; allowed: stl, ply, glb"),
         (
             ("cohort", "--preset", "quik"),
-            "pssf: preset = 'quik'; allowed: quick, paper, people (did you mean 'quick'?)",
+            "pssf: preset = 'quik'; allowed: quick, paper, people, benchmark-1 (did you mean 'quick'?)",
         ),
         (("cohort", "--workers", "0"), "pssf: workers = 0 processes; allowed: whole numbers from 1 to 256 processes"),
         (("cohort", "--engine", "embre"), "pssf: engine = 'embre'; allowed: embree, scanline (did you mean 'embree'?)"),
-        (("study", "--preset", "quik"), "pssf: preset = 'quik'; allowed: quick, paper, people (did you mean 'quick'?)"),
+        (
+            ("study", "--preset", "quik"),
+            "pssf: preset = 'quik'; allowed: quick, paper, people, benchmark-1 (did you mean 'quick'?)",
+        ),
         (("study", "--films", "nowhere"), "pssf: folder nowhere: films = none; allowed: "),
         (("realism", "--films", "a", "--knees", "20", "--films=b"), "pssf: --films: given 2 times; allowed: once"),
         (("study", "--films", ".", "--films-protocol", "low"), "pssf: films-protocol = 'low'; allowed: reference, "),

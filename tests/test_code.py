@@ -9,8 +9,10 @@ import pytest
 from conftest import change
 
 import pssf
+from pssf import cohort
 from pssf.cohort import make
 from pssf.data import code
+from pssf.data.presets import Preset
 from pssf.radiomics import table
 
 ROOT = Path(pssf.__file__).parent
@@ -101,8 +103,9 @@ COHORT = (*make._CODE, *code.data_of_pixels())
 
 @pytest.mark.parametrize(("start", "parts"), [(("cohort", "make"), COHORT), (("radiomics", "table"), table._CODE)])
 def test_all_that_is_imported_on_the_way_to_a_result_counts(start, parts):
-    missing = [path for path in imported(start) if not set(parts) & {path, path.split("/")[0]}]
-    assert missing == []
+    missing = {path for path in imported(start) if not set(parts) & {path, path.split("/")[0]}}
+    assert missing <= {"data/presets.py"}
+    assert "data/presets.py" not in missing or start == ("cohort", "make")
 
 
 def test_every_file_of_data_counts_for_pixels_unless_it_is_named_with_a_reason():
@@ -117,7 +120,7 @@ def test_every_file_of_data_counts_for_pixels_unless_it_is_named_with_a_reason()
 
 
 def test_tables_that_no_pixel_hangs_on_are_read_by_their_readers_alone_and_those_by_nothing_that_makes_pixels():
-    made_by = imported(("cohort", "make"))
+    made_by = imported(("cohort", "make")) - {"data/presets.py"}
     for table_name, reader in code.NOT_OF_PIXELS:
         assert f"data/{reader}" not in made_by
         asked = f'"{Path(table_name).stem}"'
@@ -140,13 +143,43 @@ opened, read_text = set(), Path.read_text
 Path.read_text = lambda path, *given, **more: opened.add(path) or read_text(path, *given, **more)
 from pssf import cohort
 one = {"knees": [0, 0, 1], "protocols": [sys.argv[1]]}
-cohort.make_cohort(cohort.plan_cohort("quick", seed=1, overrides=one), sys.argv[2], workers=1)
+plan = cohort.plan_cohort("quick", seed=1, overrides=one)
+# A plan has all that came of a preset; nothing else that is named may have been read for it.
+assert not opened & {Path(path) for path in sys.argv[3:]}, opened
+opened -= {path for path in opened if path.name == "presets.toml"}
+cohort.make_cohort(plan, sys.argv[2], workers=1)
 print("\\n".join(path.name for path in opened if path.suffix == ".toml" and path.parent.name == "data"))
 """
 
 
+def test_presets_are_read_where_a_cohort_is_planned_and_by_nothing_that_makes_one():
+    readers = [
+        path.relative_to(ROOT).as_posix()
+        for path in ROOT.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[-1] == "presets"
+    ]
+    assert readers == ["cohort/plan.py"]
+
+
+def test_a_plan_and_so_the_claim_of_a_folder_has_all_that_a_preset_says_of_radiographs():
+    one = {"knees": [0, 2, 2], "bilateral": 0, "protocols": ["reference"], "grades": "paper"}
+    others = {
+        "knees": [2, 0, 2], "bilateral": 1, "protocols": ["low_dose"], "grades": "people", "exposures": "drawn",
+        "doses": [0.5], "tilts_deg": [5.0],
+    }  # fmt: skip
+    assert set(Preset.__struct_fields__) - {"repeats", "retested"} == set(others)
+    asked = cohort.plan_cohort("quick", seed=1, overrides=one).table()
+    for name, value in others.items():
+        assert cohort.plan_cohort("quick", seed=1, overrides={**one, name: value}).table() != asked, name
+    # These say nothing of a cohort's own radiographs: repeats of splits, and knees of a plan of its own.
+    for name in ("repeats", "retested"):
+        assert cohort.plan_cohort("quick", seed=1, overrides={**one, name: 2}).table() == asked
+
+
 def test_no_table_that_is_named_is_read_while_a_cohort_is_made(small_protocols, tmp_path):
-    command = [sys.executable, "-c", _WATCH, small_protocols[0], str(tmp_path / "c")]
+    unread = [str(ROOT / "data" / name) for name, _ in code.NOT_OF_PIXELS if name != "presets.toml"]
+    command = [sys.executable, "-c", _WATCH, small_protocols[0], str(tmp_path / "c"), *unread]
     opened = set(subprocess.run(command, capture_output=True, text=True, check=True).stdout.split())
     assert {"tissues.toml", "detector.toml", "anatomy.toml"} <= opened
     assert not opened & {table_name for table_name, _ in code.NOT_OF_PIXELS}

@@ -466,3 +466,16 @@ def test_exposures_are_fixed_or_drawn_and_the_paper_has_them_fixed():
     }
     with pytest.raises(pssf.InputError, match="exposures = 'any'; allowed: fixed, drawn"):
         tiny(["reference"], exposures="any")
+
+
+def test_the_frozen_cohort_is_of_1000_people_at_two_tilts_and_three_doses_each_geometry_together():
+    plan = cohort.plan_cohort("benchmark-1", seed=0)
+    assert len({case.subject for case in plan.cases}) == 1000
+    assert Counter(case.knee.grade for case in plan.cases) == dict.fromkeys(range(5), 220)
+    taken = [exposure.protocol for exposure in plan.cases[0].exposures]
+    assert [one.name for one in taken] == [
+        f"fixed_flexion{tilt}{dose}" for tilt in ("", "_beam5") for dose in ("", "_dose50", "_dose25")
+    ]
+    assert [one.beam_angle_deg for one in taken] == [10.0] * 3 + [5.0] * 3
+    assert [one.mas for one in taken] == [10.0, 5.0, 2.5] * 2
+    assert len({exposure.seed for case in plan.cases for exposure in case.exposures}) == 6600

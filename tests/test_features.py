@@ -12,7 +12,7 @@ from pssf.radiomics.features import extract
 pytest.importorskip("radiomics", reason="no pyradiomics, whose traps these are")
 
 import SimpleITK as sitk  # noqa: N813
-from radiomics import glcm
+from radiomics import firstorder, glcm, imageoperations
 from radiomics.featureextractor import RadiomicsFeatureExtractor
 
 from pssf.radiomics import by_pyradiomics
@@ -69,6 +69,26 @@ def test_grey_values_on_the_edge_of_a_bin_fall_as_whole_numbers_have_it(name):
     z = (region - region.mean()) / region.std()
     places = np.digitize(z, np.linspace(z.min(), z.max(), 65)[:-1])
     assert (places != levels).any()
+
+
+def test_what_is_taken_once_is_as_each_family_takes_it_by_itself_to_the_last_bit(monkeypatch):
+    binned, plain = [], imageoperations.binImage
+    monkeypatch.setattr(imageoperations, "binImage", lambda *a, **k: binned.append(1) or plain(*a, **k))
+    for size, seed in ((32, 1), (64, 2), (96, 3)):
+        region = texture(size, seed)
+        binned.clear()
+        whole = extract(region, 0.15)
+        assert len(binned) == 2  # one for first order, one for all textures
+        square = np.ones(region.shape, np.uint8)
+        z = (region - region.mean()) / region.std()
+        alone = {"firstorder_linear": (firstorder.RadiomicsFirstOrder, region)}
+        alone |= {"firstorder_z": (firstorder.RadiomicsFirstOrder, z)}
+        alone |= {name: (kind, region) for name, kind in TEXTURES.items()}
+        for name, (kind, values) in alone.items():
+            expected = measure(kind, values, square, 0.15, binCount=64)
+            ours = {feature: value for feature, value in whole.items() if feature.startswith(f"{name}_")}
+            assert ours == {feature: expected[feature.removeprefix(f"{name}_")] for feature in ours}
+            assert len(expected) - len(ours) == (4 if name == "firstorder_z" else 0)
 
 
 def test_a_family_that_is_left_out_costs_nothing_and_changes_no_other(monkeypatch):

@@ -48,6 +48,7 @@ DOORS = {
     "io/readme.py": "Checkout.take require_checkout write_tables",
     "io/segmentation.py": "write",
     # Beginnings of a cohort and of a study, and parts of one that are called by themselves.
+    "benchmark/make.py": "make_benchmark",
     "cohort/plan.py": "plan_cohort preset_names",
     "study/external.py": "tested_on_films",
     "study/learn/separability.py": "separability",

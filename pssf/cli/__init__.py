@@ -1,12 +1,13 @@
-"""The command line: pssf simulate | meshes | cohort | study | read | accuracy | quality | realism | grades |
-protocols | knees | explore.
+"""The command line: pssf simulate | meshes | cohort | benchmark | study | read | accuracy | quality | realism |
+grades | protocols | knees | explore.
 
-options  what commands share
-make     simulate, meshes, cohort
-study    study
-read     read
-measure  accuracy, quality, realism, grades, protocols, knees
-look     explore
+options    what commands share
+make       simulate, meshes, cohort
+benchmark  benchmark
+study      study
+read       read
+measure    accuracy, quality, realism, grades, protocols, knees
+look       explore
 
 Commands import what they need when they run, so that help does not wait for what computes.
 """
@@ -19,6 +20,7 @@ from typing import Annotated, Any
 import typer
 
 from . import make, measure
+from .benchmark import benchmark
 from .look import explore
 from .read import read
 from .study import study
@@ -30,7 +32,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 _COMMANDS = (
-    *(make.simulate, make.meshes, study, read),
+    *(make.simulate, make.meshes, benchmark, study, read),
     *(measure.accuracy, measure.quality, measure.realism, measure.grades, measure.protocols, measure.knees),
     explore,
 )

@@ -51,7 +51,8 @@ Readme = Annotated[
 Preset = Annotated[
     str,
     typer.Option(
-        help="Cohort: quick (24 subjects, 0.7 GB on disk), paper (180 subjects, 7 GB), or people (250, KL 0 to 4)."
+        help="Cohort: quick (24 subjects, 0.7 GB on disk), paper (180 subjects, 7 GB), people (250, KL 0 to 4), or "
+        "benchmark-1 (1,000 people; see pssf benchmark)."
     ),
 ]
 Grades = Annotated[

@@ -84,7 +84,8 @@ class Plan:
 
 def _asked(case: Case) -> dict[str, Any]:
     names = [exposure.name for exposure in case.exposures]
-    return {"subject": case.subject, "index": case.index, "radiographs": names, **knee_table(case.knee)}
+    asked = {"subject": case.subject, "index": case.index, "grades": case.grades, "radiographs": names}
+    return {**asked, **knee_table(case.knee)}
 
 
 def preset_names() -> list[str]:
@@ -112,7 +113,7 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
         require_choice("preset entry", name, presets()[preset].__struct_fields__)
     chosen = structs.replace(presets()[preset], **(overrides or {}))
     require_choice("exposures", chosen.exposures, ("fixed", "drawn"))
-    protocols = [load_protocol(name) for name in chosen.protocols]
+    protocols = [taken for name in chosen.protocols for taken in _variants(load_protocol(name), chosen)]
     names = [protocol.name for protocol in protocols]
     if len(set(names)) < len(names) or not names:
         raise InputError(f"protocols = {', '.join(names) or 'none'}; allowed: one or more, each once")
@@ -125,6 +126,23 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
     return Plan(
         preset=preset, seed=seed, repeats=chosen.repeats, cases=tuple(cases), retested=chosen.retested, masks=masks
     )
+
+
+def some_people(plan: Plan, people: int) -> Plan:
+    """People of a plan, evenly over those of each grade, with their images as they are in the whole.
+
+    people  in all; of each grade as many
+    raises  InputError for more than there are, or a number that is no multiple of the number of grades
+    """
+    of_grade: dict[int | None, dict[int, None]] = {}
+    for case in plan.cases:
+        of_grade.setdefault(case.knee.grade, {})[case.subject] = None
+    each, rest = divmod(people, len(of_grade))
+    most = min(map(len, of_grade.values()))
+    if rest or not 1 <= each <= most:
+        raise InputError(f"people = {people}; allowed: a multiple of {len(of_grade)} grades, to {most * len(of_grade)}")
+    chosen = {list(whole)[k * len(whole) // each] for whole in of_grade.values() for k in range(each)}
+    return replace(plan, cases=tuple(case for case in plan.cases if case.subject in chosen))
 
 
 def plan_retest(plan: Plan, *, reference: str = "reference") -> Plan | None:
@@ -145,7 +163,8 @@ def plan_retest(plan: Plan, *, reference: str = "reference") -> Plan | None:
     for case in _spread(plan):
         at = len(plan.cases) + 2 * case.index
         cases += _retest(plan.seed, case, protocols[reference], at)
-    return Plan(preset=f"{plan.preset}, retest", seed=plan.seed, repeats=plan.repeats, cases=tuple(cases))
+    # With masks, for they are few, and what finds the bone is held against the bone.
+    return Plan(preset=f"{plan.preset}, retest", seed=plan.seed, repeats=plan.repeats, cases=tuple(cases), masks="tif")
 
 
 def _spread(plan: Plan) -> list[Case]:
@@ -207,6 +226,18 @@ def _people(knees: Sequence[int], bilateral: int) -> list[tuple[int, int, str | 
             people.append((subject, grade, None))
             subject += 1
     return people
+
+
+def _variants(protocol: Protocol, preset: Preset) -> list[Protocol]:
+    """The protocol at every tilt and, within one, at every dose, so that those of one geometry follow each other."""
+    variants = []
+    for tilt_deg in preset.tilts_deg:
+        for dose in preset.doses:
+            angle_deg, mas = protocol.beam_angle_deg + tilt_deg, round(protocol.mas * dose, 4)
+            tilted = f"_beam{angle_deg:g}" if tilt_deg else ""
+            name = f"{protocol.name}{tilted}" + (f"_dose{100 * dose:g}" if dose != 1 else "")
+            variants.append(replace(protocol, name=name, mas=mas, beam_angle_deg=angle_deg))
+    return variants
 
 
 class _Place(NamedTuple):

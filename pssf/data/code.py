@@ -17,9 +17,12 @@ TELLING = frozenset({"data/readme.toml", "data/readmes.py", "io/readme.py"})
 
 # Tables and their readers that no pixel of a radiograph hangs on, and why; a table that is not among them counts.
 NOT_OF_PIXELS = {
+    ("benchmark.toml", "benchmark.py"): "what is said of a frozen data set",
+    ("benchmark_hashes.toml", "benchmark.py"): "hashes that its images are held against",
     ("ibsi.toml", "ibsi.py"): "values that features are held against",
     ("landmarks.toml", "landmarks.py"): "people's contours, beside which drawn knees are measured",
     ("localisation.toml", "localisation.py"): "how the joint is looked for on a radiograph that is there",
+    ("presets.toml", "presets.py"): "cohorts to ask for: a plan, and so cohort.json, has each knee, name and protocol",
     ("progress.toml", "progress.py"): "how a knee changes over years: a plan has each knee as it is then",
     ("reference.toml", "references.py"): "published values, beside which quality and accuracy are measured",
     ("reporting.toml", "reporting.py"): "checklists for a study's report",

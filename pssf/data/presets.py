@@ -16,6 +16,8 @@ class Preset(Record, frozen=True):
     retested   knees taken again
     exposures  fixed: each protocol as it is; drawn: as takings vary, see `draw_exposure`
     grades     table that knees are drawn by, see `draw_knee`
+    doses      factors of a protocol's mAs, and
+    tilts_deg  degrees more of its beam angle: each protocol is taken at every one of both
     """
 
     knees: tuple[int, ...]
@@ -25,6 +27,8 @@ class Preset(Record, frozen=True):
     retested: int
     exposures: str = "fixed"
     grades: str = "paper"
+    doses: tuple[float, ...] = (1.0,)
+    tilts_deg: tuple[float, ...] = (0.0,)
 
 
 @cache

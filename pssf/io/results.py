@@ -1,6 +1,5 @@
 """Results of a study on disk: tables, JSON, pages and pictures. Each file appears whole or not at all."""
 
-import csv
 import io
 import json
 from pathlib import Path
@@ -91,14 +90,3 @@ def save_text(path: Path, text: str) -> None:
 def save_bytes(path: Path, content: bytes) -> None:
     """A picture or a model as it is."""
     write_bytes(path, content)
-
-
-def holds(path: Path, key: str = "") -> bool:
-    """Whether a file, or a folder with something in it, is there; and if a key is given, its table or JSON has it."""
-    if not path.exists() or (path.is_dir() and not any(path.iterdir())):
-        return False
-    if not key:
-        return True
-    if path.suffix == ".json":
-        return key in (load_json(path, dict[str, Any]) or {})
-    return key in next(csv.reader(io.StringIO(read_text(path))), [])

@@ -6,6 +6,8 @@ locate.locate         film, templates       -> the same of any film, with side, 
 search, patches, edges  correlation, what is looked for, and what both are seen as
 region.cut_region     pixels, row, col      -> region (size, size)
 bone.bone_mask        region                -> mask (size, size)
+overlap.overlap       masks                 -> Dice coefficient, distance of outlines
+processing.processing   settings            -> what is done to grey values, in words
 features.extract      region, pixel_mm      -> feature name -> value, by pyradiomics or MIRP
 backends              which of them is taken; by_pyradiomics, by_mirp: what each measures; shape2d: what MIRP lacks
 ibsi.tag_of           feature               -> which feature of the IBSI it is; departure_of: how it departs

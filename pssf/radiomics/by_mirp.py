@@ -52,15 +52,18 @@ class Mirp:
 
     tags: Tags
 
-    def first_order(self, values: NDArray[np.generic], pixel_mm: float, bins: int) -> dict[str, float]:
+    def first_order(
+        self, values: NDArray[np.generic], pixel_mm: float, bins: int, leave_out: Collection[str] = ()
+    ) -> dict[str, float]:
         """Name -> value, first order of all pixels.
 
-        values  (rows, cols) any unit
+        values     (rows, cols) any unit
+        leave_out  names that are not given
         """
         known = self._named("firstorder", measure(values, bins, ("firstorder",)))
         known["Kurtosis"] += 3  # not excess in pyradiomics
         known["TotalEnergy"] = known["Energy"] * pixel_mm**2
-        return _in_order(known)
+        return _in_order({name: value for name, value in known.items() if name not in leave_out})
 
     def shape(self, mask: NDArray[np.bool_], pixel_mm: float) -> dict[str, float]:
         """Name -> value, of a mask's outline and of the ellipse of its pixels.

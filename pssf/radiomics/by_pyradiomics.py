@@ -22,12 +22,44 @@ TEXTURES = {
 }
 
 
-def first_order(values: NDArray[np.generic], pixel_mm: float, bins: int) -> dict[str, float]:
+_OF_BINS = {"Entropy", "Uniformity"}
+
+
+class _FirstOrder(firstorder.RadiomicsFirstOrder):  # type: ignore[misc]
+    """With each central moment taken once, and none that is left out: they took a quarter of the time of all features.
+
+    Products instead of powers would be faster still, and differ in the last bit.
+    """
+
+    __module__ = firstorder.__name__  # by which the library names a log
+    left_out: Collection[str] = ()
+
+    def _applyBinning(self, matrix: Any) -> Any:  # noqa: N802 (the library's own name)
+        return np.zeros(matrix.shape, int) if set(self.left_out) >= _OF_BINS else super()._applyBinning(matrix)
+
+    def _initCalculation(self, voxelCoordinates: Any = None) -> None:  # noqa: N802
+        super()._initCalculation(voxelCoordinates)
+        self._moments: dict[int, Any] = {}
+        for name in self.left_out:
+            self.enableFeatureByName(name, False)
+
+    def _moment(self, a: Any, moment: int = 1) -> Any:
+        """(1,) of the region's pixels (1, pixels), which `a` always is."""
+        if moment not in self._moments:
+            self._moments[moment] = super()._moment(a, moment)
+        return self._moments[moment]
+
+
+def first_order(
+    values: NDArray[np.generic], pixel_mm: float, bins: int, leave_out: Collection[str] = ()
+) -> dict[str, float]:
     """Name -> value, first order of all pixels.
 
-    values  (rows, cols) any unit
+    values     (rows, cols) any unit
+    leave_out  names that are not measured
     """
-    return measure(firstorder.RadiomicsFirstOrder, values, _everywhere(values), pixel_mm, binCount=bins)
+    kind = type("FirstOrder", (_FirstOrder,), {"left_out": tuple(leave_out), "__module__": firstorder.__name__})
+    return measure(kind, values, _everywhere(values), pixel_mm, binCount=bins)
 
 
 def shape(mask: NDArray[np.bool_], pixel_mm: float) -> dict[str, float]:
@@ -48,7 +80,27 @@ def textures(
     """
     square = _everywhere(values)
     kinds = {name: kind for name, kind in TEXTURES.items() if name in families}
-    return {name: measure(kind, values, square, pixel_mm, binCount=bins) for name, kind in kinds.items()}
+    binned: dict[str, Any] = {}
+    return {
+        name: measure(_binned_once(kind, binned), values, square, pixel_mm, binCount=bins)
+        for name, kind in kinds.items()
+    }
+
+
+def _binned_once(kind: Any, held: dict[str, Any]) -> Any:
+    """A family that takes the bins which another one has made of the same pixels.
+
+    held  where they are kept; empty before the first
+    """
+
+    def apply(self: Any, matrix: Any) -> Any:
+        if not held:
+            held["matrix"] = kind._applyBinning(self, matrix)
+            held["of"] = {name: self.coefficients[name] for name in ("grayLevels", "Ng")}
+        self.coefficients |= held["of"]
+        return held["matrix"].copy()
+
+    return type(kind.__name__, (kind,), {"_applyBinning": apply, "__module__": kind.__module__})
 
 
 def measure(

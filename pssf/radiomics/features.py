@@ -20,10 +20,13 @@ _AFFINE_INVARIANT = ("Entropy", "Uniformity", "Skewness", "Kurtosis")
 class Measures(Protocol):
     """What a backend measures, each name -> value."""
 
-    def first_order(self, values: NDArray[np.generic], pixel_mm: float, bins: int) -> dict[str, float]:
+    def first_order(
+        self, values: NDArray[np.generic], pixel_mm: float, bins: int, leave_out: Collection[str] = ()
+    ) -> dict[str, float]:
         """First order of all pixels.
 
-        values  (rows, cols) any unit
+        values     (rows, cols) any unit
+        leave_out  names that are not wanted
         """
 
     def shape(self, mask: NDArray[np.bool_], pixel_mm: float) -> dict[str, float]:
@@ -68,8 +71,7 @@ def extract(
     values: dict[str, float] = {}
     if "firstorder" in families:
         values |= _named("firstorder_linear", by.first_order(region, pixel_mm, bins))
-        z = by.first_order(_z_score(region), pixel_mm, bins)
-        values |= _named("firstorder_z", {name: z[name] for name in z if name not in _AFFINE_INVARIANT})
+        values |= _named("firstorder_z", by.first_order(_z_score(region), pixel_mm, bins, _AFFINE_INVARIANT))
     if "shape2D" in families:
         values |= _named("shape2D", by.shape(bone_mask(region), pixel_mm))
     of_texture = [name for name in TEXTURES if name in families]

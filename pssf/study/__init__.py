@@ -16,6 +16,7 @@ statistics/    numbers from numbers; no model is trained
   calibration  predictions                     -> slope, Brier score; confusion
   subgroups    predictions                     -> scores of women and men, of younger and older subjects
   importance   importances                     -> share of each feature and family
+  dimensions   importances, subjects           -> subjects a feature; parameters that were chosen
   reliability  features                        -> ICC of every feature, its interval, shares of variance
   icc_by_subject   pairs of knees              -> intervals of ICCs by a bootstrap of subjects
   localisation joint line located and known    -> error by protocol and grade
@@ -47,6 +48,8 @@ learn/         predictions from features
   responses    features by step of an axis     -> what models make of the same test knees at every step
   separability table of grades                 -> how well they could be told at best, from drawn parameters
   ladder       parameters, features            -> AUC by what is known: parameters, joint space, features, both
+  network      regions, grades                 -> a small convolutional network (extra "cnn")
+  frozen       features, regions, splits       -> predictions of the baselines of a frozen data set
   modelfile    a model, templates              -> one file that films can be read by, and back
 
 external       films, a cohort                 -> models of the cohort as displayed, tested on films
@@ -54,6 +57,7 @@ external       films, a cohort                 -> models of the cohort as displa
 report/        figures, cost, environment, checklist, and one HTML page with all of it
 
 measuring      manifest                        -> regions and features
+segmentation   regions, true masks             -> how the bone that is found agrees with the true one
 questions      manifest, features              -> what only a simulator can ask: ladder, learning and response curves
 pipeline       all of these in order; what `run` calls
 reading        a model's file, films           -> features and probabilities
@@ -118,6 +122,7 @@ def run(
     out: Path,
     *,
     retest: "pd.DataFrame | None" = None,
+    load_masks: Callable[[str], Any] | None = None,
     films: FilmSet | None = None,
     designed: Designed | None = None,
     execution: Execution | None = None,
@@ -131,6 +136,8 @@ def run(
     templates    radiographs of standard knees that differ in their joint space, the widest first
     retest       some knees taken again under the reference protocol: the manifest's columns, with the knee that each is
                  of, kind (noise | perturbation) and turn; only for the reliability of features
+    load_masks   entry of the repeats' column `masks` -> name -> mask (rows, cols) bool of a bone, which judges the bone
+                 that is segmented; picklable; None: nothing does
     films        to test on, beside the cohort
     designed     radiographs taken by design: the manifest's columns, with kind, turn and of_knee
     execution    who measures, trains and tests; stages that its timer has already come first in the report
@@ -141,9 +148,8 @@ def run(
     from .measuring import Run
     from .pipeline import run_study
 
-    return run_study(
-        Run(load_pixels, templates, settings, out, execution or Execution()), manifest, retest, films, designed
-    )
+    given = Run(load_pixels, templates, settings, out, execution or Execution(), load_masks)
+    return run_study(given, manifest, retest, films, designed)
 
 
 def measure(

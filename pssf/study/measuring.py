@@ -1,8 +1,9 @@
 """From a manifest to regions and features: the first stage of a study."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -25,13 +26,17 @@ _COLUMNS = (
 
 @dataclass(frozen=True)
 class Run:
-    """What all stages need."""
+    """What all stages need.
+
+    load_masks  entry of the column `masks` of knees taken again -> name -> (rows, cols) bool; None where there are none
+    """
 
     load_pixels: Load
     templates: Sequence[Template]
     settings: StudySettings
     out: Path
     execution: Execution
+    load_masks: Callable[[str], Mapping[str, Any]] | None = None
 
 
 def check_manifest(manifest: pd.DataFrame, settings: StudySettings) -> None:

@@ -13,6 +13,7 @@ from ..data.localisation import localisation as localisation_law
 from ..io import results
 from ..radiomics.backends import BACKENDS
 from ..radiomics.compact import compact
+from ..radiomics.processing import processing
 from .design import Designed
 from .external import Bench, check_films, tested_on_films, trained_on
 from .films import FilmSet
@@ -28,11 +29,14 @@ from .report.environment import environment
 from .report.film_figures import film_pictures
 from .report.gallery import gallery
 from .report.page import Findings, Picture, render
+from .report.sections import segmentation_section
 from .result import StudyResult
+from .segmentation import segmentation
 from .settings import StudySettings
 from .statistics import localisation
 from .statistics.claims import claims
 from .statistics.degenerate import is_degenerate
+from .statistics.dimensions import dimensions, tuned
 from .statistics.evidence import Tables, tables_of_features, tables_of_models, tables_of_truth
 from .statistics.importance import by_family
 from .statistics.parameters import composition, with_measures
@@ -76,9 +80,8 @@ def run_study(
         tables |= tables_of_truth(manifest, usable, names, predictions, tables["subjects"], settings)
         pictures = gallery(located, run.load_pixels, settings, predictions, tables)
     with timer.stage("claims"):
-        importances = joined(outcome.importances for outcome in outcomes)
-        offered = joined(outcome.offered for outcome in outcomes)
-        tables["claims"] = claims(usable, predictions, importances, offered, tables, settings)
+        tables |= _of_models(outcomes, usable, predictions, tables, settings)
+    tables["segmentation"] = segmentation(repeated, retest, run)
     with timer.stage("models refitted"):
         models = _models(run, usable, names, manifest, localisation_law())
     answers = ask(run, manifest, usable, names, tables, designed or Designed())
@@ -91,8 +94,22 @@ def run_study(
         models |= external.models
         pictures |= film_pictures(external, settings)
     findings = _findings(run, located, names, tables, outcomes, pictures, work)
-    findings = replace(findings, models=sorted(models), external=external, sections=answers.sections)
+    sections = [*segmentation_section(tables["segmentation"]), *answers.sections]
+    findings = replace(findings, models=sorted(models), external=external, sections=sections)
     return _write(run.out, findings, tables | {"predictions": predictions}, models)
+
+
+def _of_models(
+    outcomes: list[Outcome], usable: pd.DataFrame, predictions: pd.DataFrame, tables: Tables, settings: StudySettings
+) -> Tables:
+    """claims, dimensions, tuning."""
+    importances = joined(outcome.importances for outcome in outcomes)
+    offered = joined(outcome.offered for outcome in outcomes)
+    return {
+        "claims": claims(usable, predictions, importances, offered, tables, settings),
+        "dimensions": dimensions(importances, offered, tables["subjects"], usable),
+        "tuning": tuned(joined(outcome.tuning for outcome in outcomes)),
+    }
 
 
 def _models(
@@ -167,6 +184,7 @@ def _findings(
         degenerate=[name for name in names if is_degenerate(usable[name].to_numpy())],
         pictures=pictures,
         settings=asdict(settings),
+        processing=processing(settings.region_px, settings.bins, settings.families),
         versions={"python": platform.python_version()} | {name: version(name) for name in packages},
         cost=cost_rows(run.execution.timer),
         work_seconds=work_seconds,
@@ -188,7 +206,7 @@ def _write(out: Path, findings: Findings, tables: Tables, files: dict[str, bytes
     models = {name: out / "models" / f"{name}{SUFFIX}" for name in sorted(files)}
     for name, path in models.items():
         results.save_bytes(path, files[name])
-    facts = ("counts", "warnings", "features", "degenerate", "settings", "versions", "cost", "workers")
+    facts = ("counts", "warnings", "features", "degenerate", "settings", "processing", "versions", "cost", "workers")
     results.save_json(out / "study.json", {name: getattr(findings, name) for name in facts})
     results.save_json(out / "environment.json", environment())
     results.save_text(out / "report.html", render(findings))

@@ -33,6 +33,7 @@ class Outcome:
     importances  ARM without `tested_on`, repeat, feature, share
     offered      task, trained_on, selection, repeat, feature: what pruning left to select from
     permutation  model, selection, repeat, feature, drop: within protocol, 0 vs 2
+    tuning       task, trained_on, model, selection, repeat, parameter, value: what the validation subjects chose
     stable       how many features were stable across protocols in the training subjects; None with one protocol
     subjects     repeat, subject, part
     """
@@ -41,6 +42,7 @@ class Outcome:
     importances: pd.DataFrame
     offered: pd.DataFrame
     permutation: pd.DataFrame
+    tuning: pd.DataFrame
     stable: int | None
     subjects: pd.DataFrame
 

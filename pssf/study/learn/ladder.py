@@ -24,7 +24,8 @@ from ..statistics.metrics import auc
 from ..statistics.parameters import PARAMETERS
 from ..statistics.subjects import worst_grades
 from .each_split import each_split
-from .models import tune
+from .models import Fitted, tune
+from .scenarios import Part
 from .selection import preparation
 from .split import Split, seed_of_split, split_subjects
 
@@ -59,6 +60,11 @@ class Rung:
 
     selected: tuple[str, ...]
     always: tuple[str, ...]
+
+    @property
+    def columns(self) -> list[str]:
+        """All of them."""
+        return [*self.always, *self.selected]
 
 
 class SelectBeside(TransformerMixin, BaseEstimator):
@@ -213,11 +219,18 @@ def _scores(
     classes = tuple((grade,) for grade in grades)
     truths = [class_of(part["grade"].to_numpy(), classes) for part in (training, validation, test)]
     for name, rung in rungs.items():
-        columns = [*rung.always, *rung.selected]
-        prepare = None
-        if rung.selected:
-            prepare = preparation(settings.selections[0], rho=settings.rho, most=settings.most_features, seed=seed)
-        prepared = Pipeline([("select", SelectBeside(prepare, rung.always))])
-        fit_on, check_on = ((part[columns], truth) for part, truth in zip((training, validation), truths, strict=False))
-        fitted = tune(prepared.fit(*fit_on), "lr", fit_on, check_on, seed=seed)
-        yield name, auc(truths[2] == 1, fitted.pipeline.predict_proba(test[columns])[:, 1])
+        fitted = fitted_rung(rung, (training, truths[0]), (validation, truths[1]), settings, seed)
+        yield name, auc(truths[2] == 1, fitted.pipeline.predict_proba(test[rung.columns])[:, 1])
+
+
+def fitted_rung(rung: Rung, training: Part, validation: Part, settings: StudySettings, seed: int) -> Fitted:
+    """Logistic regression of what a rung knows, by the first selection of the settings.
+
+    training, validation  table with the rung's columns, class index (rows,)
+    """
+    prepare = None
+    if rung.selected:
+        prepare = preparation(settings.selections[0], rho=settings.rho, most=settings.most_features, seed=seed)
+    prepared = Pipeline([("select", SelectBeside(prepare, rung.always))])
+    fit_on, check_on = ((table[rung.columns], truth) for table, truth in (training, validation))
+    return tune(prepared.fit(*fit_on), "lr", fit_on, check_on, seed=seed)

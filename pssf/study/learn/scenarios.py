@@ -49,6 +49,7 @@ class _Gathered:
     importances: list[dict[str, Any]] = field(default_factory=list)
     offered: list[dict[str, Any]] = field(default_factory=list)
     permutation: list[dict[str, Any]] = field(default_factory=list)
+    tuning: list[dict[str, Any]] = field(default_factory=list)
 
 
 def one_split(repeat: int, *, table: pd.DataFrame, names: list[str], settings: StudySettings) -> Outcome:
@@ -75,6 +76,7 @@ def one_split(repeat: int, *, table: pd.DataFrame, names: list[str], settings: S
         importances=pd.DataFrame(gathered.importances),
         offered=pd.DataFrame(gathered.offered, columns=["task", "trained_on", "selection", "repeat", "feature"]),
         permutation=pd.DataFrame(gathered.permutation),
+        tuning=pd.DataFrame(gathered.tuning),
         stable=None if stable is None else len(stable),
         subjects=split.table().assign(repeat=repeat),
     )
@@ -125,6 +127,9 @@ def _follow(
         scenario, _, rows = recipe.tests[0]
         if recipe.selection == NONE or scenario not in ("within", "multi"):
             continue
+        gathered.tuning += [
+            {**arm, "repeat": repeat, "parameter": name, "value": value} for name, value in fitted.parameters.items()
+        ]
         for feature, share in fitted.importance.items():
             gathered.importances.append({**arm, "repeat": repeat, "feature": feature, "share": share})
         if scenario == "within" and len(parts.classes) == 2:

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from ...data.reporting import Guideline, Item, guidelines
-from ...io.results import holds
+from ...io.evidence import lacking
 
 STATUSES = ("yes", "no", "human", "none")
 
@@ -12,7 +12,7 @@ STATUSES = ("yes", "no", "human", "none")
 def checklist(out: Path) -> dict[str, Any]:
     """What the study in a folder answers of IBSI, METRICS, CLEAR, TRIPOD+AI and CLAIM (`data/reporting.toml`).
 
-    An item is answered only if its evidence is there: a file of the folder, and in it the column or entry named.
+    An item is answered only if the run's own figures do: all conditions of its evidence hold, see `io.evidence`.
     returns  versions of the guidelines; summary: guideline -> how many of each status; METRICS score, strict: earned
              over applicable weight, items for a human not counted; items: guideline, id, item, status, evidence
     """
@@ -38,10 +38,11 @@ def checklist(out: Path) -> dict[str, Any]:
 def _answer(out: Path, item: Item) -> dict[str, str]:
     if item.status != "yes":
         return {"status": item.status, "evidence": item.evidence}
-    file, _, key = item.evidence.partition(" ")
-    if file == "checklist.json" or holds(out / file, key):
+    # The one file that this function is about to give.
+    lacks = "" if item.evidence == "checklist.json" else lacking(out, item.evidence)
+    if not lacks:
         return {"status": "yes", "evidence": item.evidence}
-    return {"status": "no", "evidence": f"{item.evidence}: not made in this run"}
+    return {"status": "no", "evidence": f"{lacks}: not so in this run"}
 
 
 def _score(items: list[dict[str, Any]], metrics: Guideline) -> float:

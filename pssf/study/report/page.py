@@ -64,6 +64,7 @@ class Findings:
     sections      further parts, in order
     stable        of `reliability.count_stable`
     leading       model, feature, share, chosen, drop: the features that count most
+    processing    of `radiomics.processing`
     degenerate    names of features that are the same in every radiograph
     cost          of `cost.cost_rows`; work_seconds: step -> sum over the processes
     test_subjects least and most of a split
@@ -86,6 +87,7 @@ class Findings:
     degenerate: list[str]
     pictures: dict[str, Picture]
     settings: dict[str, Any]
+    processing: dict[str, Any]
     versions: dict[str, str]
     cost: list[dict[str, Any]]
     work_seconds: dict[str, float]

@@ -34,6 +34,42 @@ class Section:
     pictures: Sequence[Picture] = ()
 
 
+def segmentation_section(table: pd.DataFrame) -> list[Section]:
+    """How the bone that shape is measured of agrees with the bone that there is; nothing where that is not known.
+
+    table  of `segmentation.segmentation`
+    """
+    if table.empty:
+        return []
+    shown = [
+        {
+            "Grade": row["grade"],
+            "Radiographs": row["radiographs"],
+            "Dice": fixed(row["dice"]),
+            "Dice, 5th pct": fixed(row["dice_p5"]),
+            "Outlines apart, mean, mm": fixed(row["mean_mm"]),
+            "95th pct, mm": fixed(row["p95_mm"]),
+            "Area found / true": fixed(row["area"]),
+        }
+        for row in table.to_dict("records")
+    ]
+    return [
+        Section(
+            name="bone",
+            short="Bone",
+            title="The bone that is found, and the bone that there is",
+            sentences=(
+                "Shape is measured of what attenuates more than the soft tissue of its column. Here that is held "
+                "against the projection of all bones, osteophytes with them, in the regions of the knees taken again. "
+                "Where they differ much, a shape feature is a measure of where the signal falls below a threshold, and "
+                "not of an outline of bone.",
+            ),
+            table=pd.DataFrame(shown),
+            note="Distances are between the outlines, both ways, at the joint plane. segmentation.csv has all numbers.",
+        )
+    ]
+
+
 def ladder_section(rungs: pd.DataFrame, differences: pd.DataFrame, subjects: int) -> Section:
     """What a grade can be told by.
 

@@ -1,0 +1,306 @@
+"""A frozen data set: its people, splits, baselines, and what is written about it."""
+
+import dataclasses
+import hashlib
+import json
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import pssf
+from pssf import cohort, simulation
+from pssf.benchmark import make, make_benchmark
+from pssf.benchmark.croissant import CONFORMS_TO, croissant
+from pssf.benchmark.datasheet import HEADINGS
+from pssf.benchmark.hashes import agreement, as_toml, hashes
+from pssf.core.execution import Execution
+from pssf.data.benchmark import frozen_hashes, frozen_set
+from pssf.data.presets import presets
+from pssf.radiomics.patches import Template
+from pssf.study import StudySettings
+from pssf.study.learn import network
+from pssf.study.learn.frozen import films_of, predict, splits_of
+
+# Seven knees of six people, one of whom gives both; the fewest that can be split in three parts.
+FEW = {"knees": (4, 0, 3), "bilateral": 1, "doses": (1.0, 0.5), "tilts_deg": (0.0,)}
+LIGHT = StudySettings(models=("lr",), selections=("l1",), repeats=3, reference="one")
+
+
+def small(name):
+    return dataclasses.replace(pssf.load_protocol(name), rows=256, cols=256, pixel_mm=1.2)
+
+
+def template():
+    """Of the standard knee, coarse."""
+    radiograph = simulation.simulate(pssf.Knee(), small("reference"), engine="scanline")
+    row, col = radiograph.truth.medial_joint_line_px
+    edges = [radiograph.truth.landmarks_px[f"{side}_plateau_edge"][1] for side in ("medial", "lateral")]
+    return Template(pixels=radiograph.pixels, row=row, col=col, pixel_mm=1.2, plateau_mm=1.2 * abs(edges[0] - edges[1]))
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory):
+    """A folder of the few, and what making it gave; then made once more."""
+    folder = tmp_path_factory.mktemp("benchmark")
+    fields = {name: value for name, value in dataclasses.asdict(small("fixed_flexion")).items() if value is not None}
+    path = folder / "fixed_flexion.toml"
+    path.write_text("".join(f"{name} = {json.dumps(value)}\n" for name, value in fields.items()))
+    templates, wanted = (template(),), {**FEW, "protocols": (str(path),)}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(make, "standard_templates", lambda: templates)
+        result = make_benchmark(folder / "out", Execution(workers=1), overrides=wanted)
+        before = digests(result.folder)
+        execution = Execution(workers=1)
+        make_benchmark(folder / "out", execution, overrides=wanted)
+    return result, before, {name: (stage.kept, stage.made) for name, stage in execution.timer.stages.items()}
+
+
+def digests(folder):
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def table(folder, name):
+    return pd.read_csv(folder / name)
+
+
+def test_a_folder_is_a_whole_cohort_and_making_it_again_makes_nothing_and_ends_with_the_same_bytes(tiny):
+    result, before, again = tiny
+    assert cohort.verify_cohort(result.folder).faults == ()
+    assert again["images"] == again["regions and features"] == (14, 0)
+    assert digests(result.folder) == before
+    assert {path.name for path in result.folder.iterdir()} == {
+        "images", "records", "cohort.json", "manifest.csv", "splits.csv", "features.csv", "baselines.csv",
+        "predictions.csv", "datasheet.md", "CITATION.cff", "croissant.json", "frozen.toml",
+    }  # fmt: skip
+
+
+def test_every_split_has_every_person_once_and_both_knees_of_one_in_one_part(tiny):
+    folder = tiny[0].folder
+    splits, manifest, tested = (table(folder, f"{name}.csv") for name in ("splits", "manifest", "predictions"))
+    assert manifest.groupby("subject")["knee"].nunique().max() == 2
+    for repeat, split in splits.groupby("repeat"):
+        assert sorted(split["subject"]) == sorted(manifest["subject"].unique())
+        test = set(split.loc[split["part"] == "test", "subject"])
+        assert set(tested.loc[tested["repeat"] == repeat, "subject"]) == test
+        grades = manifest.merge(split, on="subject").groupby("part")["grade"].nunique()
+        assert (grades == 2).all()
+    assert splits["repeat"].nunique() == frozen_set().splits
+
+
+def test_baselines_are_tested_under_every_dose_but_those_that_are_of_the_knee(tiny):
+    result, folder = tiny[0], tiny[0].folder
+    rows = table(folder, "baselines.csv")
+    where = rows.groupby("model")["tested_on"].agg(set).to_dict()
+    assert where["jsw"] == where["measured"] == {"fixed_flexion"}
+    assert where["radiomics"] == {"fixed_flexion", "fixed_flexion_dose50"}
+    there = network.is_installed()
+    assert ("cnn" in where) == there
+    assert any("PyTorch is not installed" in note for note in result.notes) != there
+    assert any("fewer than 6 people" in note for note in result.notes)
+
+
+def test_the_datasheet_answers_under_every_heading_and_says_that_these_are_others(tiny):
+    page = (tiny[0].folder / "datasheet.md").read_text()
+    assert re.findall(r"^## (.*)$", page, re.MULTILINE) == list(HEADINGS)
+    for part in re.split(r"^## .*$", page, flags=re.MULTILINE)[1:]:
+        assert len(part.split()) > 20
+    assert "14 radiographs of 7 knees of 6 people; 1 people gave both" in " ".join(page.split())
+    assert "**This folder is not benchmark-1**: it was made with other knees and bilateral and doses" in page
+    citation = (tiny[0].folder / "CITATION.cff").read_text()
+    assert "type: dataset" in citation
+    assert f"version: {frozen_set().version}" in citation
+    assert "arXiv:2601.11642" in citation
+
+
+def held_by_croissant(described):
+    """What Croissant 1.0 requires, and whether all that is referred to is there."""
+    required = ("@context", "@type", "conformsTo", "description", "license", "name", "url", "creator", "datePublished")
+    assert not set(required) - set(described)
+    assert described["@type"] == "sc:Dataset"
+    assert described["conformsTo"] == CONFORMS_TO
+    for file in described["distribution"]:
+        kind = file["@type"]
+        needed = {"cr:FileObject": {"contentUrl", "sha256"}, "cr:FileSet": {"includes"}}[kind]
+        assert not (needed | {"@id", "name", "encodingFormat"}) - set(file)
+    fields = [field for one in described["recordSet"] for field in one["field"]]
+    ids = [one["@id"] for one in (*described["distribution"], *described["recordSet"], *fields)]
+    assert len(set(ids)) == len(ids)
+    referred = re.findall(r'\{"@id": "([^"]*)"\}', json.dumps({**described, "@context": {}}))
+    assert referred
+    assert not set(referred) - set(ids)
+    for one in described["recordSet"]:
+        assert all(field["@id"].startswith(f"{one['@id']}/") for field in one["field"])
+        assert all({"dataType", "@type", "name"} <= set(field) for field in one["field"])
+        assert all("source" in field for field in one["field"]) != ("data" in one)
+
+
+def test_the_croissant_file_has_what_version_1_0_requires_and_the_hashes_and_columns_of_the_files(tiny):
+    folder = tiny[0].folder
+    described = json.loads((folder / "croissant.json").read_text())
+    held_by_croissant(described)
+    for file in described["distribution"]:
+        if file["@type"] == "cr:FileObject":
+            content = (folder / file["contentUrl"]).read_bytes()
+            assert file["sha256"] == hashlib.sha256(content).hexdigest()
+            assert file["contentSize"] == f"{len(content)} B"
+    for one in described["recordSet"]:
+        for field in one["field"]:
+            source = field.get("source", {})
+            if "fileObject" in source:
+                assert source["extract"]["column"] in table(folder, source["fileObject"]["@id"]).columns
+
+
+def test_a_description_that_lacks_something_is_seen(tiny):
+    described = json.loads((tiny[0].folder / "croissant.json").read_text())
+    for name in ("url", "datePublished"):
+        with pytest.raises(AssertionError):
+            held_by_croissant({key: value for key, value in described.items() if key != name})
+    described["recordSet"][0]["field"][0]["source"]["fileObject"]["@id"] = "another.csv"
+    with pytest.raises(AssertionError):
+        held_by_croissant(described)
+
+
+def test_mlcroissant_reads_labels_and_splits(tiny):
+    mlcroissant = pytest.importorskip("mlcroissant", reason="of the group `peers`")
+    read = mlcroissant.Dataset(jsonld=str(tiny[0].folder / "croissant.json"))
+    assert not read.metadata.ctx.issues.errors
+    assert len(list(read.records("radiographs"))) == 14
+    assert {row["splits/part"] for row in read.records("splits")} == {b"training", b"validation", b"test"}
+
+
+def test_columns_that_a_manifest_lacks_are_not_described():
+    files = {name: ("0" * 64, 1) for name in ("manifest.csv", "splits.csv")}
+    described = croissant(frozen_set(), files, ["radiograph", "grade"])
+    held_by_croissant(described)
+    names = [field["@id"] for field in described["recordSet"][0]["field"]]
+    assert names == ["radiographs/radiograph", "radiographs/grade", "radiographs/image"]
+
+
+def test_some_people_are_spread_over_the_grades_with_the_images_of_the_whole():
+    whole = cohort.plan_cohort("benchmark-1", seed=0)
+    part, fewer = cohort.some_people(whole, 50), cohort.some_people(whole, 25)
+    assert set(fewer.cases) < set(part.cases) < set(whole.cases)
+    people = {case.subject: case.knee.grade for case in part.cases}
+    assert sorted(people.values()) == sorted([0, 1, 2, 3, 4] * 10)
+    assert len(part.cases) > 50  # some gave both knees
+    for wrong in (0, 7, 1005):
+        with pytest.raises(pssf.InputError, match=rf"people = {wrong}; allowed: a multiple of 5 grades, to 1000"):
+            cohort.some_people(whole, wrong)
+
+
+def test_a_hash_is_of_a_persons_pixels_and_of_nothing_else():
+    images = {f"{k}.tif": np.full((4, 4), k, np.uint16) for k in range(3)}
+    rows = [{"subject": k // 2, "radiograph": f"r{k}", "file": f"{k}.tif"} for k in range(3)]
+    made = hashes(pd.DataFrame(rows), images.__getitem__)
+    assert set(made) == {"0", "1"}
+    assert hashes(pd.DataFrame(rows[::-1]), images.__getitem__) == made
+    images["1.tif"] = images["1.tif"] + np.uint16(1)
+    other = hashes(pd.DataFrame(rows), images.__getitem__)
+    assert (other["0"] == made["0"], other["1"] == made["1"]) == (False, True)
+    assert agreement(other, made) == (1, 2)
+    assert agreement(made, {}) == (0, 0)
+    assert f'"0" = "{made["0"]}"' in as_toml(made)
+
+
+def made_up(per_grade=12):
+    """A manifest and features: grade 0 and 2 by `signal`, under two protocols; one person in five gives both knees."""
+    rng, rows = np.random.default_rng(3), []
+    for subject in range(2 * per_grade):
+        for knee in range(2 if subject % 5 == 0 else 1):
+            grade = 2 * (subject % 2)
+            signal = grade + 0.3 * rng.normal()
+            for protocol in ("one", "two"):
+                row = {"radiograph": f"{subject}_{knee}_{protocol}", "knee": 2 * subject + knee, "subject": subject}
+                row |= {"grade": grade, "protocol": protocol, "jsw_medial_mm": 5.0 - grade, "jsw_lateral_mm": 5.0}
+                rows.append(row | {"signal": signal + (4.0 if protocol == "two" else 0.0), "noise": rng.normal()})
+    return pd.DataFrame(rows)
+
+
+def test_baselines_learn_from_one_protocol_and_from_training_people_alone():
+    usable = made_up()
+    splits = splits_of(usable, LIGHT)
+    parameters = usable.drop_duplicates("knee")[["knee", "jsw_medial_mm", "jsw_lateral_mm"]]
+
+    def scores(table):
+        predictions = predict(films_of(table, ["signal", "noise"], parameters, LIGHT), splits, LIGHT, Execution())
+        return predictions.set_index(["repeat", "model", "radiograph"]).sort_index()
+
+    first = scores(usable)
+    within = first[first["scenario"] == "within"]
+    assert ((within["p1"] > 0.5) == (within["truth"] == 1)).groupby("model").mean().min() > 0.9
+    shifted = first[(first["scenario"] == "cross")]
+    assert set(shifted.index.get_level_values("model")) == {"radiomics"}
+    assert (shifted["p1"] > 0.5).all()  # a model that had learnt from the other protocol would know of the shift
+    test = splits[(splits["repeat"] == 0) & (splits["part"] == "test")]["subject"]
+    spoilt = usable.copy()
+    spoilt.loc[spoilt["subject"].isin(test), "signal"] *= -1.0
+    spoilt.loc[~spoilt["subject"].isin(test) & (spoilt["protocol"] == "two"), "signal"] *= -1.0
+    others = usable.loc[usable["subject"].isin(test) & (usable["protocol"] == "one"), "radiograph"]
+    spoilt.loc[spoilt["radiograph"].isin(others), "signal"] = usable.loc[usable["radiograph"].isin(others), "signal"]
+    again = scores(spoilt)
+    keys = [("radiomics", name) for name in others]
+    pd.testing.assert_frame_equal(again.loc[0].loc[keys], first.loc[0].loc[keys])
+
+
+def test_a_network_sees_medial_on_one_side():
+    region = np.arange(1, 129 * 128 + 1, dtype=np.uint16)[: 128 * 128].reshape(128, 128)
+    right, left = network.seen(region, "right"), network.seen(region[:, ::-1], "left")
+    assert right.shape == (64, 64)
+    assert np.array_equal(right, left)
+
+
+def test_without_pytorch_the_reason_is_told(monkeypatch):
+    monkeypatch.setattr(network, "find_spec", lambda name: None)
+    from pssf.study.learn.frozen import without_network
+
+    assert without_network() == "not run: PyTorch is not installed (pip install '.[cnn]')"
+
+
+@pytest.mark.skipif(not network.is_installed(), reason="PyTorch, of the extra `cnn`, is not installed")
+def test_a_network_learns_and_is_the_same_for_the_same_seed():
+    rng = np.random.default_rng(0)
+    truth = np.arange(60) % 2
+    images = rng.normal(size=(60, 32, 32)).astype(np.float32)
+    images[truth == 1, 8:20, 8:20] += 1.5
+    parts = (images[:40], truth[:40]), (images[40:50], truth[40:50])
+    one, again, other = (network.learnt(*parts, 2, seed=seed)(images[50:]) for seed in (1, 1, 2))
+    assert np.array_equal(one, again)
+    assert not np.array_equal(one, other)
+    assert np.allclose(one.sum(axis=1), 1.0)
+    assert ((one[:, 1] > 0.5) == (truth[50:] == 1)).mean() >= 0.9
+    (train, known), (check, known_too) = parts
+    # Labels that are tied to nothing are not learnt: 20 unseen images, half of them right by chance.
+    shuffled = network.learnt((train, rng.permutation(known)), (check, rng.permutation(known_too)), 2, seed=1)
+    assert ((shuffled(images[50:])[:, 1] > 0.5) == (truth[50:] == 1)).mean() < 1.0
+
+
+def test_the_command_refuses_people_that_cannot_be_had(tmp_path):
+    with pytest.raises(pssf.InputError, match="people = 3; allowed: a multiple of 5"):
+        make_benchmark(tmp_path / "out", Execution(workers=1), people=3)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_fifty_people_are_as_they_were_frozen(tmp_path):
+    made = make_benchmark(tmp_path / "out", Execution(workers=2), people=50)
+    manifest = table(made.folder, "manifest.csv")
+    assert manifest["subject"].nunique() == 50
+    assert len(manifest) == 6 * manifest["knee"].nunique()
+    assert set(made.baselines["task"]) == {"0 vs 2", "0 vs 3+4", "0/1/2/3/4"}
+    held_by_croissant(json.loads((made.folder / "croissant.json").read_text()))
+    assert cohort.verify_cohort(made.folder).faults == ()
+    assert "a part of it: 50 of 1000 people" in (made.folder / "datasheet.md").read_text()
+    # Other images are another data set: a change that makes them gets another name, or writes the hashes anew.
+    assert len(frozen_hashes()) == 50
+    assert made.frozen == (50, 50)
+
+
+def test_the_preset_is_the_one_that_is_told_of():
+    assert frozen_set().preset in presets()
+    assert presets()[frozen_set().preset].repeats == frozen_set().splits
