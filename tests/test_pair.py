@@ -93,7 +93,17 @@ def test_a_drawn_pair_is_of_one_body_and_each_knee_has_a_joint_of_its_own():
     right, left = pssf.draw_pair(grade=3, rng=np.random.default_rng(5), table="people")
     assert (right.side, left.side) == ("right", "left")
     assert right.grade == left.grade == 3
-    for name in ("sex", "stature_mm", "bmi", "limb_ap_mm", "fat_mm", "age_years", "shape", "bone_scale"):
+    for name in (
+        "sex",
+        "stature_mm",
+        "bmi",
+        "limb_ap_mm",
+        "fat_mm",
+        "age_years",
+        "shape",
+        "bone_scale",
+        "bone_density",
+    ):
         assert getattr(right, name) == getattr(left, name), name
     for name in ("jsw_medial_mm", "texture_seed", "flexion_deg", "osteophytes"):
         assert getattr(right, name) != getattr(left, name), name

@@ -172,6 +172,10 @@ def test_density_is_never_below_that_of_marrow_and_comes_near_it_between_struts(
     starts = rng.uniform(-60, 60, (20_000, 3))
     ends = starts + rng.normal(size=starts.shape) * 0.02
     density = bone(name, sclerosis=2.5, age_years=20.0)
+    thin = bone(name, sclerosis=0.5)
+    assert (
+        thin.integrate(starts, ends) >= thin.region.marrow * np.linalg.norm(ends - starts, axis=1) * (1 - 1e-12)
+    ).all()
     found = density.integrate(starts, ends) / np.linalg.norm(ends - starts, axis=1)
     assert found.min() >= density.region.marrow * (1 - 1e-12)
     assert found.min() < density.region.marrow + {"patella": 0.25, "fabella": 0.25, "femur": 0.15}.get(name, 0.05)
@@ -276,6 +280,20 @@ def test_age_and_sex_take_bone_away():
     assert 0.8 < swing[0] < swing[1] <= 1.0
 
 
+def test_a_person_of_denser_bone_has_so_much_more_of_it_everywhere():
+    x = np.linspace(-20, 20, 60)
+    for z in (-4.0, -15.0, -40.0):
+        assert_allclose(bvtv(bone(density=1.3), x, z) / bvtv(bone(), x, z), 1.3, rtol=1e-9)
+
+
+def test_what_bone_there_is_more_at_the_plate_is_struts_by_its_share():
+    """Between them a plate's mesh is left, and the more of it the smaller the share; there is as much bone."""
+    places = through(np.linspace(15, 28, 400), -4.0)
+    mesh, struts = (region(bone(), plate_struts=share).integrate(*places) for share in (0.0, 1.0))
+    assert struts.mean() == pytest.approx(mesh.mean(), rel=0.02)
+    assert struts.std() > 1.3 * mesh.std()
+
+
 def test_a_bone_of_another_size_has_the_same_regions_further_apart_and_struts_of_the_same_size():
     small, usual = (region(bone(scale=scale), **NO_STRUTS) for scale in (0.8, 1.0))
     starts, ends = segments(200)
@@ -346,6 +364,7 @@ def test_between_surfaces_that_share_a_density_the_path_is_its_integral_there():
         ({"scale": 3.0}, "scale = 3.0"),
         ({"sclerosis": float("nan")}, "sclerosis = nan"),
         ({"age_years": 5.0}, "age_years = 5.0"),
+        ({"density": 0.0}, "density = 0.0"),
         ({"frame": 2 * np.eye(3, 4)}, "frame = .*allowed: a rotation"),
         ({"frame": np.diag([1.0, 1.0, -1.0, 1.0])[:3]}, "frame = .*allowed: a rotation"),
         ({"frame": np.eye(4)}, "frame = .*allowed: a rotation"),

@@ -97,10 +97,12 @@ def _nodes(lanes: Array, region: Region, struts: Struts) -> None:
         high, deep = min(z - surface - region.joint[1], region.below), y - region.joint[0]
         depth = max(region.joint[2] - math.sqrt(deep * deep + high * high), 0.0)
         hard = region.hard_medial * (0.5 + 0.5 * medial) + region.hard_lateral * (0.5 - 0.5 * medial)
-        more = region.plate * _step(depth * region.plate_per_mm) + hard * _bell(depth * region.hard_per_mm)
+        rise = region.plate * (1.0 + region.plate_medial * medial)
+        more = rise * _step(depth * region.plate_per_mm) + hard * _bell(depth * region.hard_per_mm)
         swing = mean * (region.gain_shaft + (region.gain - region.gain_shaft) * fade)
         swing *= 1.0 + region.plate_struts * more * fade
         mean *= 1.0 + more * fade
+        swing = min(swing, mean)
         back = y - region.scar_y
         over = z - region.scar_z - region.scar_slope * x - region.scar_bow_per_mm * x * x
         over -= region.scar_dome_per_mm * back * back

@@ -29,6 +29,7 @@ class Region(NamedTuple):
     plate: float
     plate_per_mm: float
     plate_struts: float
+    plate_medial: float
     hard_medial: float
     hard_lateral: float
     hard_per_mm: float

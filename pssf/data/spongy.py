@@ -92,6 +92,7 @@ class SpongyBone(Record, frozen=True):
     plate: float
     plate_mm: float
     plate_struts: float
+    plate_medial: float
     fan: float
     fan_mm: float
     squat: float
