@@ -2,6 +2,7 @@ import dataclasses
 import time
 from concurrent.futures import ThreadPoolExecutor
 
+import msgspec
 import numpy as np
 import pytest
 import trimesh
@@ -180,6 +181,14 @@ def test_density_is_never_below_that_of_marrow_and_comes_near_it_between_struts(
     assert found.min() >= density.region.marrow * (1 - 1e-12)
     assert found.min() < density.region.marrow + {"patella": 0.25, "fabella": 0.25, "femur": 0.15}.get(name, 0.05)
     assert found.max() > 1.5
+
+
+def test_a_lattice_with_edges_of_any_softness_is_made_without_an_overflow():
+    table = msgspec.structs.replace(trabecular_bone().lattice, voxels=(32, 32, 16), waves_y=8, softness=0.01)
+    with np.errstate(over="raise"):
+        block, _ = struts.lattice(3, table)
+    assert block.min() == 0
+    assert block.max() == 255
 
 
 def test_the_lattice_is_bone_in_about_its_share_and_repeats():

@@ -10,6 +10,8 @@ from scipy import fft
 from ..data.spongy import Lattice
 
 Block = NDArray[np.uint8]
+# Beyond this the exponential leaves nothing of 255, and it overflows beyond 88.
+_EMPTY = np.float32(80.0)
 _MAKING = Lock()
 _LAST: dict[tuple[int, Lattice], tuple[Block, float]] = {}
 
@@ -43,6 +45,7 @@ def _made(seed: int, table: Lattice) -> tuple[Block, float]:
         field = fft.irfft(waves[i : i + 32], ny, axis=2, norm="forward", workers=2)
         field -= np.float32(table.cut)
         field *= np.float32(-1 / table.softness)
+        np.minimum(field, _EMPTY, out=field)
         np.exp(field, out=field)
         field += 1
         block[i : i + 32, :nz] = np.rint(np.divide(255, field, out=field), out=field)
