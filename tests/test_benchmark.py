@@ -283,6 +283,8 @@ def test_a_network_learns_and_is_the_same_for_the_same_seed():
 def test_the_command_refuses_people_that_cannot_be_had(tmp_path):
     with pytest.raises(pssf.InputError, match="people = 3; allowed: a multiple of 5"):
         make_benchmark(tmp_path / "out", Execution(workers=1), people=3)
+    with pytest.raises(pssf.InputError, match=r"grade 0 has 1 subjects .*allowed: 3 or more"):
+        make_benchmark(tmp_path / "out", Execution(workers=1), people=5)
     assert not (tmp_path / "out").exists()
 
 

@@ -60,6 +60,7 @@ def make_benchmark(
                WorkersLostError when workers keep being killed
     """
     require_extra(execution.scheduler)
+    from ..study.learn.split import split_subjects
     from ..study.statistics.claims import LEAST_TESTED
     from .croissant import croissant
     from .datasheet import About, citation, datasheet
@@ -67,6 +68,8 @@ def make_benchmark(
     frozen = frozen_set()
     whole = plan_cohort(frozen.preset, seed=frozen.seed, overrides=overrides)
     plan = some_people(whole, people) if people else whole
+    # Too few people are refused before hours of images, and not after.
+    split_subjects(*zip(*((case.subject, case.knee.grade) for case in plan.cases), strict=True), seed=frozen.seed)
     with execution.stage("images", "radiographs", sum(len(case.exposures) for case in plan.cases)) as stage:
         how: dict[str, Any] = {"workers": execution.workers, "scheduler": execution.scheduler, "engine": engine}
         path = make_cohort(plan, out, progress=stage.advance, kept=stage.keep, **how)
