@@ -179,7 +179,7 @@ def measure_experiment(experiment: Experiment, execution: Execution) -> Path:
 def _given(experiment: Experiment, execution: Execution) -> tuple[Any, ...]:
     with execution.timer.stage("templates"):
         templates = standard_templates(experiment.engine)
-    load_pixels = partial(_pixels, experiment.out.absolute())
+    load_pixels = partial(radiograph_pixels, experiment.out.absolute())
     return experiment.manifest, load_pixels, templates, experiment.settings, experiment.out
 
 
@@ -262,7 +262,8 @@ def _film(folder: Path, file: str) -> film_files.FilmImage:
     return film_files.read_film(folder / file)
 
 
-def _pixels(folder: Path, file: str) -> NDArray[np.uint16]:
+def radiograph_pixels(folder: Path, file: str) -> NDArray[np.uint16]:
+    """(rows, cols) DN of a radiograph of a cohort, by the entry of its manifest's column `file`."""
     return load(folder / file).pixels
 
 

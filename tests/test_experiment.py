@@ -9,7 +9,7 @@ import pytest
 import pssf
 from pssf import experiment
 from pssf.core.execution import Execution
-from pssf.experiment import _below, _masks, _pixels, make_experiment, run_experiment
+from pssf.experiment import _below, _masks, make_experiment, radiograph_pixels, run_experiment
 from pssf.io import results
 from pssf.study import StudyResult, StudySettings, finished
 
@@ -41,7 +41,7 @@ def test_knees_taken_again_are_told_by_knee_kind_and_turn_and_their_files_are_th
     assert (retest["knee"] == first["knee"]).all()
     assert (retest["subject"] == first["subject"]).all()
     for file in [*retest["file"], *experiment.manifest["file"]]:
-        assert _pixels(experiment.out, file).shape == (64, 64)
+        assert radiograph_pixels(experiment.out, file).shape == (64, 64)
     assert {"femur", "tibia"} <= set(_masks(experiment.out, retest["masks"].iloc[0]))
     assert counts(execution) == {"cohort": (0, 2), "repeats": (0, 4)}
     once_more, execution = made(tmp_path, tiny(tmp_path))

@@ -13,9 +13,8 @@ from ..cohort import make_cohort, plan_cohort, some_people
 from ..core.execution import Execution
 from ..core.parallel import ordered_map
 from ..data.benchmark import FrozenSet, frozen_hashes, frozen_set
-from ..experiment import standard_templates
+from ..experiment import radiograph_pixels, standard_templates
 from ..io import results
-from ..io.images import load
 from ..io.records import read_manifest, sha256
 from ..simulation import versions
 from ..study import StudySettings, require_extra
@@ -78,7 +77,7 @@ def make_benchmark(
     if baselines["test_subjects"].min() < LEAST_TESTED:
         notes += (f"Some splits test fewer than {LEAST_TESTED} people, of whom nothing can be decided",)
     with execution.timer.stage("hashes"):
-        made = hashes(manifest, partial(_pixels, out.absolute()))
+        made = hashes(manifest, partial(radiograph_pixels, out.absolute()))
     results.save_text(out / "frozen.toml", as_toml(made))
     about = About(
         frozen=frozen,
@@ -117,7 +116,7 @@ def _baselines(
     results.save_table(out / "splits.csv", splits)
     with execution.timer.stage("templates"):
         templates = standard_templates()
-    load_pixels = partial(_pixels, out.absolute())
+    load_pixels = partial(radiograph_pixels, out.absolute())
     table, names, _ = measured(Run(load_pixels, templates, settings, out, execution), manifest, None)
     usable = table[table["status"] == "found"]
     reason = without_network()
@@ -154,7 +153,3 @@ def shown_to_network(row: Mapping[str, Any], *, load_pixels: Any, region_px: int
     from ..study.learn.network import seen
 
     return seen(cut_region(load_pixels(row["file"]), row["row_px"], row["col_px"], region_px), row["side"])
-
-
-def _pixels(folder: Path, file: str) -> NDArray[np.uint16]:
-    return load(folder / file).pixels
