@@ -60,12 +60,14 @@ def folder(whole, tmp_path):
 
 
 def status(folder, guideline, item):
-    (one,) = [one for one in checklist(folder)["items"] if (one["guideline"], one["id"]) == (guideline, item)]
+    (one,) = [
+        one for one in checklist(folder, guidelines())["items"] if (one["guideline"], one["id"]) == (guideline, item)
+    ]
     return one["status"], one["evidence"]
 
 
 def test_what_a_whole_study_has_answers_all_that_a_program_can(whole):
-    answered = checklist(whole)
+    answered = checklist(whole, guidelines())
     asked = {(name, item.id): item.status for name, one in guidelines().items() for item in one.items}
     given = {(item["guideline"], item["id"]): item["status"] for item in answered["items"]}
     assert given == asked
@@ -78,7 +80,7 @@ def test_what_a_whole_study_has_answers_all_that_a_program_can(whole):
 
 
 def test_an_empty_folder_answers_nothing_but_that_it_was_asked(tmp_path):
-    items = checklist(tmp_path)["items"]
+    items = checklist(tmp_path, guidelines())["items"]
     assert {item["evidence"] for item in items if item["status"] == "yes"} == {"checklist.json"}
     (no,) = [item for item in items if (item["guideline"], item["id"]) == ("CLEAR", "40")]
     assert no == {

@@ -16,6 +16,7 @@ from pssf.core.execution import Execution
 from pssf.core.parallel import ordered_map
 from pssf.core.workers import WorkersLostError
 from pssf.radiomics.table import How, extract_all
+from pssf.radiomics.tables import radiomics_tables
 from pssf.study.learn.training import train
 
 
@@ -152,7 +153,7 @@ def test_a_scheduler_that_does_not_answer_is_told_in_one_line_and_nothing_is_lef
 
 
 def test_regions_are_measured_on_the_cluster_as_they_are_here(cluster):
-    how = {"load_pixels": load_phantom, "templates": [TEMPLATE], "how": How(region_px=96)}
+    how = {"load_pixels": load_phantom, "templates": [TEMPLATE], "tables": radiomics_tables(), "how": How(region_px=96)}
     there, _ = extract_all(jobs(3), execution=Execution(scheduler=cluster.scheduler_address), **how)
     here, _ = extract_all(jobs(3), **how)
     assert there == here

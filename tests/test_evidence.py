@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 
 from pssf.core.checks import InputError
+from pssf.data.ibsi import ibsi_tags
 from pssf.study import StudySettings
 from pssf.study.learn.refit import refitted
 from pssf.study.learn.scenarios import one_split
@@ -129,7 +130,7 @@ def test_a_knee_whose_joint_is_not_found_is_left_out_of_scores_and_reliability_a
     lost = cohort["knee"] == 5
     cohort.loc[lost, "status"] = "low score"
     cohort.loc[lost, NAMES] = np.nan
-    tables = tables_of_features(cohort, cohort.head(0), NAMES, LIGHT)
+    tables = tables_of_features(cohort, cohort.head(0), NAMES, ibsi_tags(), LIGHT)
     assert tables["localisation"].iloc[-1]["refused"] == 2
     assert (tables["reliability"]["knees"] == 17).all()
     found = one_split(0, table=cohort[~lost], names=NAMES, settings=LIGHT).predictions

@@ -2,6 +2,7 @@
 
 import ast
 from collections.abc import Iterator
+from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
@@ -16,65 +17,49 @@ OPENS = ("open", "read_text", "write_text", "read_bytes", "mkdir", "unlink", "re
 # As methods of a path, of numpy or of a table; functions of `io` may be called so.
 METHODS = ("write_bytes", "savez", "savez_compressed", "savetxt", "tofile", "fromfile", "to_csv", "to_json")
 ERRORS = ("InputError", "ValueError", "TypeError")
-# Rooms of formulas, in which a protocol comes from outside too.
-FORMULAS = ("geometry", "anatomy", "raycast", "xray", "scatter", "detector", "radiomics")
-PROTOCOLS = {"load_protocol", "defining_protocol"}
-# Module -> functions that may call readers of tables: the doors of the house, see `pssf.data`.
+# Module -> functions that may call readers of tables, beside what users call (`pssf.__all__`): the doors of the house,
+# see `pssf.data`. A star stands for any public name.
 DOORS = {
-    # What users call, and what they construct things from.
-    "anatomy/built.py": "build BuiltKnee.aimed",
+    "cli/*": "*",
+    "accuracy/*": "*_rows",
+    # Names become the records that formulas are given.
     "anatomy/joint.py": "defining_protocol",
-    "cli/options.py": "knee_of",
-    "detector/rendering.py": "present",
-    "model/draw.py": "draw_knee draw_knees",
-    "model/exposure.py": "draw_exposure",
-    "model/look.py": "draw_look",
-    "model/progress.py": "progress",
-    "model/listing.py": "field_rows knee_template with_changes",
-    "model/protocol.py": "load_protocol",
-    "radiomics/features.py": "measures",
-    "radiomics/locate.py": "locate",
-    # Where a protocol's names become records, once for all stages.
+    "model/draw.py": "draw_laws",
+    "radiomics/tables.py": "radiomics_tables",
+    "study/tables.py": "laws_of study_tables",
     "xray/technique.py": "technique_of",
+    # What users call by other names: both knees of a person, a radiograph for eyes, fields and their values.
+    "anatomy/pair.py": "build_pair",
+    "detector/rendering.py": "for_eyes",
+    "model/listing.py": "field_rows knee_template with_changes",
     # Files that are read or written whole.
     "cohort/labels.py": "write_labels",
     "io/dicom.py": "write read ours",
     "io/film_dicom.py": "is_linear_by_pssf read",
-    "io/scenes.py": "read_scene",
+    "io/readme.py": "Checkout.take require_checkout write_tables",
+    "io/segmentation.py": "write",
     # What the page asks for, what it lists, what is made ahead of it.
     "explore/ahead.py": "compute_spectra",
     "explore/asked.py": "resolve",
     "explore/listing.py": "listing",
-    "io/readme.py": "Checkout.take require_checkout write_tables",
-    "io/segmentation.py": "write",
-    # Beginnings of a cohort and of a study, and parts of one that are called by themselves.
+    # Beginnings: of a cohort, of what reads films, of a measurement; tables that are derived anew.
+    "accuracy/scatter_fit.py": "fitted_kernel",
     "benchmark/make.py": "make_benchmark",
     "cohort/plan.py": "plan_cohort preset_names",
-    "study/external.py": "tested_on_films",
-    "study/learn/separability.py": "separability",
-    "study/pipeline.py": "run_study",
-    "study/report/checklist.py": "checklist",
-    "study/statistics/evidence.py": "tables_of_features",
-    "study/statistics/parameters.py": "table_of",
-    # Measurements of the package, one a table of theirs; a scene to measure in.
-    "accuracy/backends.py": "backend_rows",
-    "accuracy/builds.py": "build_rows",
-    "accuracy/localisation.py": "limit_rows localisation_rows",
-    "accuracy/monte_carlo.py": "reference_rows",
-    "accuracy/morphometry.py": "knee_rows",
-    "accuracy/physics.py": "physics_rows",
-    "accuracy/scatter.py": "limb",
-    "accuracy/scatter_fit.py": "fitted_kernel",
-    "accuracy/tessellation.py": "tessellation_rows",
-    "accuracy/texture.py": "spread_rows step_rows",
-    "accuracy/views.py": "view_rows",
+    "quality/exposure.py": "exposure_quantities",
     "quality/measure.py": "measure_quality",
-    "realism/bones.py": "built_bones",
-    "realism/contours.py": "drawn_landmarks",
     "realism/run.py": "measure",
-    "realism/shape_fit.py": "derive",
-    "realism/shape_modes.py": "fit_mean",
+    "realism/shape_fit.py": "main",
+    "realism/shape_report.py": "main",
+    "study/reading.py": "read_films",
 }
+# Where all but doors are formulas: these call no door either, which would read a table for them. The other rooms use
+# the package as its users do.
+FORMULAS = (
+    *("geometry", "anatomy", "raycast", "xray", "scatter", "detector", "stages.py", "radiomics", "quality"),
+    *("realism/bones.py", "realism/contours.py", "realism/forms.py", "realism/shape_"),
+    *("study/learn", "study/statistics", "study/external.py", "study/measuring.py", "study/questions.py"),
+)
 # Of numbers; a share and a probability are of 1, and "unit" is of "a unit vector", "any unit" or "its own unit".
 UNITS = {
     "mm", "mm2", "mm3", "1/mm", "1/mm2", "keV/mm2", "keV2/mm2", "px", "keV", "kV", "mGy", "uGy", "DN", "deg",
@@ -85,6 +70,15 @@ UNITS_IN_NAMES = ("mm", "mm2", "mm3", "px", "kev", "kev2", "kv", "mgy", "deg", "
 # Elements of arrays that need no unit: numbers of things, and whether.
 WHOLE = ("int", "bool", "Any", "Faces", "Ints", "Signs")
 SAYS_NOTHING = ("found", "told")
+# What nobody of the field would look for, and what stands in its place.
+PRIVATE_WORDS = {
+    "amid": "neighbour_mean_matrix", "evened": "laplacian_smooth", "unfolded": "fix_inverted_faces",
+    "settle": "project_to_surface", "onto": "project_to_surface", "halved": "split_edges", "widened": "dilate_rings",
+    "Stance": "KneeAssembly", "Grown": "BoneWithOsteophytes", "Beak": "Lip", "march": "integrate_density",
+    "behind": "transmit_through_grid", "few_nodes": "spectrum_quadrature", "Crew": "Execution", "Shot": "Exposure",
+    "left_out": "ablation", "again": "retest", "Clock": "Timer", "Meter": "Timer", "Pace": "Timer",
+    "Prune": "DropRedundant",
+}  # fmt: skip
 ARRAYS = ("Array", "NDArray", "Map", "Block", "Faces", "Floats", "Ints", "Signs", "Frequencies")
 
 
@@ -245,44 +239,116 @@ def readers(sources: dict[str, str]) -> set[str]:
         reading |= more
 
 
-def _uses(tree: ast.AST, names: set[str], where: str = "") -> Iterator[str]:
-    """The function, its class before it, in which one of some names is read; "" for a module itself."""
+def _uses(tree: ast.AST, names: set[str], where: str = "") -> Iterator[tuple[str, str]]:
+    """The function, its class before it, in which one of some names is read, "" for a module itself; and the name."""
     for child in ast.iter_child_nodes(tree):
         if isinstance(child, ast.Name) and isinstance(child.ctx, ast.Load) and child.id in names:
-            yield where
+            yield where, child.id
         inner = isinstance(child, ast.FunctionDef | ast.ClassDef)
-        yield from _uses(child, names, f"{where}.{child.name}".strip(".") if inner else where)
+        of_module = names - _own(child) if isinstance(child, ast.FunctionDef) else names
+        yield from _uses(child, of_module, f"{where}.{child.name}".strip(".") if inner else where)
+
+
+def _own(function: ast.FunctionDef) -> set[str]:
+    """Names of arguments and variables of a function, which hide those of its module."""
+    stored = {node.id for node in ast.walk(function) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+    return stored | {node.arg for node in ast.walk(function) if isinstance(node, ast.arg)}
+
+
+def _places(sources: dict[str, str]) -> dict[str, dict[str, str]]:
+    """Path -> name that is known there -> where it is from: "path:name" of a definition, "path:" of a module."""
+    trees = {path: ast.parse(text) for path, text in sources.items()}
+    places: dict[str, dict[str, str]] = {}
+    for path, tree in trees.items():
+        kinds = (ast.FunctionDef, ast.ClassDef)
+        places[path] = {node.name: f"{path}:{node.name}" for node in tree.body if isinstance(node, kinds)}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom) and node.level:
+                base = path.split("/")[: -node.level] + (node.module or "").split(".")
+                inside = "/".join(part for part in base if part)
+                for alias in _named(node, trees.get(f"{inside}.py")):
+                    whole = f"{inside}/{alias.name}".strip("/")
+                    module = next((one for one in (f"{whole}.py", f"{whole}/__init__.py") if one in sources), None)
+                    at = next((one for one in (f"{inside}.py", f"{inside}/__init__.py") if one in sources), inside)
+                    places[path][alias.asname or alias.name] = f"{module}:" if module else f"{at}:{alias.name}"
+    return places
+
+
+def _named(node: ast.ImportFrom, module: ast.Module | None) -> list[ast.alias]:
+    """What is imported by name; of a star all functions and classes of the module."""
+    if node.names[0].name != "*" or module is None:
+        return node.names
+    return [ast.alias(one.name) for one in module.body if isinstance(one, ast.FunctionDef | ast.ClassDef)]
+
+
+def _origin(places: dict[str, dict[str, str]], place: str) -> str:
+    """Where a name is defined that others pass on."""
+    path, name = place.split(":")
+    further = places.get(path, {}).get(name, place) if name else place
+    return place if further == place else _origin(places, further)
+
+
+def users_verbs(front_page: str, places: dict[str, dict[str, str]]) -> set[str]:
+    """Where the names of the front page are defined."""
+    tree = ast.parse(front_page)
+    tables = [node.value for node in tree.body if isinstance(node, ast.Assign) and node.targets[0].id == "_WHERE"]
+    verbs = set()
+    for module, names in (ast.literal_eval(tables[0]) if tables else {}).items():
+        path = module.replace(".", "/")
+        path = f"{path}.py" if f"{path}.py" in places else f"{path}/__init__.py"
+        verbs |= {_origin(places, f"{path}:{name}") for name in names}
+    return verbs
+
+
+def _is_listed(path: str, function: str) -> bool:
+    public = not any(part.startswith("_") for part in function.split("."))
+    return public and any(
+        fnmatch(path, module) and fnmatch(function, name) for module, names in DOORS.items() for name in names.split()
+    )
 
 
 def read_behind_the_door(sources: dict[str, str]) -> Iterator[str]:
-    """Calls of readers elsewhere than at a door, and doors at which nothing is read: see `pssf.data`.
+    """Calls of readers elsewhere than at a door, calls of doors by formulas, and doors that are none: see `pssf.data`.
 
     A record of the model may read what its own fields may be, when it is made.
     """
-    doors = {f"{path}:{name}" for path, names in DOORS.items() if path in sources for name in names.split()}
-    reading, read = readers(sources), set[str]()
+    places, reading = _places(sources), readers(sources)
+    verbs = users_verbs(sources.get("__init__.py", ""), places)
+    calls = list[tuple[str, str, str]]()
     for path, text in sources.items():
-        if path.startswith("data/"):
-            continue
+        origins = {name: _origin(places, place) for name, place in places[path].items()}
         tree = ast.parse(text)
-        taken = {
-            alias.asname or alias.name
-            for node in ast.walk(tree)
-            if isinstance(node, ast.ImportFrom) and node.level and (node.module or "").split(".")[0] == "data"
-            for alias in node.names
-            # Behind a whole module its readers would not be seen.
-            if alias.name in reading or (node.module == "data" and f"data/{alias.name}.py" in sources)
-        }
-        if path.split("/")[0] in FORMULAS:
-            taken |= PROTOCOLS
-        for function in _uses(tree, taken):
-            place = f"{path}:{function}"
-            born = path.startswith("model/") and function.endswith(".__post_init__")
-            read.add(place)
-            if place not in doors and not born:
-                yield f"{place or path} reads a table"
-    yield from (f"{door} is no door: it reads nothing" for door in sorted(doors - read))
-    yield from (f"{door} is no door: it is private" for door in sorted(doors) if ":_" in door or "._" in door)
+        for function, name in _uses(tree, set(origins)):
+            calls.append((path, function, origins[name]))
+        if path.startswith("data/"):
+            records = [node for node in tree.body if isinstance(node, ast.ClassDef)]
+            yield from (f"{path}:{one.name} reads a table" for one in records if [*_uses(one, reading)])
+
+    def is_door(place: str) -> bool:
+        return place in verbs or _is_listed(*place.split(":"))
+
+    def reads(origin: str) -> bool:
+        # Behind a whole module its readers would not be seen.
+        path, name = origin.split(":")
+        return path.split("/")[0] == "data" and (name in reading or name in ("", "*", "data"))
+
+    led = {f"{path}:{function}" for path, function, origin in calls if reads(origin) and not path.startswith("data/")}
+    while more := {f"{path}:{function}" for path, function, origin in calls if origin in led} - led:
+        led |= more
+    for path, function, origin in calls:
+        place = f"{path}:{function}"
+        born = path.startswith("model/") and function.endswith(".__post_init__")
+        script = not function and origin == f"{path}:main"
+        if path.startswith("data/") or is_door(place) or born or script:
+            continue
+        if reads(origin):
+            yield f"{place} reads a table"
+        elif path.startswith(FORMULAS) and origin in led:
+            yield f"{place} is a formula, and has a table read for it by {origin}"
+    listed = {f"{path}:{name}" for path, names in DOORS.items() if path in sources for name in names.split()}
+    listed = {door for door in listed if "*" not in door}
+    yield from (f"{door} is no door: it reads nothing" for door in sorted(listed - led))
+    yield from (f"{door} is no door: it is private" for door in sorted(listed) if ":_" in door or "._" in door)
 
 
 def refuse_without_value(sources: dict[str, str]) -> Iterator[str]:
@@ -338,8 +404,30 @@ def say_nothing(sources: dict[str, str]) -> Iterator[str]:
                     yield f"{path}:{node.lineno}: {getattr(node, kind)}"
 
 
+def private_words(sources: dict[str, str]) -> Iterator[str]:
+    """Modules, functions and classes by a word of our own, where the field has one."""
+    for path, text in sources.items():
+        defined = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.FunctionDef | ast.ClassDef)]
+        for name in (Path(path).stem, *(node.name for node in defined)):
+            if name.strip("_") in PRIVATE_WORDS:
+                yield f"{path}: {name}, which is {PRIVATE_WORDS[name.strip('_')]}"
+
+
 # A table and its reader.
 TABLES = {"data/a.py": "def reader():\n    return data('a')\n"}
+# A house with a door, a verb that reads a table, a helper that has it done, and a room that passes a reader on.
+HOUSE = {
+    **TABLES,
+    "__init__.py": '_WHERE = {"detector": ("show",), "model.protocol": ("load_protocol",)}\n',
+    "data/__init__.py": "",
+    "data/b.py": "from .a import reader\ndef wrapped():\n    return reader()\n",
+    "cohort/a.py": "from ..xray.technique import technique_of\ndef helper():\n    technique_of()\n",
+    "detector/__init__.py": "from .showing import show\n",
+    "detector/showing.py": "from ..data.a import reader\ndef show():\n    reader()\n",
+    "model/passing.py": "from ..data.a import reader\n",
+    "model/protocol.py": "from ..data.a import reader\ndef load_protocol():\n    reader()\n",
+    "xray/technique.py": "from ..data.a import reader\ndef technique_of():\n    reader()\n",
+}
 RULES = {
     one_way: {"core/checks.py": "from ..model import knee\n", "model/knee.py": ""},
     long_modules: {"core/a.py": "x = 1\n" * 301},
@@ -352,6 +440,7 @@ RULES = {
     read_behind_the_door: {**TABLES, "xray/a.py": "from ..data.a import reader\ndef f():\n    reader()\n"},
     arrays_without_unit: {"core/a.py": 'def f(a: Array):\n    """a  (n,)  what is given"""\n'},
     say_nothing: {"core/a.py": "found = 1\n"},
+    private_words: {"core/a.py": "class A:\n    def _amid(self):\n        pass\n"},
     refuse_without_value: {"core/a.py": "raise InputError('no')\n"},
     arrays_without_shape: {"core/a.py": 'def f(a: Array):\n    """Nothing of a."""\n'},
 }
@@ -382,6 +471,7 @@ def test_the_rule_sees_a_planted_violation(rule):
         (say_nothing, "def f(a):\n    return a.found\n"),
         (say_nothing, "with a as told:\n    pass\n"),
         (say_nothing, "f(found=1)\n"),
+        (private_words, "class Stance:\n    pass\n"),
         (refuse_without_value, "raise ValueError('no')\n"),
     ],
 )
@@ -415,12 +505,23 @@ def test_the_unit_of_an_array_is_in_its_name_or_beside_its_shape(argument, line,
         ("model/a.py", "from ..data.a import reader\nclass A:\n    def other(self):\n        reader()\n"),
         ("anatomy/a.py", "from ..model.protocol import load_protocol\ndef f():\n    load_protocol('a')\n"),
         ("xray/technique.py", "def technique_of():\n    pass\n"),
+        ("xray/a.py", "from .. import data\ndef f():\n    data.a.reader()\n"),
+        ("xray/a.py", "from ..data.a import *\ndef f():\n    reader()\n"),
+        ("xray/a.py", "from ..model.passing import reader\ndef f():\n    reader()\n"),
+        ("xray/a.py", "def f():\n    from ..data.a import reader\n    reader()\n"),
+        ("study/learn/a.py", "from ...detector import show\ndef f():\n    show()\n"),
+        ("quality/a.py", "from ..xray.technique import technique_of\ndef f():\n    technique_of()\n"),
+        ("quality/a.py", "from ..cohort.a import helper\ndef f():\n    helper()\n"),
+        ("data/c.py", "from .a import reader\nclass C:\n    def f(self):\n        return reader()\n"),
+        ("cli/a.py", "from ..data.a import reader\ndef _f():\n    reader()\n"),
     ],
-    ids=["constant", "renamed", "module", "wrapped", "not at birth", "protocol", "no door"],
+    ids=[
+        *("constant", "renamed", "module", "wrapped", "not at birth", "protocol", "no door", "package", "star"),
+        *("passed on", "inside", "verb", "door", "by a helper", "record", "private"),
+    ],
 )
 def test_a_table_read_behind_the_door_is_seen(path, text):
-    wrapped = {"data/b.py": "from .a import reader\ndef wrapped():\n    return reader()\n"}
-    assert list(read_behind_the_door({**TABLES, **wrapped, path: text}))
+    assert list(read_behind_the_door({**HOUSE, path: text}))
 
 
 @pytest.mark.parametrize(
@@ -430,11 +531,21 @@ def test_a_table_read_behind_the_door_is_seen(path, text):
         ("model/a.py", "from ..data.a import reader\nclass A:\n    def __post_init__(self):\n        reader()\n"),
         ("accuracy/a.py", "from ..model.protocol import load_protocol\ndef f():\n    load_protocol('a')\n"),
         ("xray/a.py", "from ..data.a import Kind\ndef f(reader: Kind):\n    reader()\n"),
+        ("xray/a.py", "from ..detector import show\ndef f(show):\n    show()\n"),
+        ("cohort/a.py", "from ..detector import show\ndef f():\n    show()\n"),
+        ("detector/showing.py", "from ..data.a import reader\ndef show():\n    reader()\n"),
+        ("accuracy/a.py", "from ..data.a import reader\ndef some_rows():\n    reader()\n"),
     ],
-    ids=["door", "at birth", "measurement", "argument"],
+    ids=["door", "at birth", "measurement", "argument", "verb as argument", "user of a verb", "verb", "rows"],
 )
 def test_a_table_read_at_the_door_is_let_pass(path, text):
-    assert not list(read_behind_the_door({**TABLES, path: text}))
+    assert not list(read_behind_the_door({**HOUSE, path: text}))
+
+
+def test_what_users_call_is_taken_from_the_front_page():
+    verbs = users_verbs(SOURCES["__init__.py"], _places(SOURCES))
+    assert len(verbs) == len(set(pssf.__all__) - {"__version__"})
+    assert {"anatomy/built.py:build", "detector/rendering.py:present", "simulation.py:simulate"} < verbs
 
 
 @pytest.mark.parametrize(

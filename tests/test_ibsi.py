@@ -74,7 +74,7 @@ def test_a_value_outside_its_tolerance_does_not_agree():
 
 
 def test_every_feature_has_a_tag_or_says_how_it_departs():
-    names = list(extract(texture(32, 1), 0.15))
+    names = list(extract(texture(32, 1), 0.15, ibsi_tags()))
     assert all(tag_of(name, ibsi_tags()) or departure_of(name, ibsi_tags()) for name in names)
     assert tag_of("firstorder_z_Mean", ibsi_tags()) == "stat_mean"
     assert tag_of("glcm_Idmn", ibsi_tags()) == "cm_inv_diff_mom_norm"

@@ -15,10 +15,11 @@ from pssf.study.learn.split import split_subjects
 from pssf.study.measuring import Run
 from pssf.study.questions import ask
 from pssf.study.statistics import ladder as tables
+from pssf.study.tables import laws_of, study_tables
 
 NAMES = ["firstorder_a", "glcm_a", "glcm_b"]
 SETTINGS = StudySettings(repeats=10, selections=("l1",), models=("lr",))
-RUN = Run(len, (), SETTINGS, Path("unused"), Execution())
+RUN = Run(len, (), SETTINGS, Path("unused"), Execution(), study_tables())
 
 
 def cohort(seed: int, *, texture: float, subjects: int = 120, narrowed: float = 0.8) -> pd.DataFrame:
@@ -40,7 +41,7 @@ def climbed(known: pd.DataFrame, **more) -> pd.DataFrame:
 
 def asked(manifest: pd.DataFrame, usable: pd.DataFrame):
     importance = pd.DataFrame(columns=["selection", "feature", "share"])
-    return ask(RUN, manifest, usable, NAMES, {"importance": importance}, Designed())
+    return ask(RUN, manifest, usable, NAMES, {"importance": importance}, Designed(), laws_of(manifest))
 
 
 @pytest.fixture(scope="module")

@@ -18,9 +18,11 @@ from pssf.radiomics.locate import _chance, _side_of, _status, find_joint, locate
 from pssf.radiomics.patches import Template, density_of, poses
 from pssf.radiomics.search import Match, matches
 
+TABLE = localisation()
+
 
 def joint_of(pixels, side="right", pixel_mm=PIXEL_MM, region_px=64, templates=(TEMPLATE,)):
-    return find_joint(pixels, templates, side=side, pixel_mm=pixel_mm, region_px=region_px)
+    return find_joint(pixels, templates, TABLE, side=side, pixel_mm=pixel_mm, region_px=region_px)
 
 
 @settings(max_examples=8)
@@ -63,7 +65,7 @@ def test_the_middle_of_a_narrow_joint_space_is_found_by_the_template_of_one():
 def test_the_tone_of_a_film_does_not_matter_and_neither_does_its_polarity(curve):
     density = density_of(phantom(150, 170, noise=1.0))
     shown = curve((density - density.min()) / np.ptp(density))
-    bright, dark = (locate(film, [TEMPLATE], side="right", pixel_mm=PIXEL_MM) for film in (shown, 1.0 - shown))
+    bright, dark = (locate(film, [TEMPLATE], TABLE, side="right", pixel_mm=PIXEL_MM) for film in (shown, 1.0 - shown))
     for joint in (bright, dark):
         assert joint.status == "found"
         assert np.hypot(joint.row - 150, joint.col - 170) < 2
@@ -73,19 +75,19 @@ def test_the_tone_of_a_film_does_not_matter_and_neither_does_its_polarity(curve)
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_side_and_pitch_that_are_not_known_are_found(side):
     film = density_of(phantom(150, 165, side, noise=1.0))
-    joint = locate(film, [TEMPLATE])
+    joint = locate(film, [TEMPLATE], TABLE)
     assert (joint.status, joint.side, joint.pixel_from) == ("found", side, "plateau")
     assert np.hypot(joint.row - 150, joint.col - 165) < 2
     # The phantom's plateau is taken for one of the usual width.
     usual = PIXEL_MM * localisation().plateau.mean_mm / TEMPLATE.plateau_mm
     assert abs(joint.pixel_mm / usual - 1) < 0.04
-    smaller = locate(film.reshape(160, 2, 160, 2).mean(axis=(1, 3)), [TEMPLATE])
+    smaller = locate(film.reshape(160, 2, 160, 2).mean(axis=(1, 3)), [TEMPLATE], TABLE)
     assert abs(smaller.pixel_mm / joint.pixel_mm / 2 - 1) < 0.04
 
 
 def test_a_crop_whose_patch_leaves_it_is_found():
     film = density_of(phantom(150, 165, noise=1.0))[90:210, 40:220]
-    joint = locate(film, [TEMPLATE], side="right", pixel_mm=PIXEL_MM)
+    joint = locate(film, [TEMPLATE], TABLE, side="right", pixel_mm=PIXEL_MM)
     assert joint.status == "found"
     assert np.hypot(joint.row - 60, joint.col - 125) < 2
     assert joint.seen < 1
@@ -105,8 +107,8 @@ def simulated(built, small):
 def test_a_simulated_joint_is_found_with_side_and_pitch_or_without(simulated):
     whole, _, templates = simulated
     row, col = whole.truth.medial_joint_line_px
-    given = find_joint(whole.pixels, templates, side="right", pixel_mm=1.2, region_px=64)
-    alone = locate(density_of(whole.pixels), templates)
+    given = find_joint(whole.pixels, templates, TABLE, side="right", pixel_mm=1.2, region_px=64)
+    alone = locate(density_of(whole.pixels), templates, TABLE)
     for joint in (given, alone):
         assert (joint.status, joint.side) == ("found", "right")
         assert np.hypot(joint.row - row, joint.col - col) * 1.2 < 2.5
@@ -114,14 +116,14 @@ def test_a_simulated_joint_is_found_with_side_and_pitch_or_without(simulated):
 
 def test_a_leg_without_bones_holds_no_knee_and_neither_does_noise(simulated):
     _, bare, templates = simulated
-    assert find_joint(bare, templates, side="right", pixel_mm=1.2).status == "no knee"
+    assert find_joint(bare, templates, TABLE, side="right", pixel_mm=1.2).status == "no knee"
     noise = np.random.default_rng(0).integers(1000, 2000, bare.shape).astype(np.uint16)
-    assert find_joint(noise, templates, side="right", pixel_mm=1.2).status == "no knee"
+    assert find_joint(noise, templates, TABLE, side="right", pixel_mm=1.2).status == "no knee"
 
 
 def test_the_wrong_side_is_refused(simulated):
     whole, _, templates = simulated
-    joint = find_joint(whole.pixels, templates, side="left", pixel_mm=1.2)
+    joint = find_joint(whole.pixels, templates, TABLE, side="left", pixel_mm=1.2)
     assert joint.status == "wrong side"
     assert joint.side_evidence < -localisation().thresholds.side
 
@@ -129,14 +131,14 @@ def test_the_wrong_side_is_refused(simulated):
 @pytest.mark.parametrize("turned", [np.flipud, lambda image: np.rot90(image, 2)])
 def test_what_is_upside_down_is_refused(simulated, turned):
     whole, _, templates = simulated
-    joint = locate(density_of(turned(whole.pixels)), templates, pixel_mm=1.2)
+    joint = locate(density_of(turned(whole.pixels)), templates, TABLE, pixel_mm=1.2)
     assert joint.status == joint.way == "upside down"
 
 
 @pytest.mark.parametrize("factor", [2.0, 1.5, 0.5])
 def test_a_wrong_pitch_is_refused(simulated, factor):
     whole, _, templates = simulated
-    joint = find_joint(whole.pixels, templates, side="right", pixel_mm=1.2 * factor, region_px=64)
+    joint = find_joint(whole.pixels, templates, TABLE, side="right", pixel_mm=1.2 * factor, region_px=64)
     assert joint.status == "wrong scale"
 
 
@@ -217,7 +219,7 @@ def test_matches_of_another_side_or_way_are_no_candidates():
 def test_a_region_that_leaves_the_image_is_refused():
     assert joint_of(phantom(160, 170), region_px=400).status == "leaves image"
     film = density_of(phantom(160, 170))
-    assert locate(film, [TEMPLATE], side="right", pixel_mm=PIXEL_MM, region_px=330).status == "leaves image"
+    assert locate(film, [TEMPLATE], TABLE, side="right", pixel_mm=PIXEL_MM, region_px=330).status == "leaves image"
 
 
 def test_arguments_that_cannot_be_used_are_refused():
@@ -225,13 +227,13 @@ def test_arguments_that_cannot_be_used_are_refused():
     with pytest.raises(InputError, match="holds a knee joint"):
         joint_of(np.ones((10, 10), np.uint16))
     with pytest.raises(InputError, match="side"):
-        locate(film, [TEMPLATE], side="up")
+        locate(film, [TEMPLATE], TABLE, side="up")
     with pytest.raises(InputError, match="pixel_mm"):
-        locate(film, [TEMPLATE], pixel_mm=0.0)
+        locate(film, [TEMPLATE], TABLE, pixel_mm=0.0)
     with pytest.raises(InputError, match="templates = none; allowed: one or more"):
-        locate(film, [])
+        locate(film, [], TABLE)
     with pytest.raises(InputError, match="plateau_mm = None"):
-        locate(film, [Template(pixels=TEMPLATE.pixels, row=160, col=180, pixel_mm=PIXEL_MM)])
+        locate(film, [Template(pixels=TEMPLATE.pixels, row=160, col=180, pixel_mm=PIXEL_MM)], TABLE)
     with pytest.raises(InputError, match="template plateau_mm"):
         Template(pixels=TEMPLATE.pixels, row=160, col=180, pixel_mm=PIXEL_MM, plateau_mm=-1.0)
 

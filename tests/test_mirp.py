@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 from test_radiomics import texture
 
 import pssf
+from pssf.data.ibsi import ibsi_tags
 from pssf.radiomics.backends import BACKENDS
 from pssf.radiomics.families import FAMILIES, family
 from pssf.radiomics.features import extract
@@ -35,7 +36,7 @@ def regions() -> list[np.ndarray]:
 
 def both(region: np.ndarray, **how) -> list[dict[str, float]]:
     """By pyradiomics, by MIRP."""
-    return [extract(region, 0.15, BINS, backend=name, **how) for name in BACKENDS]
+    return [extract(region, 0.15, ibsi_tags(), BINS, backend=name, **how) for name in BACKENDS]
 
 
 @pytest.mark.parametrize("number", range(3))
@@ -57,12 +58,12 @@ def test_grey_values_on_edges_of_bins_are_among_the_sample(regions):
 @pytest.mark.parametrize("name", FAMILIES)
 def test_a_family_asked_for_alone_is_as_it_is_among_all(name):
     region = texture(40, 3)
-    whole, part = (extract(region, 0.15, backend="mirp", **how) for how in ({}, {"families": (name,)}))
+    whole, part = (extract(region, 0.15, ibsi_tags(), backend="mirp", **how) for how in ({}, {"families": (name,)}))
     assert part == {feature: value for feature, value in whole.items() if family(feature) == name}
 
 
 def test_mirp_stays_silent_and_leaves_the_log_as_it_was(capfd):
     before = list(logging.getLogger().handlers), logging.getLogger().level
-    extract(texture(32, 1), 0.15, backend="mirp")
+    extract(texture(32, 1), 0.15, ibsi_tags(), backend="mirp")
     assert capfd.readouterr() == ("", "")
     assert (list(logging.getLogger().handlers), logging.getLogger().level) == before

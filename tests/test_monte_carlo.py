@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import trimesh
 import xraylib
-from matter import attenuation, material
+from matter import attenuation, limb, material
 from msgspec import structs
 from numpy.testing import assert_allclose
 
 import pssf
 from pssf.accuracy.monte_carlo import reference_rows
-from pssf.accuracy.scatter import limb, slab
+from pssf.accuracy.scatter import slab
 from pssf.data.detectors import detectors
 from pssf.data.references import ScatterCases, references
 from pssf.scatter import transport

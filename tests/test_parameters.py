@@ -8,7 +8,8 @@ import pytest
 from scipy.stats import spearmanr
 
 from pssf.data.grades import grade_table
-from pssf.study.statistics.parameters import composition, follows, morphology, parameters_of, strongest, table_of
+from pssf.study.statistics.parameters import composition, follows, morphology, parameters_of, strongest
+from pssf.study.tables import laws_of
 
 
 def manifest() -> pd.DataFrame:
@@ -68,9 +69,10 @@ def test_the_cohort_is_counted_by_grade_and_in_all():
 
 def test_ranges_are_of_the_table_that_the_manifest_names():
     told = manifest().assign(grade_table="paper")
-    assert table_of(told) == grade_table("paper")
-    assert morphology(parameters_of(told), table_of(told))["low"].notna().any()
+    laws = laws_of(told)
+    assert laws.grades == grade_table("paper")
+    assert morphology(parameters_of(told), laws.grades)["low"].notna().any()
     for other in (manifest(), told.assign(grade_table="gone.toml"), told.assign(grade_table=["paper", "people"] * 12)):
-        assert table_of(other) is None
-        assert morphology(parameters_of(other), table_of(other))["low"].isna().all()
+        assert laws_of(other) is None
+    assert morphology(parameters_of(told), None)["low"].isna().all()
     assert morphology(parameters_of(told), grade_table("people"))["low"].isna().all()

@@ -12,6 +12,7 @@ from pssf import quality
 from pssf.data.references import references
 from pssf.quality import beam, detector, measure
 from pssf.quality.exposure import exposure_quantities
+from pssf.xray.technique import technique_of
 
 REFERENCE = pssf.load_protocol("reference")
 
@@ -32,7 +33,7 @@ def test_the_half_value_layer_of_one_energy_is_a_closed_form():
 
 @pytest.mark.parametrize("name", ["low_kv", "reference", "high_kv"])
 def test_the_beam_is_that_of_an_independent_computation(name):
-    values = beam.beam_quantities(pssf.load_protocol(name))
+    values = beam.beam_quantities(technique_of(pssf.load_protocol(name)))
     protocol, known = pssf.load_protocol(name), references()
     rows = [measure._row(quantity, values[quantity], protocol, known) for quantity in measure._BEAM]
     assert_allclose([float(row["value"]) for row in rows], [row["reference"] for row in rows], rtol=0.015)
@@ -40,20 +41,20 @@ def test_the_beam_is_that_of_an_independent_computation(name):
 
 @pytest.mark.parametrize("kind", ["csi", "gos"])
 def test_the_mtf_of_a_slanted_edge_is_the_one_asked_for(kind):
-    curve = detector.mtf(dataclasses.replace(REFERENCE, detector=kind))
+    curve = detector.mtf(technique_of(dataclasses.replace(REFERENCE, detector=kind)))
     inside = curve.per_mm < 3.0
     assert_allclose(curve.measured[inside], curve.model[inside], rtol=0.02)
 
 
 def test_noise_of_flat_fields_has_the_spectrum_of_the_model():
-    curve = detector.nnps(REFERENCE)
+    curve = detector.nnps(technique_of(REFERENCE))
     # 96 regions with some 40 frequencies a ring at least: 3 standard errors are below 5 % a ring, 1 % over all.
     assert_allclose((curve.measured / curve.model).mean(), 1.0, atol=0.03)
     assert_allclose(curve.measured[2:], curve.model[2:], rtol=0.12)
 
 
 def test_variance_grows_with_the_mean_as_counts_do():
-    for mean, found, meant in detector.photon_transfer(REFERENCE):
+    for mean, found, meant in detector.photon_transfer(technique_of(REFERENCE)):
         # Variance of n normal values: relative standard deviation sqrt(2 / n), n = 512 x 512.
         assert_allclose(found, meant, rtol=5 * np.sqrt(2) / 512)
         assert mean > 0
@@ -81,6 +82,6 @@ def test_every_figure_of_a_protocol_comes_with_its_reference(tmp_path):
 def test_a_protocol_with_a_posture_a_field_and_a_marker_is_measured_as_the_open_detector_sees_it():
     bent = dataclasses.replace(pssf.load_protocol("fixed_flexion"), rows=256, cols=256, pixel_mm=1.2)
     taken = dataclasses.replace(bent, field_width_mm=20.0, field_height_mm=20.0, marker="R")
-    assert detector.bare(taken, 64) == detector.bare(bent, 64)
-    quantities, _ = exposure_quantities(bent)
+    assert detector.bare(technique_of(taken), 64) == detector.bare(technique_of(bent), 64)
+    quantities, _ = exposure_quantities(technique_of(bent))
     assert 150 < quantities["exposure_index"] < 600

@@ -13,12 +13,16 @@ from scipy.ndimage import gaussian_filter
 
 from pssf.core.checks import InputError
 from pssf.core.execution import Execution
+from pssf.data.ibsi import ibsi_tags
 from pssf.radiomics.bone import bone_mask
 from pssf.radiomics.families import family
 from pssf.radiomics.features import extract
 from pssf.radiomics.patches import Template
 from pssf.radiomics.region import cut_region
 from pssf.radiomics.table import How, Job, extract_all, measure, settings_key
+from pssf.radiomics.tables import radiomics_tables
+
+TAGS, TABLES = ibsi_tags(), radiomics_tables()
 
 
 def texture(size: int, seed: int, smooth: float = 1.5):
@@ -48,7 +52,7 @@ def test_the_bone_mask_is_the_bone():
 
 
 def test_a_region_of_one_grey_value_has_features():
-    found = extract(np.full((32, 32), 500, np.uint16), PIXEL_MM)
+    found = extract(np.full((32, 32), 500, np.uint16), PIXEL_MM, TAGS)
     assert found["firstorder_linear_Mean"] == 500
 
 
@@ -70,7 +74,7 @@ def test_a_mask_of_ones_alone_is_refused_by_pyradiomics_and_the_border_avoids_it
     with pytest.raises(ValueError, match="No labels found"):
         extractor.execute(*slices(0))
     theirs = {name.removeprefix("original_"): float(value) for name, value in extractor.execute(*slices(1)).items()}
-    ours = extract(region, 0.15)
+    ours = extract(region, 0.15, TAGS)
     compared = 0
     for name, value in ours.items():
         if family(name) != "shape2D" and not name.startswith("firstorder_z"):
@@ -83,7 +87,7 @@ def test_a_mask_of_ones_alone_is_refused_by_pyradiomics_and_the_border_avoids_it
 @given(gain=st.integers(1, 3), offset=st.integers(0, 5000), seed=st.integers(0, 100))
 def test_gain_and_offset_leave_texture_and_z_scored_features_alone(gain, offset, seed):
     region = texture(40, seed)
-    plain, changed = extract(region, 0.15), extract((gain * region + offset).astype(np.uint16), 0.15)
+    plain, changed = extract(region, 0.15, TAGS), extract((gain * region + offset).astype(np.uint16), 0.15, TAGS)
     for name, value in plain.items():
         if family(name) != "shape2D" and not name.startswith("firstorder_linear"):
             assert_allclose(changed[name], value, rtol=1e-9, atol=1e-12, err_msg=name)
@@ -92,11 +96,11 @@ def test_gain_and_offset_leave_texture_and_z_scored_features_alone(gain, offset,
 
 def test_grey_values_that_are_no_integers_are_refused():
     with pytest.raises(InputError, match="integers"):
-        extract(np.ones((16, 16)), 0.15)
+        extract(np.ones((16, 16)), 0.15, TAGS)
 
 
 def test_pyradiomics_stays_silent(capfd):
-    extract(texture(32, 0), 0.15)
+    extract(texture(32, 0), 0.15, TAGS)
     assert capfd.readouterr() == ("", "")
 
 
@@ -112,7 +116,9 @@ def jobs(count: int) -> list[Job]:
 
 
 def test_features_are_the_same_for_one_worker_and_two():
-    extract_of = partial(extract_all, jobs(4), load_pixels=load_phantom, templates=[TEMPLATE], how=How(region_px=96))
+    extract_of = partial(
+        extract_all, jobs(4), load_pixels=load_phantom, templates=[TEMPLATE], tables=TABLES, how=How(region_px=96)
+    )
     (one, _), (two, _) = extract_of(), extract_of(execution=Execution(workers=2))
     assert [record["radiograph"] for record in two] == ["r0", "r1", "r2", "r3"]
     assert one == two
@@ -127,22 +133,28 @@ def test_what_is_measured_already_is_kept_until_its_settings_change():
 
     saved: list[list[dict]] = []
     first, _ = extract_all(
-        jobs(3)[:2], load_pixels=load, templates=[TEMPLATE], how=How(region_px=96), save=saved.append
+        jobs(3)[:2], load_pixels=load, templates=[TEMPLATE], tables=TABLES, how=How(region_px=96), save=saved.append
     )
     assert saved[-1] == first
     known = {record["sha256"]: record for record in first}
     loaded.clear()
-    again, _ = extract_all(jobs(3), load_pixels=load, templates=[TEMPLATE], how=How(region_px=96), known=known)
+    again, _ = extract_all(
+        jobs(3), load_pixels=load, templates=[TEMPLATE], tables=TABLES, how=How(region_px=96), known=known
+    )
     assert loaded == [jobs(3)[2].file]
     assert again[:2] == first
     loaded.clear()
-    extract_all(jobs(2), load_pixels=load, templates=[TEMPLATE], how=How(region_px=96, bins=32), known=known)
+    extract_all(
+        jobs(2), load_pixels=load, templates=[TEMPLATE], tables=TABLES, how=How(region_px=96, bins=32), known=known
+    )
     assert len(loaded) == 2
 
 
 @pytest.mark.parametrize("name", ["row_px", "status", "glcm_Contrast"])
 def test_a_record_in_which_something_was_changed_is_measured_again(name):
-    extract_of = partial(extract_all, jobs(2), load_pixels=load_phantom, templates=[TEMPLATE], how=How(region_px=96))
+    extract_of = partial(
+        extract_all, jobs(2), load_pixels=load_phantom, templates=[TEMPLATE], tables=TABLES, how=How(region_px=96)
+    )
     first, _ = extract_of()
     changed = {**first[0], name: "low score" if name == "status" else np.nextafter(first[0][name], np.inf)}
     again, _ = extract_of(known={"sha0": changed, "sha1": first[1]})
@@ -164,17 +176,26 @@ def test_the_key_of_the_settings_changes_with_the_code(copied_code, name):
 
 def test_a_worker_with_other_code_measures_nothing():
     with pytest.raises(InputError, match=r"on .*: other code of pssf \(radiomics\)"):
-        measure(jobs(1)[0], load_pixels=load_phantom, templates=[TEMPLATE], how=How(), code={"radiomics": "0"})
+        measure(
+            jobs(1)[0],
+            load_pixels=load_phantom,
+            templates=[TEMPLATE],
+            tables=TABLES,
+            how=How(),
+            code={"radiomics": "0"},
+        )
 
 
 def test_a_refused_match_keeps_its_place_and_has_no_features():
-    (record,), _ = extract_all(jobs(1), load_pixels=load_phantom, templates=[TEMPLATE], how=How(region_px=400))
+    (record,), _ = extract_all(
+        jobs(1), load_pixels=load_phantom, templates=[TEMPLATE], tables=TABLES, how=How(region_px=400)
+    )
     assert record["status"] == "leaves image"
     assert abs(record["row_px"] - 150) < 2
     assert not any(name.startswith("glcm") for name in record)
 
 
 def test_the_first_order_of_the_z_score_has_mean_zero_and_variance_one():
-    found = extract(texture(40, 3), 0.15)
+    found = extract(texture(40, 3), 0.15, TAGS)
     assert_allclose([found["firstorder_z_Mean"], found["firstorder_z_Variance"]], [0, 1], atol=1e-12)
     assert_array_equal(np.isfinite(list(found.values())), True)

@@ -12,6 +12,8 @@ from test_cli import run as pssf_command
 
 import pssf
 from pssf.core.execution import Execution
+from pssf.data.anatomy import anatomy_tables
+from pssf.data.localisation import localisation
 from pssf.io.films import list_films
 from pssf.realism import films, run
 
@@ -76,7 +78,9 @@ def test_a_folder_of_no_films_and_a_name_that_is_taken_are_refused(tmp_path):
 def test_all_that_is_given_is_measured_once_and_the_page_tells_it(phantoms_for_knees, tmp_path, monkeypatch):
     given = clinic(tmp_path / "clinic")
     settings = {"films": given, "knees": 6, "grades": "paper", "seed": 1}
-    sample = run.contours.drawn_landmarks(6, 1, pssf.load_protocol("reference"), table="paper")
+    knees = run.draw_knees(run.draw_laws("paper"), 6, 1, side="right", jsw_as="read")
+    by = run.defining_protocol(knees[0])
+    sample = run.contours.drawn_landmarks(knees, pssf.load_protocol("reference"), anatomy_tables(), by)
     monkeypatch.setattr(run.contours, "drawn_landmarks", lambda *given: sample)
     first = run.measure(tmp_path / "out", Execution(), **settings)
     assert [line.split(":")[0] for line in first.lines] == ["Contours", "Films"]
@@ -98,7 +102,7 @@ def test_a_film_that_cannot_be_read_is_counted_and_the_rest_measured(tmp_path):
     given = clinic(tmp_path / "clinic", 2)
     (given / "0" / "torn1R.png").write_bytes(b"\x89PNG torn")
     records = films.measure_films(
-        run.sources_of(given)[0], (TEMPLATE,), Execution(), known={}, save=lambda records: None
+        run.sources_of(given)[0], (TEMPLATE,), localisation(), Execution(), known={}, save=lambda records: None
     )
     status = {record["file"].split("/")[-1]: record["status"] for record in records}
     assert status["torn1R.png"] == "unreadable"
@@ -110,7 +114,7 @@ def test_an_inverted_film_measures_what_it_does_upright(tmp_path):
     for name, inverted in (("a1R.png", False), ("b1R.png", True)):
         picture(tmp_path / name, 5, 2.5, inverted=inverted)
     plain, inverted = films.measure_films(
-        run.sources_of(tmp_path)[0], (TEMPLATE,), Execution(), known={}, save=lambda records: None
+        run.sources_of(tmp_path)[0], (TEMPLATE,), localisation(), Execution(), known={}, save=lambda records: None
     )
     assert (plain["polarity"], inverted["polarity"]) == ("bone bright", "bone dark")
     assert inverted["joint space|medial_mean"] == pytest.approx(plain["joint space|medial_mean"], abs=0.01)

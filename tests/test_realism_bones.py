@@ -7,8 +7,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 import pssf
+from pssf.data.anatomy import anatomy_tables
 from pssf.geometry.mesh import Mesh
 from pssf.io.bones import read_bones
+from pssf.model.draw import draw_laws
 from pssf.realism import bones
 from pssf.realism.forms import compare_forms
 from pssf.realism.surfaces import Similarity, fit_similarity, measured, surface_distance, trimmed
@@ -180,15 +182,15 @@ def test_bones_of_another_name_are_refused():
 
 
 def test_built_bones_are_closed_and_differ_by_what_is_drawn():
-    drawn = bones.drawn_bones(2, seed=4)
-    for name, mesh in bones.built_bones(pssf.Knee()).items():
+    drawn = bones.drawn_bones(draw_laws("people"), anatomy_tables(), 2, seed=4)
+    for name, mesh in bones.built_bones(pssf.Knee(), anatomy_tables()).items():
         assert mesh.as_trimesh().is_watertight
         assert len(drawn[name]) == 2
         assert abs(np.ptp(drawn[name][0].vertices[:, 0]) - np.ptp(drawn[name][1].vertices[:, 0])) > 0.01
-    for name, mesh in bones.drawn_bones(3, seed=4).items():
+    for name, mesh in bones.drawn_bones(draw_laws("people"), anatomy_tables(), 3, seed=4).items():
         assert_array_equal(mesh[1].vertices, drawn[name][1].vertices)
-    tilted = bones.built_bones(dataclasses.replace(pssf.Knee(), tibial_slope_deg=9.0))["tibia"]
-    plain = bones.built_bones(pssf.Knee())["tibia"]
+    tilted = bones.built_bones(dataclasses.replace(pssf.Knee(), tibial_slope_deg=9.0), anatomy_tables())["tibia"]
+    plain = bones.built_bones(pssf.Knee(), anatomy_tables())["tibia"]
     near = [measured(bones.near_joint(mesh, "tibia")) for mesh in (tilted, plain)]
     heights = bones.heights_mm(near[1].mesh, "tibia")
     assert 0.2 < surface_distance(*near, fit_similarity(*near, heights_mm=heights), heights).rms_mm < 1.5
@@ -256,9 +258,10 @@ def test_a_folder_without_bones_and_damaged_files_are_refused(tmp_path):
 
 
 def test_forms_of_the_same_bones_are_alike_and_a_stretched_one_is_off():
-    built = bones.built_bones(pssf.Knee())
+    built = bones.built_bones(pssf.Knee(), anatomy_tables())
     drawn = {
-        name: [bones.built_bones(pssf.Knee(shape=(score,)))[name] for score in (-1.0, 1.0)] for name in bones.BONES
+        name: [bones.built_bones(pssf.Knee(shape=(score,)), anatomy_tables())[name] for score in (-1.0, 1.0)]
+        for name in bones.BONES
     }
     for row in compare_forms(drawn, built, drawn):
         assert abs(row["off_sd"]) < 1e-9 or row["sd"] < 1e-9

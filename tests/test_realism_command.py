@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from test_cli import run as pssf_command
 
+from pssf.data.anatomy import anatomy_tables
 from pssf.geometry.mesh import Mesh
 from pssf.model.knee import Knee
 from pssf.realism import bones
@@ -26,7 +27,7 @@ def waved(mesh, heights_mm):
 @pytest.fixture(scope="module")
 def people():
     """Bone -> two bones: the package's own, larger and displaced."""
-    built = bones.built_bones(Knee())
+    built = bones.built_bones(Knee(), anatomy_tables())
     return {name: [waved(mesh, (MEAN_MM, sign * ABOUT_MM)) for sign in (-1, 1)] for name, mesh in built.items()}
 
 

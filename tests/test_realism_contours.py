@@ -5,8 +5,11 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import pssf
+from pssf.anatomy.joint import defining_protocol
 from pssf.anatomy.landmarks import CONTOUR_LANDMARKS
+from pssf.data.anatomy import anatomy_tables
 from pssf.data.landmarks import landmark_reference
+from pssf.model.draw import draw_knees, draw_laws
 from pssf.realism import contours
 from pssf.realism.cohort_landmarks import cohort_landmarks
 
@@ -117,9 +120,14 @@ def test_a_single_knee_or_an_unknown_grade_is_refused():
         contours.plateau_frame(np.zeros((1, 16, 2)))
 
 
+def landmarks_of_drawn(count, seed, protocol):
+    knees = draw_knees(draw_laws("people"), count, seed, side="right", jsw_as="read")
+    return contours.drawn_landmarks(knees, protocol, anatomy_tables(), defining_protocol(knees[0]))
+
+
 def test_drawn_landmarks_are_the_labels_of_the_knee_that_is_built():
     protocol = pssf.load_protocol("caudal_beam")
-    sample = contours.drawn_landmarks(1, seed=3, protocol=protocol)
+    sample = landmarks_of_drawn(1, 3, protocol)
     rng = np.random.default_rng(np.random.SeedSequence(3, spawn_key=(0,)))
     knee = pssf.draw_knee(grade=0, rng=rng, table="people", side="left")
     labels = pssf.build(knee).truth(protocol).landmarks_px
@@ -128,7 +136,7 @@ def test_drawn_landmarks_are_the_labels_of_the_knee_that_is_built():
 
 
 def test_a_drawn_knee_is_the_same_in_any_number():
-    few, more = (contours.drawn_landmarks(count, seed=5) for count in (1, 3))
+    few, more = (landmarks_of_drawn(count, 5, pssf.load_protocol("reference")) for count in (1, 3))
     assert_array_equal(few.places_mm[0], more.places_mm[0])
     assert np.abs(more.places_mm[1] - more.places_mm[0]).max() > 0.1
 

@@ -2,11 +2,13 @@ import dataclasses
 
 import numpy as np
 import pytest
+from matter import limb
 from numpy.testing import assert_allclose
 
 import pssf
-from pssf.accuracy.scatter import CHECKED, FITTED, case_of, limb, scatter_rows, slab
+from pssf.accuracy.scatter import CHECKED, FITTED, case_of, scatter_rows, slab
 from pssf.data.kernels import scatter_kernel
+from pssf.data.tissues import tissues
 from pssf.geometry.view import view_of
 from pssf.scatter.kernel import exit_gap_mm, scatter_kev
 from pssf.xray.primary import transmit
@@ -43,7 +45,7 @@ def test_cases_that_are_checked_were_not_fitted_to():
 
 
 def test_scatter_is_in_proportion_to_the_tube_current():
-    scene, protocol = case_of(("limb", 70, 120, 60))
+    scene, protocol = case_of(("limb", 70, 120, 60), tissues())
     one, *_ = kernel(scene, protocol)
     two, *_ = kernel(scene, dataclasses.replace(protocol, mas=2 * protocol.mas))
     none, *_ = kernel(scene, dataclasses.replace(protocol, mas=0.0))
@@ -52,7 +54,7 @@ def test_scatter_is_in_proportion_to_the_tube_current():
 
 
 def test_the_size_of_the_pixels_changes_their_share_of_the_scatter_alone():
-    scene, protocol = case_of(("limb", 70, 120, 60))
+    scene, protocol = case_of(("limb", 70, 120, 60), tissues())
     coarse, *_ = kernel(scene, protocol)
     fine, *_ = kernel(scene, dataclasses.replace(protocol, rows=512, cols=512, pixel_mm=0.6))
     assert_allclose(4 * fine[200:312:2, 200:312:2], coarse[100:156, 100:156], rtol=0.01)
@@ -61,7 +63,7 @@ def test_the_size_of_the_pixels_changes_their_share_of_the_scatter_alone():
 def test_scatter_falls_with_the_gap_and_is_flatter_than_the_primary():
     maps = {}
     for gap_mm in (20, 60, 100, 150):
-        scatter, primary, opened = kernel(*case_of(("limb", 70, 120, gap_mm)))
+        scatter, primary, opened = kernel(*case_of(("limb", 70, 120, gap_mm), tissues()))
         maps[gap_mm] = scatter[128, 128] / opened
         across = np.s_[128, 88:168]
         assert np.ptp(scatter[across]) / scatter[across].mean() < 0.5 * np.ptp(primary[across]) / primary[across].mean()
@@ -89,7 +91,7 @@ def test_scatter_is_finite_and_not_negative_for_any_detector_and_beam(shape, set
 
 
 def test_a_mirrored_scene_has_mirrored_scatter():
-    scene, protocol = case_of(("limb", 70, 120, 60))
+    scene, protocol = case_of(("limb", 70, 120, 60), tissues())
     paths = pssf.trace(scene, protocol).path_mm
     tilted = {name: lengths * np.linspace(0.8, 1.2, 256, dtype=np.float32) for name, lengths in paths.items()}
     turned = {name: lengths[:, ::-1] for name, lengths in tilted.items()}
@@ -119,7 +121,7 @@ def test_a_fit_that_starts_from_the_constants_in_use_does_not_make_them_worse():
     from pssf.accuracy import scatter_fit
 
     kernel = scatter_kernel()
-    samples = [scatter_fit.sample_of(("limb", 70, 120, 60), 200_000)]
+    samples = [scatter_fit.sample_of(("limb", 70, 120, 60), tissues(), 200_000)]
     fitted = scatter_fit.fitted_kernel(photons=200_000, cases=(("limb", 70, 120, 60),), rounds=3)
     start, end = (
         np.array([one.inner_power, *(getattr(term, name) for term in one.term for name in scatter_fit._BOUNDS)])

@@ -13,6 +13,7 @@ from pssf.study.measuring import Run
 from pssf.study.report.sections import segmentation_section
 from pssf.study.segmentation import segmentation
 from pssf.study.statistics.dimensions import dimensions, tuned
+from pssf.study.tables import study_tables
 
 
 def square(top, left, side, size=40):
@@ -56,7 +57,7 @@ def bright_tissue_with_bone(bone):
 def run_with(masks, out):
     return Run(
         lambda file: bright_tissue_with_bone(square(30, 20, 60, 128)), (), settings_of(region_px=128), out,
-        Execution(workers=1), masks,
+        Execution(workers=1), study_tables(), masks,
     )  # fmt: skip
 
 

@@ -9,6 +9,7 @@ from made_up import NAMES, features
 from numpy.testing import assert_allclose
 from test_radiomics import texture
 
+from pssf.data.ibsi import ibsi_tags
 from pssf.radiomics.features import extract
 from pssf.study.learn.selection import DropRedundant, preparation
 from pssf.study.settings import SELECTIONS
@@ -41,7 +42,7 @@ def test_what_pruning_keeps_does_not_turn_with_the_order_of_the_columns(order, s
 
 
 def test_features_that_are_others_in_disguise_are_left_out_before_a_model_sees_them():
-    table = pd.DataFrame([extract(texture(32, seed, 0.5 + 0.1 * seed), 0.15) for seed in range(14)])
+    table = pd.DataFrame([extract(texture(32, seed, 0.5 + 0.1 * seed), 0.15, ibsi_tags()) for seed in range(14)])
     twice = (
         ("glcm_SumAverage", 2 * table["glcm_JointAverage"]),
         ("gldm_GrayLevelNonUniformity", 32 * 32 * table["firstorder_linear_Uniformity"]),

@@ -6,10 +6,17 @@ from typer.testing import CliRunner
 
 from pssf import InputError, Knee, Osteophyte
 from pssf.cli import app
+from pssf.data.landmarks import landmark_reference
 from pssf.data.shapes import shape_table
-from pssf.study.learn.separability import parameter_table, separability
+from pssf.model.draw import draw_laws
+from pssf.study.learn import separability as learn
+from pssf.study.learn.separability import parameter_table
 
 MODES = len(shape_table().modes)
+
+
+def separability(table, **how):
+    return learn.separability(draw_laws(table), landmark_reference().gap_alone_auc, **how)
 
 
 @pytest.fixture(scope="module")

@@ -240,7 +240,7 @@ def test_a_table_with_a_mode_too_few_or_an_unknown_entry_is_refused():
 
 def test_bones_without_a_patella_are_refused():
     with pytest.raises(InputError, match="bones: without = patella"):
-        fit_mean({"femur": [pebble(2)], "tibia": [pebble(2)]})
+        fit_mean({"femur": [pebble(2)], "tibia": [pebble(2)]}, anatomy_tables())
 
 
 def test_a_lattice_around_a_bone_holds_every_place_of_it_in_full():

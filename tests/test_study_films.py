@@ -103,18 +103,18 @@ def test_cohort_and_films_are_read_at_the_films_pitch_where_it_is_coarser(film_s
 
 def test_the_region_is_what_the_films_hold_where_that_is_less_than_the_studys():
     image = drawn.cohort().display(drawn.text_subjects()["file"].iloc[0])
-    found = find_in_display(image.pixels, [drawn.TEMPLATE], image.side, 0.6)
+    found = find_in_display(image.pixels, [drawn.TEMPLATE], localisation(), image.side, 0.6)
     above = 30
     cut = dataclasses.replace(image, pixels=image.pixels[round(found.row) - above :])
     how = {"load": lambda file: cut, "load_cohort": read_nothing, "protocol": "reference"}
     own = Film(file="f.png", grade=0, subject="f", side=None, pixel_mm=None, sha256="")
     films = FilmSet(films=(own,), **how)
-    pixel_mm, region_mm = _pitch_and_region_mm(films, [drawn.TEMPLATE], 0.3, 76.8)
+    pixel_mm, region_mm = _pitch_and_region_mm(films, [drawn.TEMPLATE], localisation(), 0.3, 76.8)
     assert pixel_mm == 0.6
     assert_allclose(region_mm, 2 * above * 0.6, atol=1.5)
-    assert _pitch_and_region_mm(films, [drawn.TEMPLATE], 0.9, 30.0) == (0.9, 30.0)
+    assert _pitch_and_region_mm(films, [drawn.TEMPLATE], localisation(), 0.9, 30.0) == (0.9, 30.0)
     mine = dataclasses.replace(films, region_mm=25.0)
-    assert _pitch_and_region_mm(mine, [drawn.TEMPLATE], 0.3, 76.8) == (0.6, 25.0)
+    assert _pitch_and_region_mm(mine, [drawn.TEMPLATE], localisation(), 0.3, 76.8) == (0.6, 25.0)
 
 
 @pytest.mark.parametrize(
@@ -186,7 +186,7 @@ def test_the_signal_of_a_display_is_dark_where_that_is_bright_and_as_frequent_as
 
 def test_a_region_is_brought_to_another_pitch_about_the_joint_line_and_leaves_no_film():
     pixels = drawn.cohort().display(drawn.text_subjects()["file"].iloc[0]).pixels
-    found = find_in_display(pixels, [drawn.TEMPLATE], None, 0.6)
+    found = find_in_display(pixels, [drawn.TEMPLATE], localisation(), None, 0.6)
     same = cut_display(pixels, found, 0.6, 60)
     coarse = cut_display(pixels, found, 1.2, 30)
     means = same.reshape(30, 2, 30, 2).mean(axis=(1, 3))
@@ -198,7 +198,11 @@ def test_a_region_is_brought_to_another_pitch_about_the_joint_line_and_leaves_no
 def test_noise_finer_than_the_new_pitch_is_taken_away():
     noise = np.random.default_rng(1).random((200, 200))
     found = find_in_display(
-        drawn.cohort().display(drawn.text_subjects()["file"].iloc[0]).pixels, [drawn.TEMPLATE], None, 0.6
+        drawn.cohort().display(drawn.text_subjects()["file"].iloc[0]).pixels,
+        [drawn.TEMPLATE],
+        localisation(),
+        None,
+        0.6,
     )
     centred = type(found)(**vars(found) | {"row": 100.0, "col": 100.0})
     assert cut_display(noise, centred, 2.4, 40).std() < 0.25 * noise.std()
@@ -208,8 +212,8 @@ def test_noise_finer_than_the_new_pitch_is_taken_away():
 def test_a_fine_display_is_looked_at_coarsely_and_told_in_its_own_pixels(pitch):
     film = drawn.cohort().display(drawn.text_subjects()["file"].iloc[0])
     fine = np.kron(film.pixels, np.ones((round(0.6 / pitch),) * 2))
-    found = find_in_display(fine, [drawn.TEMPLATE], film.side, pitch)
-    coarse = find_in_display(film.pixels, [drawn.TEMPLATE], film.side, 0.6)
+    found = find_in_display(fine, [drawn.TEMPLATE], localisation(), film.side, pitch)
+    coarse = find_in_display(film.pixels, [drawn.TEMPLATE], localisation(), film.side, 0.6)
     step = round(0.6 / pitch)
     assert found.status == "found"
     assert_allclose([found.row, found.col], [at * step + (step - 1) / 2 for at in (coarse.row, coarse.col)], atol=step)
@@ -221,7 +225,7 @@ def test_a_compact_template_finds_the_same_joint():
     assert small.pixels.size <= whole.pixels.size
     pixels = drawn.cohort().load(drawn.text_subjects()["file"].iloc[1])
     side = drawn.text_subjects()["side"].iloc[1]
-    one, other = (locate(density_of(pixels), [t], side=side, pixel_mm=0.6) for t in (whole, small))
+    one, other = (locate(density_of(pixels), [t], localisation(), side=side, pixel_mm=0.6) for t in (whole, small))
     assert_allclose([one.row, one.col, one.score], [other.row, other.col, other.score], rtol=1e-4)
 
 

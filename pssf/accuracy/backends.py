@@ -14,6 +14,7 @@ from ..radiomics.backends import BACKENDS, is_installed
 from ..radiomics.by_mirp import Mirp
 from ..radiomics.families import FAMILIES
 from ..radiomics.features import extract
+from ..radiomics.ibsi import Tags
 from ..radiomics.region import cut_region
 from ..simulation import simulate
 from .engines import Row
@@ -33,11 +34,10 @@ def backend_rows() -> list[Row]:
     missing = [name for name in BACKENDS if not is_installed(name)]
     if missing:
         raise InputError(f"backends = without {', '.join(missing)}; allowed: both, as uv run --group peers has them")
-    regions = [_region(grade, name) for grade, name in enumerate(_PROTOCOLS)]
+    tags, regions = ibsi_tags(), [_region(grade, name) for grade, name in enumerate(_PROTOCOLS)]
     for name in BACKENDS:
-        extract(regions[0], 1.0, backend=name)  # imports are nobody's cost
-    mirp = Mirp(ibsi_tags())
-    return [_row(family, regions, mirp) for family in FAMILIES]
+        extract(regions[0], 1.0, tags, backend=name)  # imports are nobody's cost
+    return [_row(family, regions, Mirp(tags)) for family in FAMILIES]
 
 
 def _region(grade: int, name: str) -> NDArray[np.uint16]:
@@ -50,7 +50,7 @@ def _region(grade: int, name: str) -> NDArray[np.uint16]:
 
 
 def _row(family: str, regions: list[NDArray[np.uint16]], mirp: Mirp) -> Row:
-    first, second = (_timed(family, regions, name) for name in BACKENDS)
+    first, second = (_timed(family, regions, mirp.tags, name) for name in BACKENDS)
     apart = 0.0
     for one, other in zip(first[0], second[0], strict=True):
         shared = [name for name in one if name in other and abs(one[name]) > _ROUNDING]
@@ -68,11 +68,13 @@ def _row(family: str, regions: list[NDArray[np.uint16]], mirp: Mirp) -> Row:
     }
 
 
-def _timed(family: str, regions: list[NDArray[np.uint16]], backend: str) -> tuple[list[dict[str, float]], float]:
+def _timed(
+    family: str, regions: list[NDArray[np.uint16]], tags: Tags, backend: str
+) -> tuple[list[dict[str, float]], float]:
     """The features of every region, and the least seconds that one took."""
     values, seconds = [], []
     for region in regions:
         began = perf_counter()
-        values.append(extract(region, 1.0, _BINS, (family,), backend))
+        values.append(extract(region, 1.0, tags, _BINS, (family,), backend))
         seconds.append(perf_counter() - began)
     return values, min(seconds)

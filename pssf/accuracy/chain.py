@@ -1,7 +1,6 @@
 """The stages of simulate: seconds, share of the whole, and the error of each, measured here."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from ..raycast import trace
 from ..simulation import simulate
 from ..stages import sampled_primary
 from ..xray.quadrature import TOLERANCE
-from ..xray.technique import technique_of
+from ..xray.technique import Technique, technique_of
 from .engines import Row
 from .focal import blurred_primary
 from .scatter import Case, scatter_rows
@@ -30,9 +29,9 @@ def chain_rows(workers: int) -> list[Row]:
 
     The error of a stage is measured on the spot against what it stands for: see `_errors`.
     """
-    built, protocol = build(Knee()), load_protocol("reference")
-    timed = {engine: _seconds(built, protocol, engine, workers) for engine in ("scanline", "embree")}
-    errors = _errors(built.scene, protocol, workers)
+    built, technique = build(Knee()), technique_of(load_protocol("reference"))
+    timed = {engine: _seconds(built, technique.protocol, engine, workers) for engine in ("scanline", "embree")}
+    errors = _errors(built.scene, technique, workers)
     rows: list[Row] = []
     for stage in [name for name in timed["scanline"] if name != "anatomy"]:
         row: Row = {"stage": stage}
@@ -51,13 +50,14 @@ def _seconds(built: BuiltKnee, protocol: Protocol, engine: str, workers: int) ->
     return min(runs[1:], key=lambda one: sum(one.values()))
 
 
-def _errors(scene: Scene, protocol: Protocol, workers: int) -> dict[str, tuple[str, Callable[[], float]]]:
+def _errors(scene: Scene, technique: Technique, workers: int) -> dict[str, tuple[str, Callable[[], float]]]:
     """Stage -> what its error is of, and how to measure it."""
-    joint = replace(protocol, rows=512, cols=512)
-    technique = technique_of(joint)
+    joint = technique.taken(rows=512, cols=512)
 
     def rays() -> float:
-        short, exact = (trace(scene, joint, precision=p, workers=workers).path_mm for p in ("float32", "float64"))
+        short, exact = (
+            trace(scene, joint.protocol, precision=p, workers=workers).path_mm for p in ("float32", "float64")
+        )
         return max(float(np.abs(short[name] - exact[name]).max()) for name in short)
 
     def attenuation() -> float:
@@ -68,14 +68,14 @@ def _errors(scene: Scene, protocol: Protocol, workers: int) -> dict[str, tuple[s
         return abs(row["difference_percent"]) / 100
 
     def focal_spot() -> float:
-        exact = sampled_primary(scene, technique, "scanline", workers, 5).kev
-        return float(np.sqrt(np.mean((blurred_primary(scene, technique, workers) / exact - 1) ** 2)))
+        exact = sampled_primary(scene, joint, "scanline", workers, 5).kev
+        return float(np.sqrt(np.mean((blurred_primary(scene, joint, workers) / exact - 1) ** 2)))
 
     def noise() -> float:
-        return float(np.mean([abs(measured / meant - 1) for _, measured, meant in photon_transfer(protocol)]))
+        return float(np.mean([abs(measured / meant - 1) for _, measured, meant in photon_transfer(technique)]))
 
     def blur() -> float:
-        curve = mtf(protocol)
+        curve = mtf(technique)
         inside = (curve.per_mm > 0) & (curve.per_mm < 3)
         return float(np.abs(curve.measured / curve.model - 1)[inside].max())
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..anatomy import build
 from ..core.checks import InputError
 from ..core.parallel import ordered_map
-from ..data.localisation import localisation
+from ..data.localisation import Localisation, localisation
 from ..data.shapes import shape_table
 from ..experiment import standard_templates
 from ..geometry.scene import Scene
@@ -53,7 +53,7 @@ def localisation_rows(count: int, workers: int) -> list[Row]:
     """
     return [
         _row(case, kind, [one for one in located if one["case"] == case and one["kind"] == kind])
-        for located in [_located(count, workers, len(shape_table().modes))]
+        for located in [_located(count, workers, len(shape_table().modes), localisation())]
         for kind in ("study", "adult")
         for case in _CASES
         if any((one["case"], one["kind"]) == (case, kind) for one in located)
@@ -62,7 +62,8 @@ def localisation_rows(count: int, workers: int) -> list[Row]:
 
 def limit_rows(count: int, workers: int) -> list[Row]:
     """One row a limit: what the simulations give for it, by which rule, and what is in force."""
-    located, limits = _located(count, workers, len(shape_table().modes)), localisation().thresholds
+    table = localisation()
+    located, limits = _located(count, workers, len(shape_table().modes), table), table.thresholds
 
     def values(case: str, measure: str, kinds: tuple[str, ...] = ("study", "adult")) -> NDArray[np.float64]:
         return np.array([one[measure] for one in located if one["case"] == case and one["kind"] in kinds])
@@ -102,12 +103,12 @@ def _row(case: str, kind: str, located: list[Row]) -> Row:
 
 
 @lru_cache(maxsize=1)  # both tables are of the same simulations
-def _located(count: int, workers: int, modes: int) -> list[Row]:
-    shared = {"templates": standard_templates("scanline"), "modes": modes}
+def _located(count: int, workers: int, modes: int, table: Localisation) -> list[Row]:
+    shared = {"templates": standard_templates("scanline"), "modes": modes, "table": table}
     return [row for rows in ordered_map(_of_knee, list(range(count)), shared=shared, workers=workers) for row in rows]
 
 
-def _of_knee(number: int, *, templates: "tuple[Template, ...]", modes: int) -> list[Row]:
+def _of_knee(number: int, *, templates: "tuple[Template, ...]", modes: int, table: Localisation) -> list[Row]:
     """Every case of one knee; nothing where it cannot be built."""
     rng = np.random.default_rng(np.random.SeedSequence(number, spawn_key=(2,)))
     kind = "adult" if number % 4 == 3 else "study"
@@ -124,7 +125,8 @@ def _of_knee(number: int, *, templates: "tuple[Template, ...]", modes: int) -> l
     assert whole.truth is not None
     rows = []
     for case in _CASES:
-        joint = _find(case, bare.pixels if case == "without bones" else whole.pixels, knee, protocol, templates)
+        pixels = bare.pixels if case == "without bones" else whole.pixels
+        joint = _find(case, pixels, knee, protocol, templates, table)
         away = np.subtract((joint.row, joint.col), whole.truth.medial_joint_line_px)
         error_mm = float(np.hypot(*away)) * protocol.pixel_mm / magnification(view_of(protocol))
         measures = {name: getattr(joint, name) for name in _MEASURES}
@@ -133,7 +135,12 @@ def _of_knee(number: int, *, templates: "tuple[Template, ...]", modes: int) -> l
 
 
 def _find(
-    case: str, pixels: NDArray[np.uint16], knee: Knee, protocol: Protocol, templates: "tuple[Template, ...]"
+    case: str,
+    pixels: NDArray[np.uint16],
+    knee: Knee,
+    protocol: Protocol,
+    templates: "tuple[Template, ...]",
+    table: Localisation,
 ) -> "Located":
     from ..radiomics.locate import find_joint
 
@@ -143,7 +150,7 @@ def _find(
     if case == "upside down":
         pixels = pixels[::-1]
     pixel_mm = protocol.pixel_mm * _CASES[case][1]
-    return find_joint(pixels, templates, side=side, pixel_mm=pixel_mm, region_px=_REGION_PX)
+    return find_joint(pixels, templates, table, side=side, pixel_mm=pixel_mm, region_px=_REGION_PX)
 
 
 def _protocol(name: str) -> Protocol:

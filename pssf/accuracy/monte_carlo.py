@@ -1,11 +1,13 @@
 """The Monte Carlo of scatter beside an independent one: slabs of water and elliptic limbs."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from ..core.blocks import block_mean
 from ..data.references import references
+from ..data.tissues import Tissue, tissues
 from ..model.protocol import load_protocol
 from ..raycast import trace
 from ..scatter.monte_carlo import count
@@ -30,17 +32,17 @@ def reference_rows(workers: int, photons: int = _PHOTONS) -> list[Row]:
     difference_percent  from the reference, which has an error of 1 to 2 % of its own
     primary_percent     by how much the reference's primary is off Beer and Lambert's, of limbs
     """
-    known = references().scatter
+    known, known_tissues = references().scatter, tissues()
     cases = [("slab", case) for case in known.slab] + [("limb", case) for case in known.limb]
-    return [_row(kind, case, workers, photons) for kind, case in cases]
+    return [_row(kind, case, known_tissues, workers, photons) for kind, case in cases]
 
 
-def _row(kind: str, case: tuple[float, ...], workers: int, photons: int) -> Row:
+def _row(kind: str, case: tuple[float, ...], known: Mapping[str, Tissue], workers: int, photons: int) -> Row:
     kv, thick_mm, gap_mm, *expected = case
     cols, rows = _FIELDS[kind]
     coarse = replace(load_protocol("reference"), rows=rows, cols=cols, pixel_mm=1.0, tube_kv=kv)
     protocol = replace(coarse, sod_mm=1150.0 - gap_mm - thick_mm / 2)
-    scene = slab(thick_mm) if kind == "slab" else limb(thick_mm)
+    scene = slab(thick_mm) if kind == "slab" else limb(thick_mm, known)
     technique = technique_of(protocol)
     counts = count(scene, technique, photons=photons, seed=1, workers=workers, cell_mm=_CELL_MM)
     beam = beam_of(technique)

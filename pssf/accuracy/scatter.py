@@ -63,8 +63,9 @@ def scatter_rows(
     worst_percent       the kernel's largest difference within it, both smoothed by 10 mm
     """
     rows = []
+    known_tissues = tissues()
     for case in cases:
-        run = measured(case, photons, workers)
+        run = measured(case, known_tissues, photons, workers)
         opened = float(transmit({}, beam_of(run.technique), run.technique, workers).kev.max())
         fast = block_mean(scatter_kev(run.primary, run.path_mm, run.gap_mm, run.technique), run.counts.step) / opened
         slow = run.counts.scatter_kev / run.counts.pixels / opened
@@ -84,9 +85,12 @@ class Run:
     path_mm: Mapping[str, NDArray[np.float32]]
 
 
-def measured(case: Case, photons: int, workers: int) -> Run:
-    """A case by Monte Carlo."""
-    scene, protocol = case_of(case)
+def measured(case: Case, known: Mapping[str, Tissue], photons: int, workers: int) -> Run:
+    """A case by Monte Carlo.
+
+    known  tissues by name
+    """
+    scene, protocol = case_of(case, known)
     technique, paths = technique_of(protocol), trace(scene, protocol, workers=workers).path_mm
     return Run(
         technique=technique,
@@ -117,11 +121,14 @@ def _compared(case: Case, slow: Array, fast: Array) -> Row:
     }
 
 
-def case_of(case: Case) -> tuple[Scene, Protocol]:
-    """The scene and protocol of a case: SDD 1150 mm, the field of `reference` in pixels of 1.2 mm."""
+def case_of(case: Case, known: Mapping[str, Tissue]) -> tuple[Scene, Protocol]:
+    """The scene and protocol of a case: SDD 1150 mm, the field of `reference` in pixels of 1.2 mm.
+
+    known  tissues by name
+    """
     kind, kv, thick_mm, gap_mm = case
     if kind in ("limb", "slab"):
-        scene = {"limb": limb, "slab": slab}[kind](thick_mm)
+        scene = limb(thick_mm, known) if kind == "limb" else slab(thick_mm)
     elif kind == "knee":
         scene = build(Knee(limb_ap_mm=thick_mm)).scene
     else:
@@ -132,12 +139,13 @@ def case_of(case: Case) -> tuple[Scene, Protocol]:
     return scene, replace(coarse, tube_kv=float(kv), sod_mm=sod_mm)
 
 
-def limb(thick_mm: float) -> Scene:
+def limb(thick_mm: float, known: Mapping[str, Tissue]) -> Scene:
     """A long elliptic limb, 1.2 times as wide as thick, 70 % muscle and 30 % fat, with a core of bone.
 
     The core is 17 % cortical bone in marrow, 0.6 of the limb's width and 0.45 of its thickness.
+
+    known  tissues by name
     """
-    known = tissues()
     soft = mixture({"muscle": 0.7, "adipose": 0.3}, known)
     core = mixture({"cortical_bone": 0.17, "marrow": 0.83}, known)
     outer, inner = _cylinder(0.6 * thick_mm, 0.5 * thick_mm), _cylinder(0.36 * thick_mm, 0.225 * thick_mm)

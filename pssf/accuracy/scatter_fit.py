@@ -1,5 +1,6 @@
 """The constants of the scatter kernel, fitted to the Monte Carlo once more."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +10,7 @@ from scipy.optimize import least_squares
 
 from ..core.checks import Array
 from ..data.kernels import ScatterKernel, Term, scatter_kernel
+from ..data.tissues import Tissue, tissues
 from ..scatter.kernel import Crossed, coarse, shares
 from .scatter import FITTED, Case, measured
 
@@ -32,9 +34,12 @@ class Sample:
     slab: bool
 
 
-def sample_of(case: Case, photons: int, workers: int = 2) -> Sample:
-    """One case by Monte Carlo."""
-    run = measured(case, photons, workers)
+def sample_of(case: Case, known: Mapping[str, Tissue], photons: int, workers: int = 2) -> Sample:
+    """One case by Monte Carlo.
+
+    known  tissues by name
+    """
+    run = measured(case, known, photons, workers)
     opened, mass, passed, step = coarse(run.primary, run.path_mm, run.technique)
     slow = run.counts.scatter_kev / run.counts.pixels / opened.max()
     protocol = run.technique.protocol
@@ -57,7 +62,8 @@ def fitted_kernel(
     A residual is a relative difference in a cell over its error (2 % at least); cells outside the joint region weigh a
     quarter, the mean over the region as much as 12 cells, slabs 0.4 of limbs.
     """
-    samples, kernel = [sample_of(case, photons, workers) for case in cases], scatter_kernel()
+    kernel, known = scatter_kernel(), tissues()
+    samples = [sample_of(case, known, photons, workers) for case in cases]
     start = np.array([kernel.inner_power, *(getattr(term, name) for term in kernel.term for name in _BOUNDS)])
     low, high = np.array([(-6.0, 3.0), *(list(_BOUNDS.values()) * len(kernel.term))]).T
     inside = np.clip(start, low + 1e-3, high - 1e-3)

@@ -11,6 +11,7 @@ from ..core.checks import Array, InputError
 from ..core.workers import one_blas_thread
 from ..data.anatomy import anatomy_tables
 from ..data.fields import beam_range_deg
+from ..data.records import Pair
 from ..data.spongy import TrabecularBone
 from ..geometry.density import Density
 from ..geometry.mesh import Mesh
@@ -40,12 +41,13 @@ _MENDED_MM3, _DRAWN_IN_MM = 1.0, 0.1
 class BuiltKnee:
     """A knee that is built: its scene and its labels cannot be another's.
 
-    knee       its parameters
-    scene      closed surfaces between named materials, in the knee frame, mm
-    assembly   how its bones stand
-    bones      femur, tibia, fibula and patella, by name, before they are turned and mirrored as `assembly` says
-    cysts      bone -> its cysts, likewise
-    attrition  `wear.attrition_mm` of it; None where that is still to be found
+    knee            its parameters
+    scene           closed surfaces between named materials, in the knee frame, mm
+    assembly        how its bones stand
+    bones           femur, tibia, fibula and patella, by name, before they are turned and mirrored as `assembly` says
+    cysts           bone -> its cysts, likewise
+    attrition       `wear.attrition_mm` of it; None where that is still to be found
+    beam_range_deg  that a protocol's central ray may be tilted by
     """
 
     knee: Knee
@@ -54,6 +56,7 @@ class BuiltKnee:
     bones: dict[str, bones.Bone]
     cysts: dict[str, list[CystSolids]]
     attrition: Mapping[str, float] | None
+    beam_range_deg: Pair
 
     def truth(self, protocol: Protocol) -> Truth:
         """Labels and landmarks on a radiograph of it under a protocol; without masks, which `simulate` casts."""
@@ -72,7 +75,7 @@ class BuiltKnee:
         """
         if protocol.beam_along == "horizontal":
             return protocol
-        return along_plateau(self.assembly, mesh_of(self.bones["tibia"].outer), protocol, beam_range_deg())
+        return along_plateau(self.assembly, mesh_of(self.bones["tibia"].outer), protocol, self.beam_range_deg)
 
     def inter_margin_mm(self, protocol: Protocol) -> float:
         """Height on the film of the front margin of the medial plateau over its back one, scaled to the joint plane.
@@ -132,7 +135,15 @@ def build(knee: Knee, protocol: Protocol | None = None) -> BuiltKnee:
     attrition = _attrition_mm(knee, assembly, placed["tibia"].worn)
     cysts = cysts_of(knee, assembly, solids, attrition)
     scene = Scene(_surfaces(knee, assembly, placed, cysts))
-    return BuiltKnee(knee=knee, scene=scene, assembly=assembly, bones=solids, cysts=cysts, attrition=attrition)
+    return BuiltKnee(
+        knee=knee,
+        scene=scene,
+        assembly=assembly,
+        bones=solids,
+        cysts=cysts,
+        attrition=attrition,
+        beam_range_deg=beam_range_deg(),
+    )
 
 
 def _attrition_mm(knee: Knee, assembly: KneeAssembly, worn: bool) -> Mapping[str, float] | None:

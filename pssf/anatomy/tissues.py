@@ -73,7 +73,7 @@ def between(
         for more_mm in (0.0, shape.deep_fat.sheath_mm)
     )
     joint = [
-        ("patella_cartilage", "cartilage", _behind(patella, shape.patella, s, femur_frame)),
+        ("patella_cartilage", "cartilage", _patellar_cartilage(patella, shape.patella, s, femur_frame)),
         ("medial_meniscus", "cartilage", rings[0]),
         ("lateral_meniscus", "cartilage", rings[1]),
         ("patellar_tendon", "tendon", thin[0]),
@@ -185,7 +185,7 @@ def _poles(patella: Manifold) -> tuple[Array, Array]:
     return points[points[:, 2].argmax()], points[points[:, 2].argmin()]
 
 
-def _behind(patella: Manifold, table: PatellaShape, scale: float, frame: Array) -> Manifold:
+def _patellar_cartilage(patella: Manifold, table: PatellaShape, scale: float, frame: Array) -> Manifold:
     """What lies behind a patella, as thick as its cartilage, before bones are taken out of it.
 
     frame  (3, 4)  transform of the femur into the knee frame, mm

@@ -107,6 +107,7 @@ def _baselines(
     from ..study.statistics.intervals import intervals, share_tested
     from ..study.statistics.parameters import parameters_of
     from ..study.statistics.scores import score_splits, summarise
+    from ..study.tables import study_tables
 
     region_px = max(16, round(_REGION_MM / float(manifest["pixel_mm"].iloc[0])))
     settings = StudySettings(
@@ -117,7 +118,8 @@ def _baselines(
     with execution.timer.stage("templates"):
         templates = standard_templates()
     load_pixels = partial(radiograph_pixels, out.absolute())
-    table, names, _ = measured(Run(load_pixels, templates, settings, out, execution), manifest, None)
+    run = Run(load_pixels, templates, settings, out, execution, study_tables())
+    table, names, _ = measured(run, manifest, None)
     usable = table[table["status"] == "found"]
     reason = without_network()
     images = None if reason or usable.empty else _images(usable, load_pixels, region_px, execution)

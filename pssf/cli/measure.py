@@ -128,15 +128,17 @@ def grades(
     from rich.table import Table
 
     from ..core.progress import waiting
+    from ..data.landmarks import landmark_reference
     from ..io.atomic import folder
     from ..io.results import save_table
+    from ..model.draw import draw_laws
     from ..study import require_extra
 
     require_extra()
     from ..study.learn.separability import separability
 
     with waiting("drawing and fitting"):
-        measured = separability(table, knees=knees, seed=seed)
+        measured = separability(draw_laws(table), landmark_reference().gap_alone_auc, knees=knees, seed=seed)
     shown = Table("grades", "known", "how", "knees", "AUC", "95 %", "smaller gap on people's films")
     for row in measured.to_dict("records"):
         people = "" if row["people"] != row["people"] else f"{row['people']:.2f}"

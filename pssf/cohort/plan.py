@@ -9,9 +9,8 @@ import numpy as np
 from msgspec import structs
 
 from ..core.checks import InputError, require_choice, require_seed, require_whole
-from ..data.grades import grade_table
 from ..data.presets import Preset, presets
-from ..model.draw import draw_body, draw_knee
+from ..model.draw import DrawLaws, draw_body, draw_laws, drawn_knee
 from ..model.exposure import draw_exposure
 from ..model.knee import Knee, knee_table
 from ..model.protocol import Protocol, load_protocol, protocol_table
@@ -109,19 +108,21 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
     require_choice("preset", preset, preset_names())
     require_choice("masks", masks, ("none", "tif"))
     require_seed(seed)
+    known = presets()[preset]
     for name in overrides or {}:
-        require_choice("preset entry", name, presets()[preset].__struct_fields__)
-    chosen = structs.replace(presets()[preset], **(overrides or {}))
+        require_choice("preset entry", name, known.__struct_fields__)
+    chosen = structs.replace(known, **(overrides or {}))
     require_choice("exposures", chosen.exposures, ("fixed", "drawn"))
     protocols = [taken for name in chosen.protocols for taken in _variants(load_protocol(name), chosen)]
     names = [protocol.name for protocol in protocols]
     if len(set(names)) < len(names) or not names:
         raise InputError(f"protocols = {', '.join(names) or 'none'}; allowed: one or more, each once")
     cases = []
-    most = max(grade_table(chosen.grades).grades)
+    laws = draw_laws(chosen.grades)
+    most = max(laws.grades.grades)
     require_whole("knees: grades", len(chosen.knees), 1, most + 1, "")
     for index, (subject, grade, side) in enumerate(_people(chosen.knees, chosen.bilateral)):
-        cases.append(_case(_Place(seed, index, subject, grade, side), protocols, chosen))
+        cases.append(_case(_Place(seed, index, subject, grade, side), protocols, chosen, laws))
     require_whole("retested", chosen.retested, 0, 100_000, "knees")
     return Plan(
         preset=preset, seed=seed, repeats=chosen.repeats, cases=tuple(cases), retested=chosen.retested, masks=masks
@@ -250,13 +251,13 @@ class _Place(NamedTuple):
     side: str | None
 
 
-def _case(place: _Place, protocols: list[Protocol], preset: Preset) -> Case:
+def _case(place: _Place, protocols: list[Protocol], preset: Preset, laws: DrawLaws) -> Case:
     seed, number, subject, grade, side = place
-    fixed = dict(_body(seed, subject, grade, preset.grades))
+    fixed = dict(_body(seed, subject, grade, laws))
     if side is not None:
         fixed["side"] = side
     shape = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, _SHAPE)))
-    knee = draw_knee(grade=grade, rng=shape, table=preset.grades, **fixed)
+    knee = drawn_knee(laws, grade=grade, rng=shape, **fixed)
     exposures = []
     for turn, protocol in enumerate(protocols):
         state = np.random.SeedSequence(seed, spawn_key=(number, _NOISE, turn)).generate_state(1, np.uint64)
@@ -269,7 +270,7 @@ def _case(place: _Place, protocols: list[Protocol], preset: Preset) -> Case:
 
 
 @lru_cache(maxsize=1)  # the other knee of a subject comes next
-def _body(seed: int, subject: int, grade: int, table: str) -> Mapping[str, Any]:
+def _body(seed: int, subject: int, grade: int, laws: DrawLaws) -> Mapping[str, Any]:
     """The fields that the knees of a subject share, drawn from a stream of the subject's own."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_BODY, subject)))
-    return draw_body(grade=grade, rng=rng, table=table)
+    return draw_body(laws, grade=grade, rng=rng)

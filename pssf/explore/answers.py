@@ -78,8 +78,8 @@ def _figures(made: Exposed) -> Header:
     seen = bool(limb.any())
     total = primary if scatter is None else primary + scatter
     return {
-        "exposure_index": exposure_index(total[limb], protocol) if seen else None,
-        "entrance_kerma_ugy": entrance_kerma_ugy(protocol),
+        "exposure_index": exposure_index(total[limb], made.technique) if seen else None,
+        "entrance_kerma_ugy": entrance_kerma_ugy(made.technique),
         "spr_limb": _ratio(scatter, primary, limb) if seen else None,
         "spr_joint": _ratio(scatter, primary, _joint(made, step, primary.shape)),
     }

@@ -18,7 +18,7 @@ from ..model.protocol import Protocol
 from ..model.radiograph import Truth
 from ..raycast import Paths, trace
 from ..stages import STAGES, Chain, LatentImage, Stage, stages_of
-from ..xray.technique import technique_of
+from ..xray.technique import Technique, technique_of
 
 # One engine, whose bytes the lines of Python give again.
 ENGINE = "scanline"
@@ -59,17 +59,22 @@ class Traced:
 class Exposed:
     """What a request made.
 
-    protocol  with the beam fitted to the knee
-    rays      that were traced for it; 0 where path lengths were kept
-    seconds   of the stages that were run
+    technique  of the protocol with the beam fitted to the knee
+    rays       that were traced for it; 0 where path lengths were kept
+    seconds    of the stages that were run
     """
 
     built: BuiltKnee
     traced: Traced
-    protocol: Protocol
+    technique: Technique
     image: LatentImage
     rays: int
     seconds: dict[str, float]
+
+    @property
+    def protocol(self) -> Protocol:
+        """That the radiograph was taken by."""
+        return self.technique.protocol
 
     @property
     def truth(self) -> Truth:
@@ -117,12 +122,12 @@ class Warm:
         """
         clock = Timer()
         built = self.built(knee, protocol)
-        protocol = built.aimed(protocol)
+        technique = technique_of(built.aimed(protocol))
         clock.lap("anatomy")
-        traced, rays = self._paths(built, protocol)
+        traced, rays = self._paths(built, technique.protocol)
         clock.lap("rays")
-        image = self._developed(built, traced, protocol, seed, clock)
-        return Exposed(built=built, traced=traced, protocol=protocol, image=image, rays=rays, seconds=clock.seconds)
+        image = self._developed(built, traced, technique, seed, clock)
+        return Exposed(built=built, traced=traced, technique=technique, image=image, rays=rays, seconds=clock.seconds)
 
     def _paths(self, built: BuiltKnee, protocol: Protocol) -> tuple[Traced, int]:
         """Path lengths, and how many rays were traced for them now."""
@@ -137,9 +142,11 @@ class Warm:
         return self._traced[key], rays
 
     @one_blas_thread()
-    def _developed(self, built: BuiltKnee, traced: Traced, protocol: Protocol, seed: int, clock: Timer) -> LatentImage:
-        chain = Chain(technique=technique_of(protocol), engine=ENGINE, seed=seed, workers=self._workers)
-        stages = stages_of(protocol)
+    def _developed(
+        self, built: BuiltKnee, traced: Traced, technique: Technique, seed: int, clock: Timer
+    ) -> LatentImage:
+        chain = Chain(technique=technique, engine=ENGINE, seed=seed, workers=self._workers)
+        protocol, stages = technique.protocol, stages_of(technique.protocol)
         done = _unchanged(traced, protocol, seed, stages)
         kept = traced.images[:done]
         # What was kept of other values is gone before the work, which may be given up half-way.

@@ -1,11 +1,12 @@
 """draw_knee, draw_pair: a grade and chance -> a knee, or both of a person, by a table of grades."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ..core.checks import from_table, require_choice, require_generator, require_whole
-from ..data.fields import field_laws
+from ..data.fields import FieldLaw, field_laws
 from ..data.grades import RangeGrades, SeverityGrades, grade_table
 from ..data.limbs import Limbs, limbs
 from ..data.records import Pair
@@ -23,6 +24,38 @@ _BODY_FIELDS = (
 )  # fmt: skip
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DrawLaws:
+    """What knees are drawn by.
+
+    grades   table of grades
+    modes    of the bones' shape, how many
+    limbs    what BMI gives a limb
+    bmi      what it may be
+    density  mean and deviation of `Knee.bone_density`
+    """
+
+    grades: RangeGrades | SeverityGrades
+    modes: int
+    limbs: Limbs
+    bmi: FieldLaw
+    density: Pair
+
+
+def draw_laws(table: str) -> DrawLaws:
+    """The laws of a table of grades, by its name or path, and of what is drawn alike in all.
+
+    raises  InputError for an unknown table
+    """
+    return DrawLaws(
+        grades=grade_table(table),
+        modes=len(shape_table().modes),
+        limbs=limbs(),
+        bmi=field_laws("knee")["bmi"],
+        density=trabecular_bone().person.density,
+    )
+
+
 def draw_knee(*, grade: int, rng: np.random.Generator, table: str = "paper", **fixed: Any) -> Knee:
     """A knee of a KL grade with parameters drawn by a table of grades.
 
@@ -33,7 +66,12 @@ def draw_knee(*, grade: int, rng: np.random.Generator, table: str = "paper", **f
            with sex, and for limb and fat, which go with BMI
     raises InputError for an unknown grade, table or field, or a rng that is none
     """
-    law = grade_table(table)
+    return drawn_knee(draw_laws(table), grade=grade, rng=rng, **fixed)
+
+
+def drawn_knee(laws: DrawLaws, *, grade: int, rng: np.random.Generator, **fixed: Any) -> Knee:
+    """`draw_knee` by laws that are known."""
+    law = laws.grades
     require_whole("grade", grade, min(law.grades), max(law.grades), "")
     require_generator(rng)
     men = 0.5 if isinstance(law, RangeGrades) else 1 - law.rest.women[grade]
@@ -50,7 +88,7 @@ def draw_knee(*, grade: int, rng: np.random.Generator, table: str = "paper", **f
         drawn[name] = _uniform(rng, bounds)
     drawn["texture_seed"] = int(rng.spawn(1)[0].integers(2**63))
     # From children of their own, so that all else is drawn as it would be without.
-    drawn |= _draw_form(rng.spawn(1)[0], law, sex, len(shape_table().modes))
+    drawn |= _draw_form(rng.spawn(1)[0], law, sex, laws.modes)
     if isinstance(law, SeverityGrades):
         drawn |= severity_fields(law, int(grade), sex, drawn["bone_scale"], rng.spawn(1)[0])
         # A leg in varus leans as much more, which keeps its joint line level.
@@ -59,23 +97,22 @@ def draw_knee(*, grade: int, rng: np.random.Generator, table: str = "paper", **f
     elif ranges is not None:
         drawn["osteophytes"] = _draw_osteophytes(rng, ranges.osteophyte_count, ranges.largest_osteophyte_mm)
     more = law.rest.bmi_more[grade] if isinstance(law, SeverityGrades) else 0.0
-    of_limbs = limbs()
-    bmi = fixed.get("bmi", round(_normal(rng.spawn(1)[0], of_limbs.bmi, sex) + more, 4))
-    field_laws("knee")["bmi"].check("bmi", bmi)
-    drawn |= _limb(bmi, sex, drawn, of_limbs)
-    drawn["bone_density"] = _normal(rng.spawn(1)[0], trabecular_bone().person.density, sex)
+    bmi = fixed.get("bmi", round(_normal(rng.spawn(1)[0], laws.limbs.bmi, sex) + more, 4))
+    laws.bmi.check("bmi", bmi)
+    drawn |= _limb(bmi, sex, drawn, laws.limbs)
+    drawn["bone_density"] = _normal(rng.spawn(1)[0], laws.density, sex)
     return from_table(Knee, {**drawn, **fixed}, "draw_knee")
 
 
-def draw_knees(count: int, seed: int, table: str, **fixed: Any) -> list[Knee]:
-    """Knees by a table of grades, which take turns; knee k is the same in any number.
+def draw_knees(laws: DrawLaws, count: int, seed: int, **fixed: Any) -> list[Knee]:
+    """Knees of all grades, which take turns; knee k is the same in any number.
 
-    Arguments as in `draw_knee`.
+    fixed  as in `draw_knee`
     """
-    grades = grade_table(table).grades
+    grades = laws.grades.grades
     streams = (np.random.SeedSequence(seed, spawn_key=(index,)) for index in range(count))
     return [
-        draw_knee(grade=grades[index % len(grades)], rng=np.random.default_rng(stream), table=table, **fixed)
+        drawn_knee(laws, grade=grades[index % len(grades)], rng=np.random.default_rng(stream), **fixed)
         for index, stream in enumerate(streams)
     ]
 
@@ -86,18 +123,19 @@ def draw_pair(*, grade: int, rng: np.random.Generator, table: str = "paper", **f
     Arguments as in `draw_knee`, but for the side.
     """
     require_generator(rng)
+    laws = draw_laws(table)
     of_body, *of_knees = rng.spawn(3)
-    shared = fixed | draw_body(grade=grade, rng=of_body, table=table, **fixed)
+    shared = fixed | draw_body(laws, grade=grade, rng=of_body, **fixed)
     right, left = (
-        draw_knee(grade=grade, rng=of_knee, table=table, **shared, side=side)
+        drawn_knee(laws, grade=grade, rng=of_knee, **shared, side=side)
         for of_knee, side in zip(of_knees, ("right", "left"), strict=True)
     )
     return right, left
 
 
-def draw_body(*, grade: int, rng: np.random.Generator, table: str, **fixed: Any) -> dict[str, Any]:
-    """The fields that the two knees of a person share, by name; arguments as in `draw_knee`."""
-    body = draw_knee(grade=grade, rng=rng, table=table, **fixed)
+def draw_body(laws: DrawLaws, *, grade: int, rng: np.random.Generator, **fixed: Any) -> dict[str, Any]:
+    """The fields that the two knees of a person share, by name; arguments as in `drawn_knee`."""
+    body = drawn_knee(laws, grade=grade, rng=rng, **fixed)
     return {name: getattr(body, name) for name in _BODY_FIELDS}
 
 

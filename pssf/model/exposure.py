@@ -31,7 +31,7 @@ def draw_exposure(protocol: Protocol, *, rng: np.random.Generator, side: str | N
         raise InputError(f"protocol = {protocol!r}; allowed: a Protocol, as load_protocol gives it")
     require_generator(rng)
     require_choice("side", side, (*MARKERS, None))
-    table = exposures()
+    table, laws = exposures(), field_laws("protocol")
     # All are drawn, so that one more field of use leaves the others as they were.
     drawn = {name: float(_normal(rng)) * sd for name, sd in (table.spread | table.factor).items()}
     width, height = (float(rng.uniform(*pair)) for pair in (table.field.width_mm, table.field.height_mm))
@@ -41,7 +41,6 @@ def draw_exposure(protocol: Protocol, *, rng: np.random.Generator, side: str | N
     if protocol.flexion_deg == 0:
         values |= {name: getattr(protocol, name) for name in _OF_BENT}
     values["sod_mm"] = values["sdd_mm"] - (protocol.sdd_mm - protocol.sod_mm)
-    laws = field_laws("protocol")
     within = {name: _within(value, laws[name]) for name, value in values.items()}
     letter = MARKERS[side] if marked and side is not None else "none"
     field: dict[str, Any] = {"field_width_mm": round(width, 1), "field_height_mm": round(height, 1), "marker": letter}

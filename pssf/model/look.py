@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 
 from ..core.checks import require_generator
-from ..data.looks import Processed, looks
+from ..data.looks import Looks, Processed, looks
 
 _CUT_SD = 2.0
 
@@ -15,8 +15,13 @@ def draw_look(*, rng: np.random.Generator) -> Processed:
     By how much is in `data/looks.toml`, with its source.
     raises  InputError for what is no generator
     """
+    return drawn_look(looks(), rng=rng)
+
+
+def drawn_look(known: Looks, *, rng: np.random.Generator) -> Processed:
+    """`draw_look` by a table that is known."""
     require_generator(rng)
-    spread = looks().spread
+    spread = known.spread
     scores = np.clip(rng.standard_normal(5), -_CUT_SD, _CUT_SD)
     laws = (spread.latitude_gain, spread.edge_gain, spread.dark, spread.bright, spread.bend)
     latitude, edge, dark, bright, bend = (
@@ -24,7 +29,7 @@ def draw_look(*, rng: np.random.Generator) -> Processed:
         for law, score in zip(laws, scores, strict=True)
     )
     return msgspec.structs.replace(
-        looks().processed,
+        known.processed,
         latitude_gain=latitude,
         edge_gain=round(float(np.exp(edge)), 4),
         edge_mm=spread.edge_mm,

@@ -33,7 +33,7 @@ def progress(knee: Knee, years: float, rng: np.random.Generator) -> Knee:
         raise InputError(f"knee = {knee!r}; allowed: a Knee")
     require_generator(rng)
     require("years", years, 0, _MOST_YEARS, "years")
-    law, cuts = progress_law(), oarsi_cuts()
+    law, cuts, of_varus = progress_law(), oarsi_cuts(), field_laws("knee")["varus_deg"]
     stage = _stage(knee, law.step, cuts)
     lost_already = {side: _lost(knee, side, cuts) for side in _SIDES}
     course = _draw_course(law, knee, stage if knee.grade is None else knee.grade, lost_already, rng)
@@ -49,7 +49,7 @@ def progress(knee: Knee, years: float, rng: np.random.Generator) -> Knee:
         **spaces,
         osteophytes=_grown(knee, years, course, law),
         subchondral_plate=round(max(knee.subchondral_plate, min(law.most_plate, _plate(knee, years, course))), 4),
-        varus_deg=_held(varus_deg, field_laws("knee")["varus_deg"]),
+        varus_deg=_held(varus_deg, of_varus),
         age_years=round(knee.age_years + years, 4),
     )
     if knee.grade is None:

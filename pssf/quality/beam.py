@@ -1,7 +1,5 @@
 """The beam: half-value layers, mean energy, air kerma, photons; by xraylib alone, apart from SpekPy's own figures."""
 
-from dataclasses import replace
-
 import numpy as np
 import xraylib
 from scipy.optimize import brentq
@@ -11,7 +9,7 @@ from ..geometry.view import magnification, view_of
 from ..model.protocol import Protocol
 from ..xray.materials import Material
 from ..xray.spectrum import beam_of, tube_spectrum
-from ..xray.technique import technique_of
+from ..xray.technique import Technique
 
 _JOULE_PER_KEV = 1.602176634e-16
 _ELECTRON_KEV = 510.99895
@@ -67,10 +65,9 @@ def half_value_layers_mm_al(air: Material, energies_kev: Array, photons_per_mm2:
     return first, layer(0.25) - first
 
 
-def beam_quantities(protocol: Protocol) -> dict[str, float]:
+def beam_quantities(technique: Technique) -> dict[str, float]:
     """Figures of a protocol's open beam; distances are in vacuum, 1 m of air takes 4 % of the kerma (SpekPy, 70 kV)."""
-    technique = technique_of(protocol)
-    air = technique.material("air")
+    protocol, air = technique.protocol, technique.material("air")
     if protocol.mono_kev is not None:
         beam = beam_of(technique)
         energies, photons = beam.energies_kev, beam.photons_per_mm2 / max(protocol.mas, 1e-12)
@@ -94,11 +91,10 @@ def beam_quantities(protocol: Protocol) -> dict[str, float]:
     }
 
 
-def entrance_kerma_ugy(protocol: Protocol) -> float:
+def entrance_kerma_ugy(technique: Technique) -> float:
     """Air kerma of a protocol's open beam where it enters the limb, without what is scattered back; uGy."""
-    technique = technique_of(replace(protocol, mas=1.0))
-    beam, air = beam_of(technique), technique.material("air")
-    return _at_skin_ugy(air_kerma_ugy(air, beam.energies_kev, beam.photons_per_mm2), protocol)
+    beam, air = beam_of(technique.taken(mas=1.0)), technique.material("air")
+    return _at_skin_ugy(air_kerma_ugy(air, beam.energies_kev, beam.photons_per_mm2), technique.protocol)
 
 
 def _at_skin_ugy(air_kerma_ugy_mas_1m: float, protocol: Protocol) -> float:

@@ -11,7 +11,7 @@ from ..model.knee import Knee
 from ..model.protocol import Protocol
 from ..simulation import simulate
 from ..xray.spectrum import beam_of, tube_spectrum
-from ..xray.technique import technique_of
+from ..xray.technique import Technique
 from .beam import air_kerma_ugy
 
 # Half the side of the squares in which signals are read, mm at the detector.
@@ -19,11 +19,12 @@ _HALF_MM = 3.0
 _CELL_MM = 2.4
 
 
-def exposure_quantities(protocol: Protocol) -> tuple[dict[str, float], Array]:
+def exposure_quantities(technique: Technique) -> tuple[dict[str, float], Array]:
     """Figures of one radiograph of the average knee, and its map of scatter over primary.
 
     exposure_index  100 per uGy of air kerma that an RQA5 beam needs for the median signal behind the limb (IEC 62494-1)
     """
+    protocol = technique.protocol
     built = build(Knee(), protocol)
     taken = replace(protocol, noise="none", dead_pixels=0.0)
     radiograph = simulate(built, taken, engine="scanline", keep=("primary", "scatter", "path_mm"))
@@ -38,13 +39,13 @@ def exposure_quantities(protocol: Protocol) -> tuple[dict[str, float], Array]:
     half, below = max(1, round(_HALF_MM / protocol.pixel_mm)), round(12.0 / protocol.pixel_mm)
     joint = (slice(row - half, row + half + 1), slice(col - half, col + half + 1))
     bone = (slice(row + below - half, row + below + half + 1), joint[1])
-    offset = technique_of(protocol).detector.offset_dn
+    offset = technique.detector.offset_dn
     noisy = simulate(built, replace(protocol, dead_pixels=0.0), engine="scanline", seed=1).pixels[bone]
     quiet = radiograph.pixels[bone].astype(np.float64)
     step = cell_px(protocol)
     spr = block_mean(scatter, step) / np.maximum(block_mean(primary, step), 1e-30)
     return {
-        "exposure_index": exposure_index(total[limb], protocol),
+        "exposure_index": exposure_index(total[limb], technique),
         "spr_joint": float(scatter[joint].sum() / primary[joint].sum()),
         "spr_bone": float(scatter[bone].sum() / primary[bone].sum()),
         "spr_limb": float(scatter[limb].sum() / primary[limb].sum()),
@@ -58,19 +59,18 @@ def cell_px(protocol: Protocol) -> int:
     return max(1, round(_CELL_MM / protocol.pixel_mm))
 
 
-def exposure_index(limb_kev: Array, protocol: Protocol) -> float:
+def exposure_index(limb_kev: Array, technique: Technique) -> float:
     """100 per uGy of air kerma that an RQA5 beam needs for the median signal behind the limb (IEC 62494-1).
 
     limb_kev  (pixels,)  signal of the pixels behind the limb, keV a pixel
     """
-    return 100 * float(np.median(limb_kev)) / _kev_per_ugy(protocol)
+    return 100 * float(np.median(limb_kev)) / _kev_per_ugy(technique)
 
 
-def _kev_per_ugy(protocol: Protocol) -> float:
+def _kev_per_ugy(technique: Technique) -> float:
     """Energy absorbed in a pixel per uGy of an RQA5 beam, 70 kV behind 23.5 mm of aluminium (IEC 61267)."""
-    rqa5 = replace(protocol, tube_kv=70.0, filtration_mm_al=23.5, anode_angle_deg=12.0, mono_kev=None, mas=1.0)
-    technique = technique_of(rqa5)
-    beam = beam_of(technique)
+    rqa5 = technique.taken(tube_kv=70.0, filtration_mm_al=23.5, anode_angle_deg=12.0, mono_kev=None, mas=1.0)
+    beam = beam_of(rqa5)
     energies, photons = tube_spectrum(70.0, 12.0, 23.5)
     signal = float((beam.photons_per_mm2 * beam.signal_kev).sum())
-    return signal * protocol.pixel_mm**2 / air_kerma_ugy(technique.material("air"), energies, photons)
+    return signal * technique.protocol.pixel_mm**2 / air_kerma_ugy(technique.material("air"), energies, photons)

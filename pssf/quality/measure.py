@@ -9,6 +9,7 @@ import numpy as np
 from ..core.checks import Array
 from ..data.references import References, references
 from ..model.protocol import Protocol
+from ..xray.technique import technique_of
 from .beam import beam_quantities
 from .detector import Curve, dqe, mtf, nnps, noise_moments, photon_transfer
 from .exposure import cell_px, exposure_quantities
@@ -44,13 +45,14 @@ def measure_quality(protocol: Protocol, progress: Callable[[str], None] = lambda
     One knee stands before the middle of the detector also where the protocol takes two.
     """
     protocol = replace(protocol, apart_mm=0.0)
-    radiographed, protocol = protocol, replace(protocol, beam_along="horizontal")
-    values = beam_quantities(protocol)
+    radiographed, technique = technique_of(protocol), technique_of(replace(protocol, beam_along="horizontal"))
+    protocol, held_against = technique.protocol, references()
+    values = beam_quantities(technique)
     progress("detector")
-    sharp, noise = mtf(protocol), nnps(protocol)
+    sharp, noise = mtf(technique), nnps(technique)
     # The standard beam for DQE, at an exposure in the middle of the range.
-    efficiency = dqe(replace(protocol, tube_kv=70.0, filtration_mm_al=23.5, mas=3.0, mono_kev=None))
-    transfer = photon_transfer(protocol)
+    efficiency = dqe(technique.taken(tube_kv=70.0, filtration_mm_al=23.5, mas=3.0, mono_kev=None))
+    transfer = photon_transfer(technique)
     progress("radiograph")
     exposed, spr = exposure_quantities(radiographed)
     values |= exposed
@@ -61,12 +63,11 @@ def measure_quality(protocol: Protocol, progress: Callable[[str], None] = lambda
         "nps_over_model_mean": float(np.mean(noise.measured / noise.model)),
         "variance_over_model_mean": float(np.mean([measured / meant for _, measured, meant in transfer])),
     }
-    held_against = references()
     rows = [_row(name, value, protocol, held_against) for name, value in values.items()]
-    for name, (value, low, high) in noise_moments(protocol).items():
+    for name, (value, low, high) in noise_moments(technique).items():
         bounds = {"reference": "", "low": f"{low:.5g}", "high": f"{high:.5g}", "source": "normal, by the sample count"}
         rows.append({"quantity": name, "value": f"{value:.5g}", **bounds})
-    return Quality(rows, sharp, noise, efficiency, transfer, spr, cell_px(radiographed) * radiographed.pixel_mm)
+    return Quality(rows, sharp, noise, efficiency, transfer, spr, cell_px(protocol) * protocol.pixel_mm)
 
 
 def _worst(curve: Curve, up_to_per_mm: float) -> float:

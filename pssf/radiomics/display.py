@@ -16,12 +16,14 @@ from skimage.exposure import match_histograms
 from ..core.blocks import block_mean
 from ..core.checks import Array, InputError, require, require_whole
 from ..data.code import require_code
+from ..data.localisation import Localisation
 from .backends import default_backend
 from .families import FAMILIES
 from .features import extract
 from .locate import Located, find_joint, locate
 from .patches import LINEAR_MM, Template
 from .table import FOUND, SCORES, How, Job, Measured, Record, measure
+from .tables import RadiomicsTables
 
 # What a tone without a meaning says nothing of; see `as_signal`.
 TONELESS = tuple(family for family in FAMILIES if family != "firstorder")
@@ -79,12 +81,14 @@ def measure_display(
     load_pixels: Callable[[str], Displayed],
     templates: Sequence[Template],
     how: DisplayHow,
+    tables: RadiomicsTables,
     code: Mapping[str, str],
 ) -> Measured:
     """The record of one radiograph as displayed, and the seconds each step took.
 
     Side and pitch are as the job gives them, else as the file does, else as they are found.
 
+    tables  by which the joint is found and features known
     code    of `code_digest` where the run started
     raises  InputError where the code is another here
     """
@@ -94,7 +98,8 @@ def measure_display(
     try:
         film = load_pixels(job.file)
         refused = "no knee"  # in what is so small that no knee can be looked for
-        joint = find_in_display(film.pixels, templates, job.side or film.side, job.pixel_mm or film.pixel_mm)
+        side, pixel_mm = job.side or film.side, job.pixel_mm or film.pixel_mm
+        joint = find_in_display(film.pixels, templates, tables.localisation, side, pixel_mm)
     except InputError:
         nothing: Record = {"radiograph": job.radiograph, "sha256": job.sha256, "status": refused}
         return nothing | dict.fromkeys(FOUND, ""), {"localisation": perf_counter() - began, "features": 0.0}
@@ -104,7 +109,7 @@ def measure_display(
     if region is not None:
         bright = region if joint.polarity == "bone bright" else -region
         signal = as_signal(bright, templates[0], how.pixel_mm)
-        record |= extract(signal, how.pixel_mm, how.bins, how.families, how.backend)
+        record |= extract(signal, how.pixel_mm, tables.tags, how.bins, how.families, how.backend)
     return record, {"localisation": located - began, "features": perf_counter() - located}
 
 
@@ -114,6 +119,7 @@ def measure_linear(
     load_pixels: Callable[[str], NDArray[np.uint16]],
     templates: Sequence[Template],
     how: DisplayHow,
+    tables: RadiomicsTables,
     code: Mapping[str, str],
 ) -> Measured:
     """`table.measure` of a radiograph of any pitch: at the one asked for, pixel by pixel; else brought to it.
@@ -126,17 +132,19 @@ def measure_linear(
     assert job.pixel_mm is not None
     if np.isclose(job.pixel_mm, how.pixel_mm, rtol=1e-6):
         plain = How(region_px=how.region_px, bins=how.bins, families=how.families, backend=how.backend)
-        record, seconds = measure(job, load_pixels=load_pixels, templates=templates, how=plain, code=code)
+        record, seconds = measure(
+            job, load_pixels=load_pixels, templates=templates, how=plain, tables=tables, code=code
+        )
         return record | _said(job), seconds
     began = perf_counter()
     pixels = load_pixels(job.file)
-    joint = find_joint(pixels, templates, side=job.side, pixel_mm=job.pixel_mm, region_px=1)
+    joint = find_joint(pixels, templates, tables.localisation, side=job.side, pixel_mm=job.pixel_mm, region_px=1)
     located = perf_counter()
     region = cut_display(pixels, joint, how.pixel_mm, how.region_px) if joint.status == "found" else None
     record = _record(job, joint, region) | _said(job)
     if region is not None:
         signal = np.clip(np.rint(region), 0, 65535).astype(np.uint16)
-        record |= extract(signal, how.pixel_mm, how.bins, how.families, how.backend)
+        record |= extract(signal, how.pixel_mm, tables.tags, how.bins, how.families, how.backend)
     return record, {"localisation": located - began, "features": perf_counter() - located}
 
 
@@ -153,7 +161,9 @@ def _record(job: Job, joint: Located, region: Array | None) -> Record:
     return record | {"row_px": joint.row, "col_px": joint.col, **{name: getattr(joint, name) for name in SCORES}}
 
 
-def find_in_display(pixels: Array, templates: Sequence[Template], side: str | None, pixel_mm: float | None) -> Located:
+def find_in_display(
+    pixels: Array, templates: Sequence[Template], table: Localisation, side: str | None, pixel_mm: float | None
+) -> Located:
     """`locate` on a display; row, column and pitch are those of its own pixels.
 
     pixels    (rows, cols) share of white, 0 to 1, of either polarity
@@ -162,9 +172,9 @@ def find_in_display(pixels: Array, templates: Sequence[Template], side: str | No
     """
     step = 1 if pixel_mm is None else max(1, int(LINEAR_MM / pixel_mm))
     if step == 1:
-        return locate(pixels, templates, side=side, pixel_mm=pixel_mm)
+        return locate(pixels, templates, table, side=side, pixel_mm=pixel_mm)
     assert pixel_mm is not None
-    joint = locate(block_mean(pixels, step), templates, side=side, pixel_mm=pixel_mm * step)
+    joint = locate(block_mean(pixels, step), templates, table, side=side, pixel_mm=pixel_mm * step)
     values = {name: getattr(joint, name) for name in Located.__dataclass_fields__}
     place = {name: values[name] * step + (step - 1) / 2 for name in ("row", "col")}
     return Located(**values | place | {"pixel_mm": pixel_mm})

@@ -40,7 +40,7 @@ class Pyramid:
         """(rows, cols)  the image `zoom` times as large, without aliases; pixel i lies at (i + 0.5) / zoom - 0.5"""
         level = max(0, int(np.floor(np.log2(1.0 / zoom) + 1e-9)))
         while len(self.levels) <= level and min(self.levels[-1].shape) > 3:
-            self.levels.append(_halved(self.levels[-1]))
+            self.levels.append(_pyramid_down(self.levels[-1]))
         level = min(level, len(self.levels) - 1)
         image, rest = self.levels[level], zoom * 2**level
         shape = [max(1, round(length * zoom)) for length in self.levels[0].shape]
@@ -50,7 +50,8 @@ class Pyramid:
         return ndimage.map_coordinates(soft, np.meshgrid(*places, indexing="ij"), order=1, mode="nearest")
 
 
-def _halved(image: Array) -> Array:
+def _pyramid_down(image: Array) -> Array:
+    """(rows // 2, cols // 2)  means of 2 x 2 pixels; `block_mean` takes twice as long and adds in another order"""
     rows, cols = (length // 2 * 2 for length in image.shape)
     pairs = image[:rows:2, :cols] + image[1:rows:2, :cols]
     return np.asarray((pairs[:, ::2] + pairs[:, 1::2]) / 4.0)

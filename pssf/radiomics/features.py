@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.checks import Array, InputError, require_choice
-from ..data.ibsi import ibsi_tags
 from .backends import default_backend, require_backend
 from .bone import bone_mask
 from .families import FAMILIES, TEXTURES
+from .ibsi import Tags
 
 # A shift and scale of the grey values leaves these as they are, so on the z-scored image they would be named twice; and
 # Entropy and Uniformity would moreover hang on the last bit of the z-score, where a grey value meets the edge of a bin.
@@ -47,6 +47,7 @@ class Measures(Protocol):
 def extract(
     region: NDArray[np.generic],
     pixel_mm: float,
+    tags: Tags,
     bins: int = 64,
     families: Collection[str] = FAMILIES,
     backend: str | None = None,
@@ -58,6 +59,7 @@ def extract(
     from their minimum to their maximum, which no gain or offset changes.
 
     region   (size, size) whole numbers, linear, DN
+    tags     of `data.ibsi.ibsi_tags`, by which MIRP's features are known
     bins     a power of two keeps the edges of the bins exact
     families of FAMILIES; one that is not asked for costs nothing
     backend  of BACKENDS; None: the first that is installed
@@ -67,7 +69,7 @@ def extract(
         raise InputError(f"region of {region.dtype}; allowed: integers, since bins of floats hang on their last bit")
     for name in families:
         require_choice("family", name, FAMILIES)
-    by = measures(default_backend() if backend is None else backend)
+    by = measures(default_backend() if backend is None else backend, tags)
     values: dict[str, float] = {}
     if "firstorder" in families:
         values |= _named("firstorder_linear", by.first_order(region, pixel_mm, bins))
@@ -80,16 +82,17 @@ def extract(
     return values
 
 
-def measures(backend: str) -> Measures:
+def measures(backend: str, tags: Tags) -> Measures:
     """What measures, by the name of its backend.
 
+    tags    of `data.ibsi.ibsi_tags`
     raises  InputError for one that is not there
     """
     require_backend(backend)
     if backend == "mirp":
         from .by_mirp import Mirp
 
-        return Mirp(ibsi_tags())
+        return Mirp(tags)
     from . import by_pyradiomics
 
     return by_pyradiomics

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ..core.blocks import block_mean
 from ..core.checks import Array, InputError, require, require_choice
-from ..data.localisation import Localisation, localisation
+from ..data.localisation import Localisation
 from .candidates import Candidates, Pair, evidence
 from .edges import Pyramid
 from .patches import LINEAR_MM, SIDES, WAYS, Template, density_of, poses
@@ -76,6 +76,7 @@ class Located:
 def find_joint(
     pixels: NDArray[np.integer | np.floating],
     templates: Sequence[Template],
+    table: Localisation,
     *,
     side: str,
     pixel_mm: float,
@@ -87,7 +88,7 @@ def find_joint(
     raises  InputError as `locate`
     """
     step = max(1, int(LINEAR_MM / pixel_mm))
-    joint = locate(density_of(block_mean(pixels, step)), templates, side=side, pixel_mm=pixel_mm * step)
+    joint = locate(density_of(block_mean(pixels, step)), templates, table, side=side, pixel_mm=pixel_mm * step)
     row, col = (at * step + (step - 1) / 2 for at in (joint.row, joint.col))
     status = joint.status
     if status == "found" and not region_fits(pixels.shape, row, col, region_px):
@@ -98,6 +99,7 @@ def find_joint(
 def locate(
     density: Array,
     templates: Sequence[Template],
+    table: Localisation,
     *,
     side: str | None = None,
     pixel_mm: float | None = None,
@@ -114,6 +116,7 @@ def locate(
     density    (rows, cols) bone bright, any unit that is monotone: minus the logarithm of a signal, or a film as
                displayed; row 0 proximal, and a right knee's fibula on the left
     templates  standard knees: the first and the last are looked for whole, all in the medial compartment
+    table      by which it is looked for, and refused
     side       right | left; None where it is not known
     pixel_mm   pitch at the film; None where it is not known, and it is estimated
     region_px  side of the region that must fit into the image around the joint line
@@ -124,7 +127,7 @@ def locate(
         require_choice("side", side, SIDES)
     if not templates:
         raise InputError("templates = none; allowed: one or more")
-    table, image = localisation(), Pyramid(density)
+    image = Pyramid(density)
     whole = poses(tuple(dict.fromkeys((templates[0], templates[-1]))), table.wide)
     units = _units(density.shape, templates[0], pixel_mm, table)
     matched = list(matches(image, units, whole, table.wide, table.search.least_seen))

@@ -21,6 +21,7 @@ from .features import extract
 from .locate import find_joint
 from .patches import Template
 from .region import cut_region
+from .tables import RadiomicsTables
 
 Record = dict[str, Any]
 Load = Callable[[str], NDArray[np.uint16]]
@@ -66,6 +67,7 @@ def extract_all(
     load_pixels: Callable[[str], Any],
     templates: Sequence[Template],
     how: Any,
+    tables: RadiomicsTables,
     execution: Execution | None = None,
     known: Mapping[str, Record] | None = None,
     save: Callable[[list[Record]], None] = lambda records: None,
@@ -76,6 +78,7 @@ def extract_all(
 
     load_pixels  file -> (rows, cols) integers, or what else `by` takes; picklable for more than one worker
     how          a `How`, or what else `by` takes
+    tables       by which joints are found and features known
     by           what measures one radiograph; None: `measure`
     known        sha256 -> record of an earlier run; used where its settings are the same and nothing in it has changed
     save         is given all records so far, now and then, so that a run that breaks off can go on from there
@@ -102,11 +105,11 @@ def extract_all(
 
     with execution.stage(stage_name, "radiographs", len(jobs)) as stage:
         stage.keep(len(records))
-        shared = {"load_pixels": load_pixels, "templates": templates, "how": how, "code": code_digest(_CODE)}
+        shared = {"load_pixels": load_pixels, "templates": templates, "how": how, "tables": tables}
         ordered_map(
             by or measure,
             [jobs[index] for index in missing],
-            shared=shared,
+            shared=shared | {"code": code_digest(_CODE)},
             workers=execution.workers,
             scheduler=execution.scheduler,
             arrived=arrived,
@@ -117,12 +120,19 @@ def extract_all(
 
 
 def measure(
-    job: Job, *, load_pixels: Load, templates: Sequence[Template], how: How, code: Mapping[str, str]
+    job: Job,
+    *,
+    load_pixels: Load,
+    templates: Sequence[Template],
+    how: How,
+    tables: RadiomicsTables,
+    code: Mapping[str, str],
 ) -> Measured:
     """The record of one radiograph, and the seconds each step took.
 
     A match that is refused has its place and score in the record, and no features.
 
+    tables  by which the joint is found and features known
     code    of `code_digest` where the run started
     raises  InputError where the code is another here
     """
@@ -131,7 +141,9 @@ def measure(
     assert job.pixel_mm is not None
     began = perf_counter()
     pixels = load_pixels(job.file)
-    joint = find_joint(pixels, templates, side=job.side, pixel_mm=job.pixel_mm, region_px=how.region_px)
+    joint = find_joint(
+        pixels, templates, tables.localisation, side=job.side, pixel_mm=job.pixel_mm, region_px=how.region_px
+    )
     located = perf_counter()
     record: Record = {
         "radiograph": job.radiograph,
@@ -143,7 +155,7 @@ def measure(
     }
     if joint.status == "found":
         region = cut_region(pixels, joint.row, joint.col, how.region_px)
-        record |= extract(region, job.pixel_mm, how.bins, how.families, how.backend)
+        record |= extract(region, job.pixel_mm, tables.tags, how.bins, how.families, how.backend)
     return record, {"localisation": located - began, "features": perf_counter() - located}
 
 

@@ -12,9 +12,9 @@ from ..anatomy.small_bones import patella
 from ..anatomy.solids import mesh_of
 from ..core.checks import Array, InputError, require_whole
 from ..core.parallel import ordered_map
-from ..data.anatomy import anatomy_tables
+from ..data.anatomy import AnatomyTables
 from ..geometry.mesh import Mesh
-from ..model.draw import draw_knees
+from ..model.draw import DrawLaws, draw_knees
 from ..model.knee import Knee
 from . import bone_figure
 from .surfaces import MeasuredSurface, Similarity, fit_similarity, measured, surface_distance, trimmed
@@ -74,9 +74,12 @@ class BoneComparison:
     figure: bytes
 
 
-def built_bones(knee: Knee) -> dict[str, Mesh]:
-    """Femur, tibia and patella of a right knee, each in its own frame (mm), osteophytes aside."""
-    build = build_of(replace(knee, osteophytes=()), anatomy_tables())
+def built_bones(knee: Knee, tables: AnatomyTables) -> dict[str, Mesh]:
+    """Femur, tibia and patella of a right knee, each in its own frame (mm), osteophytes aside.
+
+    tables  that bones are made from
+    """
+    build = build_of(replace(knee, osteophytes=()), tables)
     femur, tibia = (mesh_of(bone.outer) for bone in (build.mean_femur, build.mean_tibia))
     return {
         "femur": Mesh(stand_femur(femur.vertices, build), femur.faces),
@@ -85,14 +88,15 @@ def built_bones(knee: Knee) -> dict[str, Mesh]:
     }
 
 
-def drawn_bones(count: int, seed: int, table: str = "people") -> dict[str, list[Mesh]]:
+def drawn_bones(laws: DrawLaws, tables: AnatomyTables, count: int, seed: int) -> dict[str, list[Mesh]]:
     """Bones of drawn knees, osteophytes aside; knee k is the same in any number.
 
-    table   of grades, which take turns
+    laws    that knees are drawn by; their grades take turns
+    tables  that bones are made from
     raises  InputError for a count below 2
     """
     require_whole("knees", count, 2, 100_000, "")
-    knees = [built_bones(knee) for knee in draw_knees(count, seed, table, side="right")]
+    knees = [built_bones(knee, tables) for knee in draw_knees(laws, count, seed, side="right")]
     return {name: [knee[name] for knee in knees] for name in BONES}
 
 

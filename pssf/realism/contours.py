@@ -4,23 +4,23 @@ Everything is in the frame of `data/landmarks.toml`: x from the lateral to the m
 y = 0, in shares of the plateau's width. Only gaps and width are in millimetres on the film.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ..anatomy.joint import assemble, defining_protocol
+from ..anatomy.joint import assemble
 from ..anatomy.landmarks import CONTOUR_LANDMARKS, contour_landmarks
 from ..anatomy.wear import outer_bones
-from ..core.checks import Array, InputError, require_whole
+from ..core.checks import Array, InputError
 from ..core.parallel import ordered_map
-from ..data.anatomy import AnatomyTables, anatomy_tables
+from ..data.anatomy import AnatomyTables
 from ..data.landmarks import GradeContours, LandmarkReference
 from ..data.records import Pair
 from ..geometry.view import view_of
-from ..model.draw import draw_knees
 from ..model.knee import Knee
-from ..model.protocol import Protocol, load_protocol
+from ..model.protocol import Protocol
 from . import contour_figure
 
 Row = dict[str, Any]
@@ -66,21 +66,14 @@ class ContourComparison:
 
 
 def drawn_landmarks(
-    count: int,
-    seed: int,
-    protocol: Protocol | None = None,
-    workers: int = 1,
-    table: str = "people",
+    knees: Sequence[Knee], protocol: Protocol, tables: AnatomyTables, defined_under: Protocol, workers: int = 1
 ) -> LandmarkSample:
-    """Landmarks of drawn knees under a protocol (None: `reference`); knee k is as in any count.
+    """Landmarks of right knees under a protocol.
 
-    table  of grades, which take turns
+    tables         that bones are made from
+    defined_under  the protocol of `defining_protocol`
     """
-    require_whole("knees", count, 1, 100_000, "")
-    # Labels of a left knee mirror those of a right one. Readers took people's joint spaces.
-    knees = draw_knees(count, seed, table, side="right", jsw_as="read")
-    shared = {"protocol": protocol or load_protocol("reference"), "tables": anatomy_tables()}
-    shared["defined_under"] = defining_protocol(knees[0])
+    shared = {"protocol": protocol, "tables": tables, "defined_under": defined_under}
     places = ordered_map(_landmarks_of, knees, shared=shared, workers=workers)
     return LandmarkSample(places_mm=np.array(places), grades=np.array([knee.grade for knee in knees]))
 

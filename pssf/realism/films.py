@@ -5,7 +5,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -15,6 +15,8 @@ from ..core.execution import Execution
 from ..core.parallel import ordered_map
 from ..core.timer import seldom
 from ..data.code import code_digest, require_code
+from ..data.localisation import Localisation
+from ..data.looks import Looks
 from ..io.films import Film, read_film
 from ..radiomics.locate import locate
 from ..radiomics.patches import Template
@@ -38,6 +40,13 @@ _ZOOMS = (0.8, 0.9, 1.0)
 _RESIZED = 1.25
 
 
+class FilmTables(NamedTuple):
+    """By what joints are looked for on films, and what simulated films are shown with."""
+
+    localisation: Localisation
+    looks: Looks
+
+
 @dataclass(frozen=True, kw_only=True)
 class Source:
     """Films of one origin.
@@ -55,6 +64,7 @@ class Source:
 def measure_films(
     source: Source,
     templates: Sequence[Template],
+    table: Localisation,
     execution: Execution,
     *,
     known: Mapping[str, Record],
@@ -62,6 +72,7 @@ def measure_films(
 ) -> list[Record]:
     """One record a film, in their order; those of an earlier run are kept where neither code nor templates changed.
 
+    table  by which the joint is looked for
     known  sha256 -> record
     save   is given all records so far now and then, so that a run that breaks off can go on from there, and at the end
     """
@@ -87,7 +98,7 @@ def measure_films(
         ordered_map(
             measure_film,
             [source.films[index] for index in missing],
-            shared={"folder": source.folder, "templates": templates, "code": code},
+            shared={"folder": source.folder, "templates": templates, "table": table, "code": code},
             workers=execution.workers,
             scheduler=execution.scheduler,
             arrived=arrived,
@@ -103,9 +114,12 @@ def _with_source(records: Sequence[Record | None], source: Source) -> list[Recor
     ]
 
 
-def measure_film(film: Film, *, folder: Path, templates: Sequence[Template], code: Mapping[str, str]) -> Record:
+def measure_film(
+    film: Film, *, folder: Path, templates: Sequence[Template], table: Localisation, code: Mapping[str, str]
+) -> Record:
     """What one film measures: status, place, side, pitch, and group|feature -> value where a joint was found.
 
+    table   by which the joint is looked for
     code    of `code_digest` where the run started
     raises  InputError where the code is another here
     """
@@ -116,7 +130,7 @@ def measure_film(film: Film, *, folder: Path, templates: Sequence[Template], cod
     except InputError as error:
         return {**record, "status": "unreadable", "reason": str(error)}
     side, pixel_mm = film.side or image.side, film.pixel_mm or image.pixel_mm
-    joint = locate(image.pixels, templates, side=side, pixel_mm=pixel_mm)
+    joint = locate(image.pixels, templates, table, side=side, pixel_mm=pixel_mm)
     record |= {
         "status": joint.status, "side": joint.side, "polarity": joint.polarity, "score": joint.score,
         "row_px": joint.row, "col_px": joint.col, "pixel_mm": joint.pixel_mm, "pixel_from": joint.pixel_from,

@@ -9,25 +9,29 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from ..anatomy.joint import defining_protocol
 from ..cohort import Plan, make_cohort, plan_cohort
 from ..core.checks import Array, InputError, require_whole
 from ..core.execution import Execution
-from ..data.grades import grade_table
+from ..data.anatomy import AnatomyTables, anatomy_tables
 from ..data.landmarks import LandmarkReference, landmark_reference
+from ..data.localisation import Localisation, localisation
+from ..data.looks import Looks, looks
 from ..experiment import standard_templates
 from ..io import results
 from ..io.atomic import folder
 from ..io.bones import read_bones
 from ..io.films import Film, list_films, read_film
 from ..io.records import read_manifest
+from ..model.draw import DrawLaws, draw_knees, draw_laws
 from ..model.knee import Knee
-from ..model.look import draw_look
+from ..model.look import drawn_look
 from ..model.protocol import load_protocol
 from ..radiomics.patches import Template
 from ..study.report.page import Picture
 from . import bones, contours
 from .cohort_landmarks import cohort_landmarks
-from .films import Record, Source, measure_films
+from .films import FilmTables, Record, Source, measure_films
 from .films_section import SIMULATED, films_section
 from .forms import compare_forms
 from .page import Row, Section, Table, render
@@ -93,22 +97,29 @@ def measure(
     grades        table that they are drawn by; see `draw_knee`
     raises        InputError for a folder that holds none, a number out of range, a disk that cannot be written
     """
-    count = len(grade_table(grades).grades)
+    laws, tables = draw_laws(grades), anatomy_tables()
+    count = len(laws.grades.grades)
     require_whole("knees", knees, 2 * count, 100_000, "")
     seen_under = load_protocol(protocol)
     given = read_bones(bones_folder) if bones_folder is not None else None
     sources = sources_of(films) if films is not None else ()
     out = folder(Path(out))
     # First, since a folder that holds another cohort is refused then, and not after minutes.
-    of_films = [_films(out, sources, _plan(protocol, knees, grades, count, seed), execution)] if sources else []
+    of_films = []
+    if sources:
+        plan = plan_cohort("quick", seed=seed, overrides=_drawn(protocol, knees, grades, count))
+        of_films = [_films(out, sources, plan, FilmTables(localisation(), looks()), execution)]
     with execution.timer.stage("contours", "knees", knees):
         if cohort is None:
-            sample = contours.drawn_landmarks(knees, seed, seen_under, execution.workers, grades)
+            # Labels of a left knee mirror those of a right one. Readers took people's joint spaces.
+            drawn = draw_knees(laws, knees, seed, side="right", jsw_as="read")
+            by = defining_protocol(drawn[0])
+            sample = contours.drawn_landmarks(drawn, seen_under, tables, by, execution.workers)
         else:
             sample = cohort_landmarks(cohort, seen_under.name)
     sections = [_contours(sample, landmark_reference())]
     if given is not None:
-        sections.append(_bones(given, knees, grades, seed, execution))
+        sections.append(_bones(given, laws, tables, knees, seed, execution))
     sections += of_films
     facts: dict[str, Any] = {"protocol": seen_under.name, "knees": knees, "grades": grades, "seed": seed}
     facts |= {} if cohort is None else {"cohort of the contours": cohort.name, "its radiographs": len(sample.grades)}
@@ -163,10 +174,12 @@ def _contours(sample: contours.LandmarkSample, people: LandmarkReference) -> Sec
     )  # fmt: skip
 
 
-def _bones(given: bones.Bones, knees: int, grades: str, seed: int, execution: Execution) -> Section:
+def _bones(
+    given: bones.Bones, laws: DrawLaws, tables: AnatomyTables, knees: int, seed: int, execution: Execution
+) -> Section:
     with execution.timer.stage("bones", "knees", knees):
-        drawn = bones.drawn_bones(min(knees, 50), seed, grades)
-        built = bones.built_bones(Knee())
+        drawn = bones.drawn_bones(laws, tables, min(knees, 50), seed)
+        built = bones.built_bones(Knee(), tables)
         compared = bones.compare(given, built, drawn, execution.workers)
         forms = compare_forms(given, built, drawn, execution.workers)
     line = "; ".join(f"{row['bone']} {row['what']} {row['rms_mm']:.2f} mm" for row in compared.rows)
@@ -186,20 +199,22 @@ def _bones(given: bones.Bones, knees: int, grades: str, seed: int, execution: Ex
     )  # fmt: skip
 
 
-def _films(out: Path, sources: Sequence[Source], plan: Plan, execution: Execution) -> Section:
+def _films(out: Path, sources: Sequence[Source], plan: Plan, tables: FilmTables, execution: Execution) -> Section:
     with execution.stage("templates", "knees", 1):
         templates = standard_templates("scanline")
-    simulated = _simulated(out / "simulated", plan, execution)
-    records = {source.name: _measured(source, out, templates, execution) for source in sources}
+    simulated = _simulated(out / "simulated", plan, tables.looks, execution)
+    records = {source.name: _measured(source, out, templates, tables.localisation, execution) for source in sources}
     simulated = _as_large(simulated, records)
-    records[SIMULATED] = _measured(simulated, out, templates, execution)
+    records[SIMULATED] = _measured(simulated, out, templates, tables.localisation, execution)
     with execution.stage("models", "parts", 1):
         return films_section(records, partial(_read, {one.name: one for one in (*sources, simulated)}), seed=plan.seed)
 
 
-def _measured(source: Source, out: Path, templates: Sequence[Template], execution: Execution) -> list[Record]:
+def _measured(
+    source: Source, out: Path, templates: Sequence[Template], table: Localisation, execution: Execution
+) -> list[Record]:
     path = out / f"films_{source.name}.csv"
-    return measure_films(source, templates, execution, known=_known(path), save=partial(_save, path))
+    return measure_films(source, templates, table, execution, known=_known(path), save=partial(_save, path))
 
 
 def _as_large(simulated: Source, records: Mapping[str, Sequence[Record]]) -> Source:
@@ -216,14 +231,13 @@ def _as_large(simulated: Source, records: Mapping[str, Sequence[Record]]) -> Sou
     return replace(simulated, films=tuple(replace(film, binned=binned) for film in simulated.films))
 
 
-def _plan(protocol: str, knees: int, grades: str, count: int, seed: int) -> Plan:
-    """A cohort of drawn knees, so many grades alike: takings of a protocol, as people's films are."""
+def _drawn(protocol: str, knees: int, grades: str, count: int) -> dict[str, Any]:
+    """Of a plan of drawn knees, so many grades alike: takings of a protocol, as people's films are."""
     each = [knees // count + (index < knees % count) for index in range(count)]
-    drawn = {"knees": each, "protocols": [protocol], "exposures": "drawn", "grades": grades}
-    return plan_cohort("quick", seed=seed, overrides=drawn)
+    return {"knees": each, "protocols": [protocol], "exposures": "drawn", "grades": grades}
 
 
-def _simulated(where: Path, plan: Plan, execution: Execution) -> Source:
+def _simulated(where: Path, plan: Plan, known: Looks, execution: Execution) -> Source:
     """The cohort as films, each shown as a site of its own shows them."""
     with execution.stage("simulated films", "radiographs", sum(len(case.exposures) for case in plan.cases)) as stage:
         manifest = read_manifest(make_cohort(
@@ -237,7 +251,8 @@ def _simulated(where: Path, plan: Plan, execution: Execution) -> Source:
     columns = ["file", "grade", "subject", "side", "pixel_mm", "sha256"]
     films = []
     for number, row in enumerate(manifest[columns].to_dict("records")):
-        look = draw_look(rng=np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(_LOOKS, number))))
+        chance = np.random.SeedSequence(plan.seed, spawn_key=(_LOOKS, number))
+        look = drawn_look(known, rng=np.random.default_rng(chance))
         films.append(Film(**{**row, "subject": str(row["subject"]), "look": look}))
     return Source(name=SIMULATED, folder=where, films=tuple(films))
 

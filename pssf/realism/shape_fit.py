@@ -15,8 +15,9 @@ import typer
 
 from ..anatomy.shape import knee_form
 from ..core.checks import Array
+from ..data.anatomy import AnatomyTables, anatomy_tables
 from ..data.records import record
-from ..data.shapes import ShapeTable, shape_table, write_displacements
+from ..data.shapes import ShapeTable, write_displacements
 from ..geometry.freeform import Lattice
 from ..geometry.mesh import Mesh
 from ..io.bones import read_bones
@@ -38,15 +39,16 @@ _HEAD = """\
 
 
 def derive(
-    given: Mapping[str, Sequence[Mesh]], workers: int = 1, keep_means: bool = False
+    given: Mapping[str, Sequence[Mesh]], tables: AnatomyTables, workers: int = 1, keep_means: bool = False
 ) -> tuple[MeanFit, Modes, tuple[ModeName, ...]]:
     """Mean lattices and named modes of given bones; bone k of each kind is of knee k.
 
+    tables      that the mean man is made from
     keep_means  the means stay those of the package's own table, from which the modes then go
     raises  InputError where a bone is not given
     """
-    kept = {name: form.mean for name, form in knee_form(shape_table()).bones.items()} if keep_means else None
-    mean = fit_mean(given, workers, kept)
+    kept = {name: form.mean for name, form in knee_form(tables.forms).bones.items()} if keep_means else None
+    mean = fit_mean(given, tables, workers, kept)
     fitted = fit_knees(given, mean, workers)
     names, values = measured_knees(mean, fitted)
     modes, called = name_modes(modes_of(fitted, mean), names, values)
@@ -95,7 +97,7 @@ def main(
     workers: Annotated[int, typer.Option(help="Processes.")] = 1,
 ) -> None:
     """Derive the table of shapes anew from real bones."""
-    mean, modes, names = derive(read_bones(bones), workers, keep_means)
+    mean, modes, names = derive(read_bones(bones), anatomy_tables(), workers, keep_means)
     save_text(out, table_text(mean, modes, names, source, licence))
     for share, total, called in zip(modes.share, np.cumsum(modes.share), names, strict=True):
         print(f"{share:.3f} {total:.3f}  {called.name} ({called.correlation:.2f}; {called.also})")

@@ -24,7 +24,7 @@ def _span(values: Array) -> float:
     return float(np.ptp(values))
 
 
-def _evened(points: Array) -> tuple[Array, Array]:
+def _cell_means(points: Array) -> tuple[Array, Array]:
     """(m,), (m,)  y and z of points (n, 3) averaged over cells in x and y, so that a denser mesh counts no more"""
     cells = np.floor(points[:, :2] / _CELL_MM).astype(np.int64)
     _, number = np.unique(cells, axis=0, return_inverse=True)
@@ -81,8 +81,8 @@ def tibia_measures(points: Array) -> dict[str, float]:
     front = points[_between(z, -50, -34) & (np.abs(x) < 16)]
     return {
         "tibial plateau's depth over width": _span(points[z > -12][:, 1]) / width,
-        "medial plateau's fall backwards": -_slope_deg(*_evened(medial)),
-        "lateral plateau's fall backwards": -_slope_deg(*_evened(lateral)),
+        "medial plateau's fall backwards": -_slope_deg(*_cell_means(medial)),
+        "lateral plateau's fall backwards": -_slope_deg(*_cell_means(lateral)),
         "medial plateau higher than lateral": float(np.median(medial[:, 2]) - np.median(lateral[:, 2])) / width,
         "medial spine's height": float(spines[0]) / width,
         "lateral spine's height": float(spines[1]) / width,

@@ -9,7 +9,7 @@ from scipy import sparse
 from ..anatomy.bone_build import Build
 from ..core.checks import Array, InputError
 from ..core.parallel import ordered_map
-from ..data.anatomy import anatomy_tables
+from ..data.anatomy import AnatomyTables
 from ..geometry.freeform import Lattice, basis_matrix, with_displacements
 from ..geometry.mesh import Mesh
 from .bones import BONES, heights_mm, mean_of
@@ -59,16 +59,20 @@ class Modes:
 
 
 def fit_mean(
-    given: Mapping[str, Sequence[Mesh]], workers: int = 1, kept: Mapping[str, Lattice] | None = None
+    given: Mapping[str, Sequence[Mesh]],
+    tables: AnatomyTables,
+    workers: int = 1,
+    kept: Mapping[str, Lattice] | None = None,
 ) -> MeanFit:
     """The mean man's bones laid onto the mean of given ones.
 
+    tables  that the mean man is made from
     kept    bone -> the lattice that does it already
     raises  InputError where one of femur, tibia and patella is not given
     """
     if missing := [name for name in BONES if not given.get(name)]:
         raise InputError(f"bones: without = {', '.join(missing)}; allowed: femur, tibia and patella of every knee")
-    man = mean_man(anatomy_tables())
+    man = mean_man(tables)
     built = mean_bones(man)
     people = {name: measured(mean_of(given[name], name)) for name in BONES}
     tasks = [(name, bone) for name in BONES for bone in given[name]]

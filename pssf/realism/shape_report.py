@@ -13,6 +13,7 @@ import typer
 
 from ..core.checks import Array
 from ..core.parallel import ordered_map
+from ..data.anatomy import AnatomyTables, anatomy_tables
 from ..geometry.freeform import least_jacobian
 from ..geometry.mesh import Mesh
 from ..io.bones import read_bones
@@ -102,15 +103,16 @@ def by_modes(modes: Modes, scores: Array) -> list[dict[str, Array]]:
     return [{name: displacements(modes, name, one) for name in BONES} for one in scores]
 
 
-def held_out_rows(given: Given, out: Sequence[int], workers: int = 1) -> list[Row]:
+def held_out_rows(given: Given, out: Sequence[int], tables: AnatomyTables, workers: int = 1) -> list[Row]:
     """As `reach_rows`, of knees that had no part in the mean and the modes.
 
-    out  their numbers
+    out     their numbers
+    tables  that the mean man is made from
     """
     knees = range(len(given[BONES[0]]))
     kept = {name: [given[name][k] for k in knees if k not in out] for name in BONES}
     left = {name: [given[name][k] for k in out] for name in BONES}
-    mean = fit_mean(kept, workers)
+    mean = fit_mean(kept, tables, workers)
     modes = modes_of(fit_knees(kept, mean, workers), mean)
     fitted = fit_knees(left, mean, workers)
     rows = reach_rows("left out, own lattice", reached(mean, knees_of(fitted), left, workers))
@@ -166,9 +168,9 @@ def main(
 ) -> None:
     """Measure the lattices: reach, reach of knees left out, spread of drawn knees, folds; and draw the modes."""
     given = read_bones(folder)
-    rng = np.random.default_rng(seed)
+    rng, tables = np.random.default_rng(seed), anatomy_tables()
     knees = len(given["femur"])
-    mean = fit_mean(given, workers)
+    mean = fit_mean(given, tables, workers)
     fitted = fit_knees(given, mean, workers)
     modes, names = name_modes(modes_of(fitted, mean), *measured_knees(mean, fitted))
     save_bytes(out / "modes.png", mode_picture(mean, modes, names))
@@ -181,7 +183,8 @@ def main(
     rows = reach_rows("own lattice", reached(mean, knees_of(fitted), given, workers))
     scores = scores_of(fitted, modes, mean)
     rows += reach_rows(f"scores of {len(names)} modes", reached(mean, by_modes(modes, scores), given, workers))
-    rows += held_out_rows(given, sorted(rng.choice(knees, max(1, knees // 5), replace=False).tolist()), workers)
+    out_of = sorted(rng.choice(knees, max(1, knees // 5), replace=False).tolist())
+    rows += held_out_rows(given, out_of, tables, workers)
     _table(out / "reach.csv", rows)
 
 

@@ -56,6 +56,7 @@ external       films, a cohort                 -> models of the cohort as displa
 
 report/        figures, cost, environment, checklist, and one HTML page with all of it
 
+tables         the package's tables            -> what a study reads of them
 measuring      manifest                        -> regions and features
 segmentation   regions, true masks             -> how the bone that is found agrees with the true one
 questions      manifest, features              -> what only a simulator can ask: ladder, learning and response curves
@@ -147,8 +148,9 @@ def run(
     require_extra()
     from .measuring import Run
     from .pipeline import run_study
+    from .tables import study_tables
 
-    given = Run(load_pixels, templates, settings, out, execution or Execution(), load_masks)
+    given = Run(load_pixels, templates, settings, out, execution or Execution(), study_tables(), load_masks)
     return run_study(given, manifest, retest, films, designed)
 
 
@@ -168,6 +170,8 @@ def measure(
     """
     require_extra()
     from .measuring import Run, measured
+    from .tables import study_tables
 
-    measured(Run(load_pixels, templates, settings, out, execution or Execution()), manifest, retest)
+    given = Run(load_pixels, templates, settings, out, execution or Execution(), study_tables())
+    measured(given, manifest, retest)
     return out / "features.csv"

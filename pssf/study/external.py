@@ -15,13 +15,14 @@ import pandas as pd
 
 from ..core.checks import InputError, require_choice
 from ..core.execution import Execution
-from ..data.localisation import localisation
+from ..data.localisation import Localisation
 from ..io import results
 from ..io.films import Film
 from ..radiomics.compact import compact
 from ..radiomics.display import TONELESS, DisplayHow, find_in_display, measure_display, require_plateau
 from ..radiomics.patches import Template
 from ..radiomics.table import NOT_FEATURES, TEXT, Job, Record, extract_all
+from ..radiomics.tables import RadiomicsTables
 from .films import REGION_MM, FilmSet
 from .learn.modelfile import TrainedOn, pack
 from .learn.refit import Kept, refitted
@@ -65,6 +66,7 @@ class Bench:
     settings: StudySettings
     out: Path
     execution: Execution
+    tables: RadiomicsTables
 
 
 def check_films(films: FilmSet, manifest: pd.DataFrame, settings: StudySettings, templates: Sequence[Template]) -> None:
@@ -91,11 +93,11 @@ def tested_on_films(bench: Bench, films: FilmSet, manifest: pd.DataFrame) -> Ext
     cohort = manifest[manifest["protocol"] == films.protocol]
     pitch_mm = float(cohort["pixel_mm"].iloc[0])
     largest_mm = settings.region_px * pitch_mm
-    reach_mm, law = max(largest_mm, films.region_mm or 0.0), localisation()
+    reach_mm, law = max(largest_mm, films.region_mm or 0.0), bench.tables.localisation
     templates = tuple(compact(template, reach_mm, law) for template in bench.templates)
     bench = replace(bench, templates=templates)
     with bench.execution.timer.stage("pitch and field of the films"):
-        pixel_mm, region_mm = _pitch_and_region_mm(films, templates, pitch_mm, largest_mm)
+        pixel_mm, region_mm = _pitch_and_region_mm(films, templates, law, pitch_mm, largest_mm)
     families = tuple(family for family in settings.families if family in TONELESS)
     how = DisplayHow(
         pixel_mm=pixel_mm,
@@ -139,7 +141,7 @@ def _jobs_of_cohort(cohort: pd.DataFrame) -> list[Job]:
 
 
 def _pitch_and_region_mm(
-    films: FilmSet, templates: Sequence[Template], least_mm: float, largest_mm: float
+    films: FilmSet, templates: Sequence[Template], law: Localisation, least_mm: float, largest_mm: float
 ) -> tuple[float, float]:
     """As they are given, else from some of the films.
 
@@ -152,7 +154,8 @@ def _pitch_and_region_mm(
     for film in films.films[:: max(1, len(films.films) // _SAMPLE)][:_SAMPLE]:
         try:
             image = films.load(film.file)
-            joint = find_in_display(image.pixels, templates, film.side or image.side, film.pixel_mm or image.pixel_mm)
+            side, pixel_mm = film.side or image.side, film.pixel_mm or image.pixel_mm
+            joint = find_in_display(image.pixels, templates, law, side, pixel_mm)
         except InputError:
             continue  # it will be counted as refused
         if joint.status == "found":
@@ -179,6 +182,7 @@ def _measured(bench: Bench, how: DisplayHow, jobs: list[Job], load: Any, what: s
         load_pixels=load,
         templates=bench.templates,
         how=how,
+        tables=bench.tables,
         execution=bench.execution,
         known=known,
         save=lambda records: results.save_table(path, pd.DataFrame(records)),

@@ -17,6 +17,7 @@ from .predictions import joined
 from .settings import StudySettings
 from .statistics.provenance import require_one_of_each
 from .statistics.reliability import REPEATS
+from .tables import StudyTables
 
 _COLUMNS = (
     *("radiograph", "subject", "knee", "side", "grade", "protocol", "file", "sha256"),
@@ -36,6 +37,7 @@ class Run:
     settings: StudySettings
     out: Path
     execution: Execution
+    tables: StudyTables
     load_masks: Callable[[str], Mapping[str, Any]] | None = None
 
 
@@ -117,6 +119,7 @@ def _records(
         jobs,
         load_pixels=run.load_pixels,
         templates=run.templates,
+        tables=run.tables.radiomics,
         how=How(region_px=region_px, bins=settings.bins, families=settings.families, backend=settings.backend),
         execution=run.execution,
         known=known,

@@ -3,13 +3,10 @@
 import platform
 from dataclasses import asdict, replace
 from importlib.metadata import version
-from pathlib import Path
 
 import pandas as pd
 
 from ..core.checks import InputError
-from ..data.localisation import Localisation
-from ..data.localisation import localisation as localisation_law
 from ..io import results
 from ..radiomics.backends import BACKENDS
 from ..radiomics.compact import compact
@@ -39,9 +36,10 @@ from .statistics.degenerate import is_degenerate
 from .statistics.dimensions import dimensions, tuned
 from .statistics.evidence import Tables, tables_of_features, tables_of_models, tables_of_truth
 from .statistics.importance import by_family
-from .statistics.parameters import composition, with_measures
+from .statistics.parameters import composition, morphology, parameters_of, with_measures
 from .statistics.provenance import warnings_of
 from .statistics.reliability import count_stable, protocols_of
+from .tables import laws_of
 
 _PACKAGES = (
     *("pssf", "scikit-learn", "xgboost-cpu", "feature-engine", "scikit-image", "skops"),
@@ -58,7 +56,7 @@ def run_study(
     designed: Designed | None = None,
 ) -> StudyResult:
     """See `pssf.study.run`."""
-    settings, timer = run.settings, run.execution.timer
+    settings, timer, laws = run.settings, run.execution.timer, laws_of(manifest)
     check_manifest(manifest, settings)
     if films is not None:
         check_films(films, manifest, settings, run.templates)
@@ -76,27 +74,28 @@ def run_study(
     with timer.stage("intervals and differences"):
         tables = tables_of_models(outcomes, settings)
     with timer.stage("reliability and figures"):
-        tables = tables_of_features(located, repeated, names, settings) | tables
+        tables = tables_of_features(located, repeated, names, run.tables.radiomics.tags, settings) | tables
+        tables["morphology"] = morphology(parameters_of(manifest), None if laws is None else laws.grades)
         tables |= tables_of_truth(manifest, usable, names, predictions, tables["subjects"], settings)
         pictures = gallery(located, run.load_pixels, settings, predictions, tables)
     with timer.stage("claims"):
         tables |= _of_models(outcomes, usable, predictions, tables, settings)
     tables["segmentation"] = segmentation(repeated, retest, run)
     with timer.stage("models refitted"):
-        models = _models(run, usable, names, manifest, localisation_law())
-    answers = ask(run, manifest, usable, names, tables, designed or Designed())
+        models = _models(run, usable, names, manifest)
+    answers, external = ask(run, manifest, usable, names, tables, designed or Designed(), laws), None
     tables |= answers.tables
     pictures |= answers.pictures()
-    external = None
     if films is not None:
-        external = tested_on_films(Bench(run.templates, settings, run.out, run.execution), films, manifest)
+        bench = Bench(run.templates, settings, run.out, run.execution, run.tables.radiomics)
+        external = tested_on_films(bench, films, manifest)
         tables |= external.tables
         models |= external.models
         pictures |= film_pictures(external, settings)
     findings = _findings(run, located, names, tables, outcomes, pictures, work)
     sections = [*segmentation_section(tables["segmentation"]), *answers.sections]
     findings = replace(findings, models=sorted(models), external=external, sections=sections)
-    return _write(run.out, findings, tables | {"predictions": predictions}, models)
+    return _write(run, findings, tables | {"predictions": predictions}, models)
 
 
 def _of_models(
@@ -112,11 +111,9 @@ def _of_models(
     }
 
 
-def _models(
-    run: Run, usable: pd.DataFrame, names: list[str], manifest: pd.DataFrame, law: Localisation
-) -> dict[str, bytes]:
+def _models(run: Run, usable: pd.DataFrame, names: list[str], manifest: pd.DataFrame) -> dict[str, bytes]:
     """name -> file: fitted to all subjects, under the reference and, where there are more, under all protocols."""
-    settings = run.settings
+    settings, law = run.settings, run.tables.radiomics.localisation
     protocols = protocols_of(usable, settings.reference)
     sets = {settings.reference: protocols[:1]} | ({"all": protocols} if len(protocols) > 1 else {})
     learnt = {protocol.protocol: protocol for protocol in trained_on(manifest)}
@@ -194,9 +191,9 @@ def _findings(
     )
 
 
-def _write(out: Path, findings: Findings, tables: Tables, files: dict[str, bytes]) -> StudyResult:
+def _write(run: Run, findings: Findings, tables: Tables, files: dict[str, bytes]) -> StudyResult:
     """Tables, pictures, models, study.json and the page; of two runs on one cohort and settings only times differ."""
-    pictures = {}
+    out, pictures = run.out, {}
     for name, picture in findings.pictures.items():
         pictures[name] = out / "pictures" / f"{name}.png"
         results.save_bytes(pictures[name], picture.png)
@@ -210,7 +207,7 @@ def _write(out: Path, findings: Findings, tables: Tables, files: dict[str, bytes
     results.save_json(out / "study.json", {name: getattr(findings, name) for name in facts})
     results.save_json(out / "environment.json", environment())
     results.save_text(out / "report.html", render(findings))
-    results.save_json(out / "checklist.json", checklist(out))
+    results.save_json(out / "checklist.json", checklist(out, run.tables.guidelines))
     return StudyResult(
         report=out / "report.html",
         pictures=pictures,

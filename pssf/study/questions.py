@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from ..core.execution import Execution
+from ..model.draw import DrawLaws
 from .design import AXES, Designed
 from .learn.confounders import CLASSES, CONFOUNDERS, confound
 from .learn.ladder import climb, known_of, rungs_of
@@ -28,7 +28,7 @@ from .statistics import breaks, confounders, ladder, learning, responses, space
 from .statistics.claims import LEAST_TESTED
 from .statistics.evidence import Tables
 from .statistics.importance import leading
-from .statistics.parameters import parameters_of, table_of
+from .statistics.parameters import parameters_of
 
 _CEILING_KNEES = 1000  # drawn for the best possible, the grades alike
 _SHARES = (0.2, 0.4, 0.6, 0.8)  # of the subjects to learn from, beside all
@@ -54,6 +54,7 @@ def ask(
     names: list[str],
     tables: Tables,
     designed: Designed,
+    laws: DrawLaws | None,
 ) -> Answers:
     """All that is known enough for.
 
@@ -61,8 +62,9 @@ def ask(
     names     of the features
     tables    of `evidence`: importance, follows
     designed  radiographs taken by design
+    laws      that the knees were drawn by, where that is known
     """
-    parts = [_ladder(manifest, usable, names, run.settings, run.execution)]
+    parts = [_ladder(manifest, usable, names, run, laws)]
     base, most = usable[usable["protocol"] == run.settings.reference], leading(tables["importance"], run.settings)
     parts.append(_confounders(manifest, usable, names, run))
     if designed.curves is not None:
@@ -73,21 +75,20 @@ def ask(
     return Answers(answers, [section for part in parts for section in part.sections])
 
 
-def _ladder(
-    manifest: pd.DataFrame, usable: pd.DataFrame, names: list[str], settings: StudySettings, execution: Execution
-) -> Answers:
+def _ladder(manifest: pd.DataFrame, usable: pd.DataFrame, names: list[str], run: Run, laws: DrawLaws | None) -> Answers:
     """Ladder and learning curves: nothing where the manifest has no joint spaces to hold features against.
 
     Nor of so few tested subjects that nothing could be decided.
     """
+    settings, execution = run.settings, run.execution
     known = known_of(usable, names, parameters_of(manifest), settings)
     if len(rungs_of(known, names)) < 2 or _tested(known, set(known["grade"]), settings) < LEAST_TESTED:
         return Answers({}, [])
     splits = climb(known, names, settings, execution)
     rungs, differences = ladder.rungs(splits), ladder.differences(splits)
-    if table_of(manifest) is not None:
+    if laws is not None:
         with execution.timer.stage("best possible"):
-            drawn = separability(str(manifest["grade_table"].iloc[0]), knees=_CEILING_KNEES, seed=settings.seed)
+            drawn = separability(laws, run.tables.gap_alone_auc, knees=_CEILING_KNEES, seed=settings.seed)
         best = ladder.ceiling(drawn)
         rungs = joined([rungs, best[best["grades"].isin(rungs["grades"])]])
         rungs = rungs.astype(dict.fromkeys(("trained", "test_subjects", "splits", "knees"), "Int64"))

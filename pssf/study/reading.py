@@ -17,6 +17,7 @@ from ..io.pictures import framed
 from ..model.radiograph import Radiograph
 from ..radiomics.display import UNREADABLE, DisplayHow, measure_display, measure_linear, require_plateau
 from ..radiomics.table import Job, Measured, extract_all
+from ..radiomics.tables import RadiomicsTables, radiomics_tables
 from .external import job_of
 from .learn.modelfile import SavedModel, backend_here
 
@@ -62,7 +63,7 @@ def read_films(model: SavedModel, films: Sequence[Film], folder: Path, execution
     shown = [job for job in jobs if job.radiograph not in {one.radiograph for one in linear}]
     if shown:
         require_plateau(model.templates)
-    measured = partial(_measured, model, how, execution)
+    measured = partial(_measured, model, how, radiomics_tables(), execution)
     records = measured(linear, measure_linear, partial(_signal, folder))
     records |= measured(shown, measure_display, partial(_display, folder))
     table = pd.DataFrame([{"status": "", **records[job.radiograph]} for job in jobs])
@@ -95,6 +96,7 @@ def picture(model: SavedModel, row: pd.Series, folder: Path) -> NDArray[np.uint8
 def _measured(
     model: SavedModel,
     how: DisplayHow,
+    tables: RadiomicsTables,
     execution: Execution,
     jobs: list[Job],
     by: Callable[..., Measured],
@@ -105,6 +107,7 @@ def _measured(
         load_pixels=load,
         templates=model.templates,
         how=how,
+        tables=tables,
         execution=execution,
         by=by,
         stage_name="films" if by is measure_display else "linear radiographs",

@@ -1,8 +1,9 @@
 """Technique: a protocol with the records that its names stand for, resolved once and carried through the chain."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 from ..core.checks import InputError
 from ..data.detectors import Detector, detectors
@@ -39,6 +40,18 @@ class Technique:
         raises  InputError for an unknown material
         """
         return material_of(name, self.tissues)
+
+    def taken(self, **changes: Any) -> "Technique":
+        """The same with other values in some fields of the protocol.
+
+        raises  InputError for a value that is out of range, or another detector, whose record would be this one's
+        """
+        protocol = replace(self.protocol, **changes)
+        if protocol.detector != self.protocol.detector:
+            raise InputError(
+                f"detector = {protocol.detector!r}; allowed: {self.protocol.detector!r}, as in technique_of"
+            )
+        return replace(self, protocol=protocol)
 
 
 def technique_of(protocol: Protocol) -> Technique:

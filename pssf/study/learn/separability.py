@@ -18,11 +18,8 @@ from sklearn.preprocessing import StandardScaler
 from threadpoolctl import threadpool_limits
 
 from ...core.checks import Array, require_seed, require_whole
-from ...data.grades import grade_table
-from ...data.landmarks import landmark_reference
 from ...data.records import Triple
-from ...data.shapes import shape_table
-from ...model.draw import draw_knees
+from ...model.draw import DrawLaws, draw_knees
 from ...model.knee import SITES, Knee
 from ..statistics.metrics import auc
 
@@ -36,22 +33,22 @@ _PLAIN = (
 )  # fmt: skip
 
 
-def separability(table: str, *, knees: int = 2000, seed: int = 0) -> pd.DataFrame:
+def separability(laws: DrawLaws, people: Mapping[str, Triple], *, knees: int = 2000, seed: int = 0) -> pd.DataFrame:
     """AUCs of grade 0 against each other grade of a table, of drawn knees, by what is known of them.
 
-    table    of grades, as `draw_knee` takes it
+    laws     that knees are drawn by
+    people   `LandmarkReference.gap_alone_auc`
     knees    that are drawn, the grades alike; knee k is as in any count
     returns  grades, known (smaller space | spaces | all parameters), how (by rank | logistic | boosted trees), knees,
              auc, low, high (Hanley and McNeil 1982, 95 %), people, people_low, people_high: of the smaller gap on
              people's films (NaN elsewhere). Fitted ones are of held-out fifths; a fit of few knees is below the best
-    raises   InputError for fewer than ten knees a grade, or an unknown table
+    raises   InputError for fewer than ten knees a grade
     """
-    grades = grade_table(table).grades
+    grades = laws.grades.grades
     require_whole("knees", knees, 2 * _FOLDS * len(grades), 1_000_000, "")
     require_seed(seed)
-    drawn = draw_knees(knees, seed, table)
-    parameters = parameter_table(drawn, len(shape_table().modes))
-    people = landmark_reference().gap_alone_auc
+    drawn = draw_knees(laws, knees, seed)
+    parameters = parameter_table(drawn, laws.modes)
     of = np.array([knee.grade for knee in drawn])
     first, *others = grades
     rows = []

@@ -1,22 +1,23 @@
 """Items of reporting guidelines that a program can fill, each with its evidence; the rest is left for a human."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ...data.reporting import Guideline, Item, guidelines
+from ...data.reporting import Guideline, Item
 from ...io.evidence import lacking
 
 STATUSES = ("yes", "no", "human", "none")
 
 
-def checklist(out: Path) -> dict[str, Any]:
+def checklist(out: Path, known: Mapping[str, Guideline]) -> dict[str, Any]:
     """What the study in a folder answers of IBSI, METRICS, CLEAR, TRIPOD+AI and CLAIM (`data/reporting.toml`).
 
+    known  name -> guideline, as `data.reporting.guidelines` has them
     An item is answered only if the run's own figures do: all conditions of its evidence hold, see `io.evidence`.
     returns  versions of the guidelines; summary: guideline -> how many of each status; METRICS score, strict: earned
              over applicable weight, items for a human not counted; items: guideline, id, item, status, evidence
     """
-    known = guidelines()
     items = [
         {"guideline": name, "id": item.id, "item": item.item, **_answer(out, item)}
         for name, guideline in known.items()

@@ -2,7 +2,6 @@
 
 import pandas as pd
 
-from ...data.ibsi import ibsi_tags
 from ...radiomics.families import family
 from ...radiomics.ibsi import Tags, departure_of, tag_of
 from ..predictions import ARM, Outcome, joined
@@ -12,7 +11,7 @@ from .calibration import calibration, confusions, reliability_curve
 from .degenerate import is_degenerate
 from .importance import by_feature
 from .intervals import differences, intervals, share_tested
-from .parameters import follows, morphology, parameters_of, table_of
+from .parameters import follows, parameters_of
 from .reliability import reliability, repeatability
 from .scores import score_splits, summarise
 from .subgroups import subgroups
@@ -47,12 +46,13 @@ def tables_of_models(outcomes: list[Outcome], settings: StudySettings) -> Tables
 
 
 def tables_of_features(
-    located: pd.DataFrame, retest: pd.DataFrame, names: list[str], settings: StudySettings
+    located: pd.DataFrame, retest: pd.DataFrame, names: list[str], tags: Tags, settings: StudySettings
 ) -> Tables:
     """localisation, dictionary, reliability (across protocols, and across repeats where there are any).
 
     located  of `localisation.errors`
     retest   radiographs taken again, with a region found: kind, turn, knee, features
+    tags     of `data.ibsi.ibsi_tags`
     """
     usable = located[located["status"] == "found"]
     chance = {"replicates": settings.replicates, "seed": settings.seed}
@@ -62,7 +62,7 @@ def tables_of_features(
         across = joined([across, repeated]) if len(across) else repeated
     return {
         "localisation": localisation.summarise(located),
-        "dictionary": dictionary(usable, names, ibsi_tags()),
+        "dictionary": dictionary(usable, names, tags),
         "reliability": across,
     }
 
@@ -95,13 +95,12 @@ def tables_of_truth(
     subjects: pd.DataFrame,
     settings: StudySettings,
 ) -> Tables:
-    """morphology (what was drawn, by grade), follows (features against what the knees were built with), subgroups.
+    """follows (features against what the knees were built with), subgroups.
 
     subjects  of `tables_of_models`
     """
     parameters = parameters_of(manifest)
     return {
-        "morphology": morphology(parameters, table_of(manifest)),
         "follows": follows(usable, names, parameters, settings.reference),
         "subgroups": subgroups(predictions, parameters, settings, share_tested(subjects)),
     }

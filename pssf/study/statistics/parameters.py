@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 from scipy.stats import rankdata
 
-from ...core.checks import Array, InputError
-from ...data.grades import RangeGrades, SeverityGrades, grade_table
+from ...core.checks import Array
+from ...data.grades import RangeGrades, SeverityGrades
 from .degenerate import is_degenerate
 
 # Column -> what it is; the first six are those that a KL-like grade is drawn by.
@@ -60,18 +60,6 @@ def composition(table: pd.DataFrame) -> pd.DataFrame:
     counts = pd.concat([rows, pd.DataFrame([{**total, "radiographs": len(table)}])], ignore_index=True)
     names = [str(name).replace("_", " ") for name in table["protocol"].unique()]
     return counts.assign(protocols=f"{len(names)} ({', '.join(names)})")
-
-
-def table_of(manifest: pd.DataFrame) -> RangeGrades | SeverityGrades | None:
-    """The table of grades that a cohort was drawn by; None where its manifest does not tell, or that file is gone."""
-    names = set(manifest["grade_table"]) if "grade_table" in manifest else set()
-    if len(names) != 1:
-        return None
-    (name,) = map(str, names)
-    try:
-        return grade_table(name)
-    except InputError:
-        return None
 
 
 def morphology(parameters: pd.DataFrame, table: RangeGrades | SeverityGrades | None) -> pd.DataFrame:
