@@ -255,7 +255,7 @@ def test_limits_of_localisation_lie_between_what_is_right_and_what_is_wrong_on_p
     made += [located("without bones", "no knee", score=both, both=both, way_evidence=-0.1) for both in (0.3, 0.4)]
     made += [located("wrong side", "wrong side", side_evidence=-0.08)]
     made += [located("pitch x 1.5", "wrong scale", scale=1.44), located("pitch x 0.5", "wrong scale", scale=0.2)]
-    monkeypatch.setattr(localisation, "_located", lambda count, workers, modes: made)
+    monkeypatch.setattr(localisation, "_located", lambda count, workers, modes, table: made)
     limits = {row["limit"]: row["simulations"] for row in localisation.limit_rows(2, 1)}
     assert limits == {
         "both": 0.4, "side": 0.08, "way": 0.1, "apart_mm": 1.0,
@@ -270,13 +270,13 @@ def test_limits_of_localisation_lie_between_what_is_right_and_what_is_wrong_on_p
 def test_a_knee_is_located_in_every_case(monkeypatch):
     seen = []
 
-    def find(case, pixels, knee, protocol, templates):
+    def find(case, pixels, knee, protocol, templates, table):
         seen.append((case, pixels.mean()))
         return SimpleNamespace(row=0.0, col=0.0, status="found", **dict.fromkeys(localisation._MEASURES, 0.0))
 
     monkeypatch.setattr(localisation, "_find", find)
     monkeypatch.setattr(localisation, "_SIDE_PX", 64)
-    rows = localisation._of_knee(0, templates=(), modes=0)
+    rows = localisation._of_knee(0, templates=(), modes=0, table=None)
     assert [row["case"] for row in rows] == list(localisation._CASES)
     means = dict(seen)
     assert means["without bones"] > means["right"]

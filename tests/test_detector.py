@@ -117,6 +117,14 @@ def test_dead_pixels_read_nothing_and_stay_where_they_are(small):
         assert ((pixels == 0) == dead).all()
 
 
+def test_a_technique_with_other_values_keeps_its_records_and_takes_no_other_detector():
+    technique = technique_of(pssf.load_protocol("reference"))
+    other = technique.taken(tube_kv=80.0, rows=64)
+    assert other == technique_of(dataclasses.replace(technique.protocol, tube_kv=80.0, rows=64))
+    with pytest.raises(pssf.InputError, match=r"detector = 'gos'; allowed: 'csi'"):
+        technique.taken(detector="gos")
+
+
 @given(a=st.floats(0, 80), b=st.floats(0, 80))
 @settings(max_examples=25)
 def test_two_slabs_attenuate_one_energy_as_the_product_of_each(a, b):

@@ -202,3 +202,20 @@ def test_the_python_of_the_front_page_runs(tmp_path, monkeypatch):
     exec(own, names)
     assert names["again"].pixels.shape == (96, 96)
     assert names["paths"].path_mm["cortical_bone"].max() > 1
+
+
+@pytest.mark.parametrize(
+    ("path", "what"),
+    [
+        ("meshes", "a tissue"),
+        ("meshes", "a table of grades"),
+        ("protocols", "a protocol"),
+        ("protocols", "a detector"),
+        ("protocols", "a view"),
+        ("pssf/study", "a feature family"),
+    ],
+)
+def test_a_short_section_says_how_to_add(path, what):
+    text = (ROOT / path / "README.md").read_text()
+    (section,) = re.findall(rf"^## Adding {what}\n(.*?)(?=^## |\Z)", text, re.DOTALL | re.MULTILINE)
+    assert 40 < len(section.split()) < 250

@@ -47,7 +47,7 @@ def phantoms_for_knees(monkeypatch, tmp_path):
     made = clinic(tmp_path / "drawn")
     (made / "0" / "air9R.png").unlink()
 
-    def simulated(where, plan, execution):
+    def simulated(where, plan, known, execution):
         shutil.copytree(made, where, dirs_exist_ok=True)
         return films.Source(name=run.SIMULATED, folder=where, films=list_films(where))
 
