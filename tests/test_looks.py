@@ -1,13 +1,17 @@
+import dataclasses
+
 import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 import pssf
 from pssf import InputError
+from pssf.data.detectors import detectors
 from pssf.data.looks import looks
+from pssf.detector import rendering
 from pssf.detector.looks import film, processed
 from pssf.detector.pyramid import join, split
 
@@ -116,6 +120,19 @@ def test_each_look_shows_bone_brighter_than_muscle_brighter_than_air():
     for look in ("linear", "processed", "film"):
         shown = pssf.present(pixels, look=look, pixel_mm=0.5)[128, 32::64].astype(int)
         assert (np.diff(shown) > 0).all(), look
+
+
+@pytest.mark.parametrize("look", rendering.LOOKS)
+def test_what_is_read_without_light_is_taken_off_as_the_radiographs_own_detector_has_it(monkeypatch, look):
+    known = detectors()
+    brighter = {**known, "gos": msgspec.structs.replace(known["gos"], offset_dn=known["csi"].offset_dn + 500)}
+    monkeypatch.setattr(rendering, "detectors", lambda: brighter)
+    pixels = limb().astype(np.uint16)
+    shown = pssf.present(pixels, detector="csi", look=look, pixel_mm=0.2)
+    assert_array_equal(pssf.present(pixels + 500, detector="gos", look=look, pixel_mm=0.2), shown)
+    protocol = dataclasses.replace(pssf.load_protocol("reference"), detector="gos", pixel_mm=0.2)
+    radiograph = pssf.Radiograph(pixels=pixels + 500, protocol=protocol, seed=0)
+    assert_array_equal(rendering.for_eyes(radiograph, look=look), shown)
 
 
 def test_an_even_field_is_shown():
