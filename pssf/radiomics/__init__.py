@@ -1,6 +1,7 @@
 """From a radiograph to numbers; needs the extra `study`.
 
 families.family       feature               -> its family, one of FAMILIES
+tables                the package's tables  -> what finding and measuring read, as one record
 locate.find_joint     pixels, templates     -> medial joint line of a radiograph of known side and pitch, or why not
 locate.locate         film, templates       -> the same of any film, with side, way up, polarity and pitch
 search, patches, edges  correlation, what is looked for, and what both are seen as
