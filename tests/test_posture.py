@@ -116,6 +116,16 @@ def test_bending_there_and_back_is_no_change(bent):
     assert_allclose(back.femur_on_tibia(), pose.femur_on_tibia(), atol=0.01)
 
 
+def test_a_bent_femur_turns_outwards_on_the_tibia_most_of_it_in_the_first_thirty_degrees(bent):
+    def out_deg(flexion_deg):
+        across = dataclasses.replace(bent.assembly.pose, flexion_deg=flexion_deg).femur_on_tibia()[:, 0]
+        return -np.rad2deg(np.arctan2(across[1], across[0]))  # to medial goes forwards, so to lateral backwards
+
+    assert out_deg(0.0) == pytest.approx(0.0, abs=1e-9)
+    assert 4.5 < out_deg(22.0) < 10.0
+    assert out_deg(60.0) - out_deg(30.0) < 0.5 * (out_deg(30.0) - out_deg(0.0))
+
+
 def test_labels_of_a_left_knee_mirror_those_of_a_right_one_when_bent(bent):
     left = pssf.build(dataclasses.replace(READ, side="left"), FIXED_FLEXION)
     here, there = bent.truth(FIXED_FLEXION).landmarks_px, left.truth(FIXED_FLEXION).landmarks_px

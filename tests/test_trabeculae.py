@@ -40,7 +40,7 @@ FLAT = dict(
     scar_bvtv=0.0,
 )
 NO_STRUTS = dict(gain=0.0, gain_shaft=0.0)
-EVEN = dict(FLAT, gain=1.0, gain_shaft=1.0)
+EVEN = dict(FLAT, gain=1.0, gain_shaft=1.0, sway_mm=0.0)
 
 
 def bone(name: str = "tibia", **changed) -> Trabeculae:
@@ -301,6 +301,39 @@ def test_what_bone_there_is_more_at_the_plate_is_struts_by_its_share():
     mesh, struts = (region(bone(), plate_struts=share).integrate(*places) for share in (0.0, 1.0))
     assert struts.mean() == pytest.approx(mesh.mean(), rel=0.02)
     assert struts.std() > 1.3 * mesh.std()
+
+
+def test_struts_wave_from_side_to_side_by_no_more_than_is_said_and_neighbours_alike():
+    aside_mm = trabecular_bone().sway.aside_mm
+    straight, swaying = (region(bone(), **EVEN | dict(sway_mm=of)) for of in (0.0, aside_mm))
+    tried = np.linspace(-2.0, 2.0, 81)
+
+    def shift_mm(x_mm, z_mm):
+        """By how much what swaying struts show about a place is shifted from what straight ones do."""
+        x = x_mm + np.linspace(-3.0, 3.0, 61)
+        shown = swaying.integrate(*through(x, z_mm))
+        there = straight.integrate(*through(x[:, None] + tried, z_mm)).reshape(len(x), len(tried))
+        return tried[np.argmax([np.corrcoef(shown, other)[0, 1] for other in there.T])]
+
+    shifts = {(x, z): shift_mm(x, z) for x in (-10.0, -9.0, 12.0) for z in (-10.0, -16.0, -22.0, -28.0)}
+    assert max(map(abs, shifts.values())) < 1.7 * aside_mm
+    assert np.ptp([shifts[-10.0, z] for z in (-10.0, -16.0, -22.0, -28.0)]) > 0.3 * aside_mm
+    assert all(abs(shifts[-10.0, z] - shifts[-9.0, z]) < 0.7 * aside_mm for z in (-10.0, -16.0, -22.0, -28.0))
+
+
+def test_knees_differ_in_how_patchy_their_bone_is():
+    table = trabecular_bone().lattice
+
+    def patchiness(seed):
+        block = struts.lattice(seed, table)[0][:-1, :-1].astype(np.float32)
+        coarse = block.reshape(16, 32, 16, 16, 4, 32).mean(axis=(1, 3, 5))  # some 5, 3 and 16 mm
+        return coarse.std() / block.std()
+
+    found = [patchiness(seed) for seed in range(5)]
+    assert max(found) > 1.1 * min(found)
+    none = msgspec.structs.replace(table, patches=(1e-6, 0.0))
+    block = struts.lattice(0, none)[0][:-1, :-1].astype(np.float32)
+    assert block.reshape(16, 32, 16, 16, 4, 32).mean(axis=(1, 3, 5)).std() / block.std() < min(found)
 
 
 def test_a_bone_of_another_size_has_the_same_regions_further_apart_and_struts_of_the_same_size():

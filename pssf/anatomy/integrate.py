@@ -74,6 +74,13 @@ def _step(x: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _aside(across: float, up: float, region: Region) -> float:
+    """How far struts sway at a place, mm: two waves whose lengths have no common period, leaning to either side."""
+    wave, other = up * region.sway_per_mm + region.sway_phase, across * region.sway_per_mm * region.sway_across
+    return region.sway_mm * (math.sin(wave + other) + 0.6 * math.sin(1.618 * (wave - other)))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _nodes(lanes: Array, region: Region, struts: Struts) -> None:
     """Fill in the far ends of pieces."""
     for n in range(LANES):
@@ -107,7 +114,8 @@ def _nodes(lanes: Array, region: Region, struts: Struts) -> None:
         over = z - region.scar_z - region.scar_slope * x - region.scar_bow_per_mm * x * x
         over -= region.scar_dome_per_mm * back * back
         over -= region.scar_ripple_mm * math.sin(x * region.scar_ripple_per_mm + region.scar_phase)
-        across, up = u * region.scale / region.squat, true_z * region.squat
+        across = (u * region.scale + _aside(u, true_z, region)) / region.squat
+        up = true_z * region.squat
         lanes[_FAR + _A + n] = across * struts.per_mm[0] + struts.shift[0] + _PERIODS
         lanes[_FAR + _B + n] = up * struts.per_mm[1] + struts.shift[1] + _PERIODS
         lanes[_FAR + _C + n] = true_y * struts.per_mm[2] + struts.shift[2] + _PERIODS + _ON_PLANE / 2

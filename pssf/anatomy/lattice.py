@@ -32,8 +32,11 @@ def lattice(seed: int, table: Lattice) -> tuple[Block, float]:
 
 def _made(seed: int, table: Lattice) -> tuple[Block, float]:
     nx, nz, ny = table.voxels
-    amplitude = _amplitude(table)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
+    usual, spread = table.patches
+    share = usual * float(np.exp(spread * np.clip(rng.standard_normal(), -2.0, 2.0)))
+    struts, patches = _powers(table)
+    amplitude = np.sqrt((1 - share) * struts + share * patches, dtype=np.float32)
     waves = rng.standard_normal((nx, nz, 2 * amplitude.shape[2]), np.float32).view(np.complex64)
     # Power is the same at f and -f; negative frequencies come second and in falling order.
     across, up = (np.minimum(np.arange(n), n - np.arange(n)) for n in (nx, nz))
@@ -55,8 +58,10 @@ def _made(seed: int, table: Lattice) -> tuple[Block, float]:
 
 
 @cache
-def _amplitude(table: Lattice) -> NDArray[np.float32]:
-    """(nx / 2 + 1, nz / 2 + 1, waves along y)  of the waves of a field with variance 1, frequencies not negative"""
+def _powers(table: Lattice) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """(nx / 2 + 1, nz / 2 + 1, waves along y) each  of fields of struts and of patches, with variance 1;
+    frequencies not negative
+    """
     steps = (np.fft.rfftfreq(n, d).astype(np.float32) for n, d in zip(table.voxels, table.voxel_mm, strict=True))
     fx, fz, fy = np.meshgrid(*steps, indexing="ij", sparse=True)
     fy = fy[..., : table.waves_y] * np.float32(table.stretch_y)
@@ -67,11 +72,10 @@ def _amplitude(table: Lattice) -> NDArray[np.float32]:
     power = (total + np.float32(table.low_per_mm) ** 2) ** np.float32(table.rise / 2)
     power /= 1 + (total / np.float32(table.high_per_mm) ** 2) ** np.float32(table.steep / 2)
     power *= table.upright * up + table.level * level + table.any
-    # What is dense and what is bare: as long along y as across.
-    patches = np.exp(-(fx**2 + fz**2 + (fy / np.float32(table.stretch_y)) ** 2) / (2 * table.patch_per_mm**2))
-    power = (1 - table.patches) * _of_variance_1(power, table) + table.patches * _of_variance_1(patches, table)
-    power[..., 0] *= 2
-    return np.sqrt(power, dtype=np.float32)
+    # What is dense and what is bare: as long along y as across, and taller.
+    tall, deep = np.float32(table.patch_tall), np.float32(table.stretch_y)
+    patches = np.exp(-(fx**2 + (fz * tall) ** 2 + (fy / deep) ** 2) / (2 * table.patch_per_mm**2))
+    return _of_variance_1(power, table), _of_variance_1(patches, table)
 
 
 def _of_variance_1(power: NDArray[np.float32], table: Lattice) -> NDArray[np.float32]:
@@ -81,4 +85,6 @@ def _of_variance_1(power: NDArray[np.float32], table: Lattice) -> NDArray[np.flo
     # transform holds; it reads the plane fy = 0 as if half of that were the mirror image of the other half.
     of = [np.where((np.arange(n // 2 + 1) == 0) | (np.arange(n // 2 + 1) == n // 2), 1, 2) for n in table.voxels[:2]]
     held = np.einsum("i,j,ijk->k", *of, power, dtype=np.float64) * np.where(np.arange(power.shape[2]), 4, 2)
-    return np.asarray(power / np.float32(held.sum()))
+    power /= np.float32(held.sum())
+    power[..., 0] *= 2
+    return power

@@ -1,10 +1,16 @@
 """Pose: where the bones of a leg go, as rigid transforms."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..core.checks import Array
+
+# A flexed femur turns outwards on the tibia, most of it in the first 30 degrees, 5 to 10 there (Johal and others
+# 2005, from memory): so much at most, and two thirds of it at the second. On fixed-flexion films it shows by fibulae
+# beside the tibia, and by a femur as bright laterally as medially.
+_OUT_DEG, _BY_DEG = 9.5, 25.0
 
 
 @dataclass(frozen=True)
@@ -26,13 +32,17 @@ class Pose:
     lean_deg: float = 0.0
     forward_deg: float = 0.0
 
+    def femur_out_deg(self) -> float:
+        """Turn of the femur on the tibia, outwards"""
+        return _OUT_DEG * (1.0 - math.exp(-max(self.flexion_deg, 0.0) / _BY_DEG))
+
     def femur(self) -> Array:
         """(3, 4)  transform of the femur into the knee frame"""
         return self._leg(self.femur_on_tibia())
 
     def femur_on_tibia(self) -> Array:
         """(3, 4)  transform of the femur into the tibia's frame"""
-        flex = rotation(0, -self.flexion_deg)
+        flex = rotation(2, -self.femur_out_deg()) @ rotation(0, -self.flexion_deg)
         pivot = np.asarray(self.pivot_mm)
         matrix = np.column_stack((flex, pivot - flex @ pivot))
         matrix = rotation(1, self.tilt_deg) @ matrix
@@ -44,8 +54,9 @@ class Pose:
         return self._leg(np.eye(3, 4))
 
     def soft(self) -> Array:
-        """(3, 4)  transform of the soft tissue into the knee frame"""
-        return np.column_stack((self._turned(), np.zeros(3)))
+        """(3, 4)  transform of the soft tissue into the knee frame; it turns half as far as the femur does"""
+        halfway = replace(self, rotation_deg=self.rotation_deg - self.femur_out_deg() / 2)
+        return np.column_stack((halfway._turned(), np.zeros(3)))
 
     def _leg(self, matrix: Array) -> Array:
         moved = matrix.copy()

@@ -12,6 +12,8 @@ class Region(NamedTuple):
     hard_medial, hard_lateral    what sclerosis adds to it there, and deeper
     scar_x, scar_y, scar_z       where this bone's scar is
     scar_phase, scar_bvtv        of its ripple, and how strong it is
+    sway_mm, sway_per_mm         of struts from side to side, and the turn of their waves a mm
+    sway_across, sway_phase      share of that turn across, and where in the waves the bone is
     marrow, per_bvtv             density without bone, and what a BV/TV of 1 adds to it
     """
 
@@ -53,6 +55,10 @@ class Region(NamedTuple):
     scar_bvtv: float
     scar_per_mm: float
     scar_wide_per_mm: float
+    sway_mm: float
+    sway_per_mm: float
+    sway_across: float
+    sway_phase: float
     scale: float
     per_scale: float
     marrow: float

@@ -101,7 +101,7 @@ def trabeculae(
     x, z, y = (rng.random(3) * table.lattice.voxels).tolist()
     return Trabeculae(
         region=_region(
-            bone, table, rng.random(5).tolist(), scale, sclerosis, _aged(table.ageing, age_years, sex, density)
+            bone, table, rng.random(6).tolist(), scale, sclerosis, _aged(table.ageing, age_years, sex, density)
         ),
         seed=int(seed),
         table=table.lattice,
@@ -120,7 +120,7 @@ def _region(
 ) -> Region:
     """The smooth part of a bone.
 
-    chance  uniform numbers: height of the scar, how strong it is, where across, where front to back, its ripple
+    chance  uniform numbers: height of the scar, how strong it is, where across, where front to back, its ripple; sway
     aged    BV/TV and contrast of the struts over those of the table
     """
     part, hard, scar, tissue = (
@@ -154,6 +154,10 @@ def _region(
         scar_ripple_mm=scar.ripple_mm,
         scar_ripple_per_mm=2 * np.pi / scar.ripple_length_mm,
         scar_phase=2 * np.pi * chance[4],
+        sway_mm=table.sway.aside_mm,
+        sway_per_mm=2 * np.pi / table.sway.length_mm,
+        sway_across=table.sway.across,
+        sway_phase=2 * np.pi * chance[5],
         scale=float(scale),
         per_scale=1 / scale,
         marrow=tissue.marrow,

@@ -27,8 +27,9 @@ class Lattice(Record, frozen=True):
     upright: float
     level: float
     any: float
-    patches: float
+    patches: Pair
     patch_per_mm: float
+    patch_tall: float
     length_per_mm: float
     spread: float
     cut: float
@@ -75,6 +76,14 @@ class Scar(Record, frozen=True):
     ripple_length_mm: float
 
 
+class Sway(Record, frozen=True):
+    """How far struts wave from side to side, over what length, and how much of that changes across."""
+
+    aside_mm: float
+    length_mm: float
+    across: float
+
+
 class SpongyBone(Record, frozen=True):
     """The smooth part of one bone's density; what each is, in the table."""
 
@@ -119,6 +128,7 @@ class TrabecularBone(Record, frozen=True):
     sclerosis: Sclerosis
     side: Side
     scar: Scar
+    sway: Sway
     tibia: SpongyBone
     femur: SpongyBone
     fibula: SpongyBone
