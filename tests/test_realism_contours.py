@@ -189,3 +189,18 @@ def test_a_folder_without_cohort_and_a_protocol_that_it_has_not_are_refused(tmp_
         cohort_landmarks(tmp_path, "low_dose")
     with pytest.raises(pssf.InputError, match=r"k\.tif: grade = None"):
         cohort_landmarks(tmp_path, "fixed_flexion")
+
+
+def test_the_gap_alone_tells_grades_apart_as_it_does_people_and_nothing_is_said_without_grade_zero():
+    samples = {grade: made_up(grade=grade, seed=grade) for grade in (0, 2, 4)}
+
+    def together(*grades):
+        places, labels = zip(*((samples[g].places_mm, samples[g].grades) for g in grades), strict=True)
+        return contours.LandmarkSample(places_mm=np.concatenate(places), grades=np.concatenate(labels))
+
+    rows = {row["grade"]: row for row in contours.compare(together(0, 2, 4), REFERENCE).gap_alone}
+    assert set(rows) == {2, 4}
+    assert [rows[4][name] for name in ("people", "people_low", "people_high")] == list(REFERENCE.gap_alone_auc["kl4"])
+    assert rows[2]["auc"] < rows[4]["auc"] > 0.9
+    assert all(row["low"] < row["auc"] <= row["high"] and row["knees"] == 1200 for row in rows.values())
+    assert contours.compare(together(2, 4), REFERENCE).gap_alone == []

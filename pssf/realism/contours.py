@@ -21,6 +21,7 @@ from ..data.records import Pair
 from ..geometry.view import view_of
 from ..model.knee import Knee
 from ..model.protocol import Protocol
+from ..study.statistics.metrics import auc_with_interval
 from . import contour_figure
 
 Row = dict[str, Any]
@@ -52,6 +53,8 @@ class ContourComparison:
     landmarks  grade, landmark, axis, knees, mean, reference, off_sd, mean_inside, sd, reference_sd, spread_ratio,
                spread_inside
     sizes      the same of plateau width, gaps and convergence, with quantity in the place of landmark and axis
+    gap_alone  grade, knees, auc, low, high, people, people_low, people_high: of the smaller least gap against grade 0;
+               empty without that grade
     outside    grade, knees, outside, of: heights and their spreads of the landmarks that are no edge
     modes      mode, share_of_variance, reference_share, cosine, nearest, nearest_cosine, sd_along, reference_sd: of
                grades 0 and 1; empty for fewer than three such knees
@@ -60,6 +63,7 @@ class ContourComparison:
 
     landmarks: list[Row]
     sizes: list[Row]
+    gap_alone: list[Row]
     outside: list[Row]
     modes: list[Row]
     figure: bytes
@@ -162,8 +166,28 @@ def compare(sample: LandmarkSample, reference: LandmarkReference) -> ContourComp
     early = shares[np.isin(sample.grades, (0, 1))]
     modes = _mode_rows(early, reference) if len(early) > 2 else []
     return ContourComparison(
-        landmarks=landmark_rows, sizes=size_rows, outside=outside, modes=modes, figure=contour_figure.draw(panels)
+        landmarks=landmark_rows,
+        sizes=size_rows,
+        gap_alone=_gap_alone_rows(sizes, sample.grades, reference),
+        outside=outside,
+        modes=modes,
+        figure=contour_figure.draw(panels),
     )
+
+
+def _gap_alone_rows(sizes: dict[str, Array], grades: np.ndarray, reference: LandmarkReference) -> list[Row]:
+    """How well the smaller least gap alone tells each grade from grade 0, narrower being worse."""
+    narrow = -np.minimum(sizes["medial_gap_least_mm"], sizes["lateral_gap_least_mm"])
+    rows = []
+    for grade in np.unique(grades[grades > 0]):
+        people = reference.gap_alone_auc.get(f"kl{grade}")
+        chosen = np.isin(grades, (0, grade))
+        if people is None or not (grades == 0).any():
+            continue
+        beside = dict(zip(("people", "people_low", "people_high"), people, strict=True))
+        measured = auc_with_interval(grades[chosen] == grade, narrow[chosen])
+        rows.append({"grade": int(grade), "knees": int(chosen.sum()), **measured, **beside})
+    return rows
 
 
 def _gaps(shares: Array, side: str, asked: Array) -> Array:

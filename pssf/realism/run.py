@@ -38,7 +38,7 @@ from .page import Row, Section, Table, render
 
 # Tables that the READMEs show, by what must be given for them.
 SHOWN = {
-    "contours": ("contours_outside",),
+    "contours": ("contours_outside", "contours_sizes", "contours_gap_alone"),
     "bones": ("bones", "bones_forms"),
     "films": ("films_found", "films_domains", "films_transfer", "films_effects"),
 }
@@ -163,6 +163,7 @@ def _contours(sample: contours.LandmarkSample, people: LandmarkReference) -> Sec
             Table(name="contours_outside", rows=compared.outside, caption="Heights and their spreads outside."),
             Table(name="contours_landmarks", rows=compared.landmarks, caption="In shares of the width.", shown=32),
             Table(name="contours_sizes", rows=compared.sizes, caption="Plateau, gaps (mm on the film), convergence."),
+            Table(name="contours_gap_alone", rows=compared.gap_alone, caption="AUC of the smaller gap, each v 0."),
             Table(name="contours_modes", rows=compared.modes, caption="First modes of variation, grades 0 and 1."),
         ),
         figures=(Picture(
@@ -170,7 +171,7 @@ def _contours(sample: contours.LandmarkSample, people: LandmarkReference) -> Sec
             alt="Mean contours of drawn knees and of people with ellipses of one SD",
             caption="Mean landmarks and ellipses of one standard deviation, drawn knees and people, by grade.",
         ),),
-        facts={"outside": compared.outside, "sizes": compared.sizes, "modes": compared.modes},
+        facts={name: getattr(compared, name) for name in ("outside", "sizes", "gap_alone", "modes")},
     )  # fmt: skip
 
 

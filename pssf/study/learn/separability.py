@@ -21,7 +21,7 @@ from ...core.checks import Array, require_seed, require_whole
 from ...data.records import Triple
 from ...model.draw import DrawLaws, draw_knees
 from ...model.knee import SITES, Knee
-from ..statistics.metrics import auc
+from ..statistics.metrics import auc_with_interval
 
 _FOLDS = 5
 _SPACES = ("jsw_medial_mm", "jsw_lateral_mm", "jsw_least_mm")
@@ -115,9 +115,5 @@ def _held_out(values: Array, worse: NDArray[np.bool_], how: str, seed: int) -> A
 
 
 def _estimate(value: Array, worse: NDArray[np.bool_]) -> dict[str, float]:
-    """Number of knees, AUC and its 95 per cent interval (Hanley and McNeil 1982)."""
-    area, ones, zeros = auc(worse, value), int(worse.sum()), int((~worse).sum())
-    both, two = area / (2 - area), 2 * area**2 / (1 + area)
-    variance = area * (1 - area) + (ones - 1) * (both - area**2) + (zeros - 1) * (two - area**2)
-    half = 1.96 * float(np.sqrt(max(variance, 0.0) / (ones * zeros)))
-    return {"knees": len(value), "auc": area, "low": max(0.0, area - half), "high": min(1.0, area + half)}
+    """Number of knees, AUC and its 95 per cent interval."""
+    return {"knees": len(value)} | auc_with_interval(worse, value)
