@@ -16,7 +16,7 @@ from .geometry.view import view_of
 from .model.knee import Knee
 from .model.protocol import Protocol
 from .model.radiograph import Radiograph, Truth
-from .raycast import ENGINES, Paths, shadow, trace
+from .raycast import ENGINES, Audit, Paths, shadow, trace, trace_strips
 from .stages import Chain, LatentImage, expose
 from .xray.technique import technique_of
 
@@ -57,14 +57,10 @@ def simulate(
     clock.lap("anatomy")
     for name in scene.materials:
         technique.material(name)  # refused before rays are cast
-    if paths is None:
-        paths = trace(scene, protocol, engine=engine, workers=workers)
-    _check_paths(paths, scene, protocol)
-    clock.lap("rays")
     chain = Chain(technique=technique, engine=engine, seed=seed, keep=frozenset(keep), workers=workers)
-    image = LatentImage(path_mm=paths.path_mm, scene=scene)
+    image, audit = _traced(scene, chain, paths)
+    clock.lap("rays")
     seconds = expose(image, chain)
-    kept = {**image.kept, "path_mm": paths.path_mm}
     wanted = [*keep, "scatter_error"] if "scatter" in keep else list(keep)
     assert image.pixels is not None
     return Radiograph(
@@ -73,9 +69,9 @@ def simulate(
         seed=seed,
         **_known(subject, protocol, keep),
         engine=engine,
-        audit=paths.audit.counts(),
+        audit=audit.counts(),
         versions=versions(),
-        kept={name: kept[name] for name in wanted if name in kept},
+        kept={name: image.kept[name] for name in wanted if name in image.kept},
         seconds={**clock.seconds, **seconds},
     )
 
@@ -117,6 +113,18 @@ def _built(knee: Subject, protocol: Protocol) -> BuiltKnee | BuiltPair | Scene:
     if isinstance(knee, Knee):
         return build(knee, protocol)
     return build_pair(*knee, protocol) if isinstance(knee, tuple) else knee
+
+
+def _traced(scene: Scene, chain: Chain, paths: Paths | None) -> tuple[LatentImage, Audit]:
+    """What the stages start from, and the audit of its rays; in strips where nobody asked for the path lengths."""
+    protocol = chain.technique.protocol
+    if paths is None and "path_mm" not in chain.keep:
+        path_mm, audit = trace_strips(scene, protocol, engine=chain.engine, workers=chain.workers)
+        return LatentImage(path_mm=path_mm, scene=scene), audit
+    if paths is None:
+        paths = trace(scene, protocol, engine=chain.engine, workers=chain.workers)
+    _check_paths(paths, scene, protocol)
+    return LatentImage(path_mm=paths.path_mm, scene=scene, kept={"path_mm": paths.path_mm}), paths.audit
 
 
 def _known(subject: BuiltKnee | BuiltPair | Scene, protocol: Protocol, keep: Collection[str]) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from .detector.panel import readout
 from .geometry.scene import Scene
 from .geometry.view import View, spot_views
 from .model.protocol import Protocol
-from .raycast import trace
+from .raycast import trace_strips
 from .scatter.grid import grid_of, scatter_passing, transmit_through_grid
 from .scatter.kernel import exit_gap_mm, scatter_kev
 from .scatter.monte_carlo import scatter_monte_carlo
@@ -58,7 +58,7 @@ class Chain:
 class LatentImage:
     """What the stages hand on; maps are (rows, cols) float32, keV a pixel.
 
-    path_mm        material -> (rows, cols)  path lengths
+    path_mm        material -> (rows, cols)  path lengths, as arrays or in strips; none once no stage reads them
     scene          that they are of; None for an open beam
     gap_mm         from the object's exit to the detector plane; of the scene, where it is asked for, if None
     primary        signal of the straight rays
@@ -69,7 +69,7 @@ class LatentImage:
     pixels         (rows, cols) uint16
     """
 
-    path_mm: Mapping[str, NDArray[Any]]
+    path_mm: Mapping[str, Any]
     scene: Scene | None = None
     gap_mm: float | None = None
     primary: Signal | None = None
@@ -201,8 +201,13 @@ def blur_panel(image: LatentImage, chain: Chain) -> None:
     if noise is not None:
         noise -= signal
         coloured = blur.forward(noise, chain.workers)
+        # What is no longer read goes before more is made.
+        image.noisy = None
+        del noise
         blur.by_panel(coloured, signal.shape, *panel, part="ntf")
         coloured += values
+        image.frequencies = None
+        del values
         image.noisy = blur.backward(coloured, signal.shape, chain.workers)
 
 
@@ -213,6 +218,9 @@ def read_out(image: LatentImage, chain: Chain) -> None:
     values, seed = (image.mean, None) if image.noisy is None else (image.noisy, chain.stream(1))
     image.pixels = readout(values, chain.technique, seed, chain.workers)
 
+
+# Names of the stages that read path lengths, or the primary and scatter apart.
+_READ_PATHS = {"attenuation", "scatter", "grid"}
 
 STAGES = (
     Stage("spectrum", lambda protocol: protocol.focal_spot != "sampled", load_spectrum),
@@ -235,15 +243,30 @@ def stages_of(protocol: Protocol) -> list[Stage]:
 
 
 def expose(image: LatentImage, chain: Chain) -> dict[str, float]:
-    """Run the stages that the chain's protocol asks for; returns stage -> seconds."""
-    clock = Timer()
-    for stage in stages_of(chain.technique.protocol):
+    """Run the stages that the chain's protocol asks for; returns stage -> seconds. The image holds what is kept alone.
+
+    raises  InputError as the stages
+    """
+    clock, stages = Timer(), stages_of(chain.technique.protocol)
+    for place, stage in enumerate(stages, 1):
         stage.run(image, chain)
         clock.lap(stage.name)
-    image.kept["primary"] = image.straight.kev
-    if image.scatter is not None:
-        image.kept["scatter"] = image.scatter
+        _let_go(image, {later.name for later in stages[place:]}, chain.keep)
     return clock.seconds
+
+
+def _let_go(image: LatentImage, later: set[str], keep: frozenset[str]) -> None:
+    """Drop maps that no later stage reads: of a large detector each is a quarter of a gigabyte."""
+    if later & _READ_PATHS or image.primary is None:
+        return
+    image.path_mm = {}
+    for name, held in (("primary", image.primary.kev), ("scatter", image.scatter)):
+        if name in keep and held is not None:
+            image.kept.setdefault(name, held)
+    signal = image.mean
+    # Quantum noise reads of the primary what a photon brings; the sum stands in for the energy, which none reads again.
+    image.primary = Signal(signal, image.primary.photon_kev) if "quantum noise" in later else None
+    image.scatter = None
 
 
 def sampled_primary(scene: Scene, technique: Technique, engine: str, workers: int, points: int = _POINTS) -> Signal:
@@ -251,8 +274,8 @@ def sampled_primary(scene: Scene, technique: Technique, engine: str, workers: in
     protocol, shape = technique.protocol, (technique.view.rows, technique.view.cols)
     kev, square = (np.zeros(shape, np.float32) for _ in range(2))
     for view, share in spot_views(protocol, points):
-        paths = trace(scene, view, engine=engine, texture=protocol.texture != "none", workers=workers)
-        one = primary_of(paths.path_mm, technique, workers, view)
+        path_mm, _ = trace_strips(scene, view, engine=engine, texture=protocol.texture != "none", workers=workers)
+        one = primary_of(path_mm, technique, workers, view)
         kev += np.float32(share) * one.kev
         square += np.float32(share) * one.kev * one.photon_kev
     return Signal(kev, np.divide(square, kev, out=np.zeros_like(kev), where=kev > 0))

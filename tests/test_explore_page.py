@@ -278,6 +278,7 @@ def test_a_refusal_is_told_where_it_is_read_out_and_goes_when_it_is_mended(page)
     page.wait_for_selector("#error:not([hidden])")
     assert page.get_attribute("#error", "role") == "alert"
     assert "sod_mm = 1100.0 mm; allowed: less than sdd_mm = 1000.0 mm" in page.inner_text("#error")
+    assert page.inner_text("#status") == "What is shown is of before."
     act(page, lambda: page.click("#undo"))
     assert page.is_hidden("#error")
 
@@ -318,6 +319,43 @@ def test_the_difference_to_a_pinned_picture_is_shown(page):
     page.select_option("#compare", "b")
 
 
+def test_another_technique_gets_a_window_of_its_own_and_a_slider_keeps_it(page):
+    window = "() => [+document.querySelector('#window').value, +document.querySelector('#level').value]"
+    page.click("#auto")
+    first = page.evaluate(window)
+    act(page, lambda: set_number(page, "mas", 4, "#exposure"))
+    assert page.evaluate(window) == first
+    act(page, lambda: page.select_option("#protocol-name", "low_dose"))
+    low, high = np.quantile(values(page), [0.005, 0.4])
+    width, level = page.evaluate(window)
+    assert width < 0.6 * first[0]
+    assert low - 0.1 * width < level < high + 0.5 * width
+    assert 64 < greys(page)[..., 0][values(page) < high].mean() < 192
+    act(page, lambda: page.click("#reset"))
+    assert page.evaluate(window) == pytest.approx(first, rel=0.1)
+
+
+def test_it_is_told_in_what_the_present_picture_differs_from_the_pinned_one(page):
+    page.click("#pin")
+    assert page.inner_text("#compared") == "B is A."
+    act(page, lambda: set_number(page, "mas", 4, "#exposure"))
+    assert page.inner_text("#compared") == "B differs from A in current-time product."
+    page.select_option("#compare", "difference")
+    assert "Orange: B larger" in page.inner_text("#compared")
+    page.select_option("#compare", "b")
+
+
+def test_the_colours_of_masks_are_told(page):
+    page.set_checked("#show-masks", True)
+    page.wait_for_selector("#legend span")
+    named = page.evaluate("[...document.querySelectorAll('#legend span')].map((one) => one.textContent)")
+    assert named == ["femur", "tibia", "fibula", "patella"]
+    colour = page.evaluate("getComputedStyle(document.querySelector('#legend span'), '::before').backgroundColor")
+    assert colour == "rgb(230, 159, 0)"
+    page.set_checked("#show-masks", False)
+    page.wait_for_selector("#legend", state="hidden")
+
+
 def test_overlays_are_where_the_truth_is(page):
     page.set_checked("#show-landmarks", True)
     page.set_checked("#show-spaces", True)
@@ -347,6 +385,8 @@ def test_the_measure_is_in_mm_at_the_joint_plane(page):
         page.keyboard.press("Shift+ArrowRight")
     page.keyboard.press("m")
     page.wait_for_selector("#measured")
+    # Where a screen reader says it, without another key.
+    assert f"measure {page.text_content('#measured')}" in page.inner_text("#cursor")
     magnification = 1150 / 950
     assert page.text_content("#measured") == f"{20 * 3.2 / magnification:.2f} mm"
 
@@ -371,9 +411,23 @@ def test_a_file_is_handed_over(page, tmp_path):
     assert (pssf.load(tmp_path / "mine.tif").pixels == values(page)).all()
 
 
+def test_the_first_tab_leads_to_the_radiograph(page):
+    page.evaluate("document.activeElement.blur()")
+    page.focus("#skip")
+    page.keyboard.press("Enter")
+    assert page.evaluate("document.activeElement.id") == "viewport"
+    first = page.evaluate("document.querySelector('button, input, select, a, [tabindex]').id")
+    assert first == "skip"
+
+
 def test_a_narrow_window_needs_no_scrolling_sideways(page):
     page.set_viewport_size({"width": 380, "height": 800})
     assert page.evaluate("document.documentElement.scrollWidth") <= 380
+    # The radiograph stays in sight beside the slider that is moved.
+    page.locator("[data-field=jsw_lateral_mm]").scroll_into_view_if_needed()
+    box = page.locator("#viewport").bounding_box()
+    assert box["y"] >= 0
+    assert box["y"] + box["height"] < page.locator("[data-field=jsw_lateral_mm]").bounding_box()["y"]
     page.set_viewport_size({"width": 1500, "height": 900})
 
 

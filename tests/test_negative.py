@@ -84,12 +84,12 @@ def test_a_density_of_less_than_nothing_is_named_as_the_reason():
 
 def test_paths_that_somebody_changed_are_looked_at_again():
     paths = trace(plate(0.03), VIEW)
-    require_paths(paths)
+    require_paths(paths.path_mm, paths.scene, paths.view)
     paths.path_mm["cortical_bone"][3, 4] = -1.0
     with pytest.raises(
         InputError, match=r"^cortical_bone: path length -1 mm at pixel \(3, 4\): a surface has it outside"
     ):
-        require_paths(paths)
+        require_paths(paths.path_mm, paths.scene, paths.view)
     paths.path_mm["cortical_bone"][3, 4] = np.nan
     with pytest.raises(InputError, match=r"^cortical_bone: path length nan mm at pixel \(3, 4\)"):
-        require_paths(paths)
+        require_paths(paths.path_mm, paths.scene, paths.view)

@@ -1,19 +1,44 @@
 """Coarse maps of smooth things: block means, and back by linear interpolation."""
 
+from typing import Any, Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 
 from .checks import Array
 
+# A large image is taken in bands of about so many rows.
+_BAND_ROWS = 512
 
-def block_mean(image: NDArray[np.integer | np.floating], step: int) -> Array:
+
+class Rows(Protocol):
+    """What is read by rows: an array, or a map that is held otherwise."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(rows, cols)"""
+
+    def __getitem__(self, rows: slice, /) -> NDArray[Any]: ...
+
+
+def block_mean(image: Rows, step: int) -> Array:
     """(ceil(rows/step), ceil(cols/step))  means of blocks; those at the lower and right edge may be smaller
 
     image  (rows, cols)  any unit
     """
-    if image.shape[0] % step == 0 and image.shape[1] % step == 0:
-        blocks = image.reshape(image.shape[0] // step, step, image.shape[1] // step, step)
-        return np.asarray(np.einsum("iajb->ij", blocks, dtype=np.float64)) / step**2
+    rows, cols = image.shape
+    means = _whole_blocks if rows % step == 0 and cols % step == 0 else _blocks
+    band = max(1, _BAND_ROWS // step) * step
+    parts = [means(image[first : min(first + band, rows)], step) for first in range(0, rows, band)]
+    return np.concatenate(parts) if parts else np.empty((0, -(-cols // step)))
+
+
+def _whole_blocks(image: NDArray[np.integer | np.floating], step: int) -> Array:
+    blocks = image.reshape(image.shape[0] // step, step, image.shape[1] // step, step)
+    return np.asarray(np.einsum("iajb->ij", blocks, dtype=np.float64)) / step**2
+
+
+def _blocks(image: NDArray[np.integer | np.floating], step: int) -> Array:
     sums = np.add.reduceat(image.astype(np.float64), np.arange(0, image.shape[0], step), axis=0)
     sums = np.add.reduceat(sums, np.arange(0, image.shape[1], step), axis=1)
     sizes = [np.diff(np.append(np.arange(0, n, step), n)) for n in image.shape]

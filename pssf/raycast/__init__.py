@@ -1,8 +1,10 @@
 """raycast.trace    scene, protocol  -> path lengths per material, (rows, cols), and an audit of the rays
+raycast.trace_strips  the same, held in strips: what a radiograph is made of
 raycast.shadow   mesh, protocol   -> where it is seen
 raycast.check    scene            -> what is wrong with its meshes and what they say of each other
 
 paths      what comes back
+strips     the same without the air beside the object
 overlaps   where surfaces contradict each other or themselves
 negative   paths of less than nothing: why, and which are refused
 sheets     surfaces as a detector sees them
@@ -14,7 +16,7 @@ embree     engine: rays cast hit by hit, audited, repaired by scanline
 """
 
 import reprlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -37,11 +39,12 @@ from .negative import require_paths
 from .paths import Audit, Paths, total
 from .rays import add_box, to_mm
 from .sheets import BAND_ROWS, Sheet, frame_of, sheet_of
+from .strips import Strips
 
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["Audit", "Paths", "Report", "check", "require_paths", "shadow", "trace"]
+__all__ = ["Audit", "Paths", "Report", "check", "require_paths", "shadow", "trace", "trace_strips"]
 
 ENGINES = ("embree", "scanline")
 PRECISIONS = ("float32", "float64")
@@ -78,21 +81,43 @@ def trace(
     warns      MeshNotice for a mesh that had to be mended
     """
     scene, view = scene_of(scene), view_of(protocol)
-    require_choice("engine", engine, ENGINES)
     require_choice("precision", precision, PRECISIONS)
     require_choice("texture", texture, (True, False))
-    require_workers(workers)
     path_mm: Sums = {m: np.zeros((view.rows, view.cols), precision) for m in _wanted(scene, materials)}
+    smooth = not texture or _is_smooth(protocol)
+    audit = _filled(scene, view, path_mm, engine, smooth, workers)
+    return Paths(path_mm=path_mm, audit=audit, view=view, texture="none" if smooth else "trabecular", scene=scene)
+
+
+def trace_strips(
+    scene: Scene, protocol: Protocol | View, *, engine: str = "embree", texture: bool = True, workers: int = 2
+) -> tuple[dict[str, Strips], Audit]:
+    """Path lengths as `trace` gives them, held without the air beside the object, and the audit of the rays.
+
+    returns  material -> (rows, cols)
+    raises   InputError, warns MeshNotice as `trace`
+    """
+    view = view_of(protocol)
+    path_mm = {material: Strips((view.rows, view.cols)) for material in _wanted(scene, None)}
+    return path_mm, _filled(scene, view, path_mm, engine, not texture or _is_smooth(protocol), workers)
+
+
+def _is_smooth(protocol: Protocol | View) -> bool:
+    return isinstance(protocol, Protocol) and protocol.texture == "none"
+
+
+def _filled(scene: Scene, view: View, path_mm: Mapping[str, Any], engine: str, smooth: bool, workers: int) -> Audit:
+    """Fill the maps (rows, cols), mm, of the materials that are wanted; returns the audit of all rays."""
+    require_choice("engine", engine, ENGINES)
+    require_workers(workers)
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(lambda surface: surface.solid, scene.surfaces))
         require_traceable(scene)
         asked = [surface for surface in scene.surfaces if {surface.inside, surface.outside} & path_mm.keys()]
-        smooth = not texture or (isinstance(protocol, Protocol) and protocol.texture == "none")
         layers = _layers(asked, view, engine, smooth, pool)
         audit = total(pool.map(partial(_band, scene, view, layers, path_mm), range(0, view.rows, BAND_ROWS)))
-    paths = Paths(path_mm=path_mm, audit=audit, view=view, texture="none" if smooth else "trabecular", scene=scene)
-    require_paths(paths)
-    return paths
+    require_paths(path_mm, scene, view)
+    return audit
 
 
 def _wanted(scene: Scene, materials: Iterable[str] | None) -> list[str]:
@@ -171,7 +196,7 @@ def _around(sheet: Sheet, view: View, name: str) -> int:
     return int(sums.pop())
 
 
-def _band(scene: Scene, view: View, layers: list[_Layer], path_mm: Sums, first: int) -> Audit:
+def _band(scene: Scene, view: View, layers: list[_Layer], path_mm: Mapping[str, Any], first: int) -> Audit:
     """Fill the rows of one band, in every material; returns the audit of its rays."""
     stop = min(first + BAND_ROWS, view.rows)
     sums = {material: np.zeros((stop - first, view.cols)) for material in path_mm}
@@ -205,7 +230,7 @@ def _band(scene: Scene, view: View, layers: list[_Layer], path_mm: Sums, first: 
     if scene.ambient in sums:
         add_box(frame, scene.bounds_mm, first, sums[scene.ambient])
     for material in touched & sums.keys():
-        to_mm(sums[material], frame, first, path_mm[material][first:stop])
+        path_mm[material][first:stop] = to_mm(sums[material], frame, first)
     return total(audits)
 
 

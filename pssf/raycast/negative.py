@@ -1,6 +1,7 @@
 """Paths of less than nothing: where they are, why, and which are refused."""
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -9,7 +10,7 @@ from ..geometry.scene import Scene
 from ..geometry.view import View
 from . import scanline
 from .overlaps import contradictions, folded
-from .paths import FOLD_MM, Paths
+from .paths import FOLD_MM
 from .rays import to_mm
 from .sheets import BAND_ROWS, frame_of, sheet_of
 
@@ -42,8 +43,7 @@ def least_paths(scene: Scene, view: View) -> dict[str, Least]:
                     if material in sums:
                         sums[material][top - first : bottom - first, slice(*sheet.cols)] += sign * chord
         for material, fraction in sums.items():
-            path_mm = np.empty_like(fraction)
-            to_mm(fraction, frame, first, path_mm)
+            path_mm = to_mm(fraction, frame, first)
             row, col = np.unravel_index(path_mm.argmin(), path_mm.shape)
             before, negative = least[material], int((path_mm < -_ROUNDING_MM).sum())
             here = Least(float(path_mm[row, col]), first + int(row), int(col), 0)
@@ -51,15 +51,17 @@ def least_paths(scene: Scene, view: View) -> dict[str, Least]:
     return least
 
 
-def require_paths(paths: Paths) -> None:
+def require_paths(held: Mapping[str, Any], scene: Scene, view: View) -> None:
     """Refuse paths of less than nothing: by more than folds of a mesh and rounding bring about.
 
+    held    material -> (rows, cols)  path lengths of the scene in the view, mm
     raises  InputError naming material, length, pixel and the surfaces that are in the way of a right answer
     """
-    for material, path_mm in paths.path_mm.items():
-        if not path_mm.min() >= -FOLD_MM:
+    for material, lengths in held.items():
+        if not lengths.min() >= -FOLD_MM:
+            path_mm = np.asarray(lengths)
             row, col = map(int, np.unravel_index(path_mm.argmin(), path_mm.shape))
-            reason = why_negative(paths.scene, paths.view, material, row, col)
+            reason = why_negative(scene, view, material, row, col)
             raise InputError(
                 f"{material}: path length {path_mm[row, col]:.4g} mm at pixel ({row}, {col}): {reason}; "
                 f"allowed: {-FOLD_MM:g} mm or more"

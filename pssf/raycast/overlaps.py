@@ -121,8 +121,7 @@ def _bands(scene: Scene, view: View) -> Iterator[_Along]:
     sheets = [sheet_of(surface.solid, view) for surface in scene.surfaces]
     for first in range(0, view.rows, BAND_ROWS):
         stop = min(first + BAND_ROWS, view.rows)
-        length_mm = np.empty((stop - first, view.cols))
-        to_mm(np.ones_like(length_mm), frame_of(view), first, length_mm)
+        length_mm = to_mm(np.ones((stop - first, view.cols)), frame_of(view), first)
         rays, at_mm, signs, surfaces = zip(
             *(_of_surface(sheet, number, length_mm, first) for number, sheet in enumerate(sheets)), strict=True
         )

@@ -31,13 +31,12 @@ def add_box(frame: Frame, bounds: Array, first: int, fraction: Array) -> None:
     fraction += np.maximum(np.minimum(far, slabs[2][1]) - np.maximum(near, slabs[2][0]), 0.0)
 
 
-def to_mm(fraction: Array, frame: Frame, first: int, path_mm: NDArray[np.floating]) -> None:
-    """Lengths from fractions of the way from source to pixel.
+def to_mm(fraction: Array, frame: Frame, first: int) -> Array:
+    """(rows, cols)  lengths, mm, from fractions of the way from source to pixel
 
     fraction  (rows, cols)  share of the way; its rows begin at row `first`
-    path_mm   (rows, cols)  written to
     """
-    path_mm[:] = fraction * _lengths_mm(frame, first, *fraction.shape)
+    return np.asarray(fraction * _lengths_mm(frame, first, *fraction.shape))
 
 
 @lru_cache(maxsize=8)  # every material of a band asks

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from ..core.blocks import block_mean, enlarge
+from ..core.blocks import Rows, block_mean, enlarge
 from ..core.checks import Array
 from ..data.kernels import ScatterKernel
 from ..geometry.scene import Scene
@@ -26,7 +26,7 @@ _LEAST = 1e-5
 
 
 def scatter_kev(
-    primary_kev: NDArray[np.float32], path_mm: Mapping[str, NDArray[np.float32]], gap_mm: float, technique: Technique
+    primary_kev: NDArray[np.float32], path_mm: Mapping[str, Rows], gap_mm: float, technique: Technique
 ) -> NDArray[np.float32]:
     """(rows, cols)  mean energy absorbed from scattered photons, keV a pixel
 
@@ -48,7 +48,7 @@ def scatter_kev(
 
 
 def coarse(
-    primary_kev: NDArray[np.float32], path_mm: Mapping[str, NDArray[np.float32]], technique: Technique
+    primary_kev: NDArray[np.float32], path_mm: Mapping[str, Rows], technique: Technique
 ) -> tuple[Array, Array, Array, int]:
     """What the kernel works on, in blocks: open beam (keV a pixel), mass crossed (g/cm2), primary over the open beam
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -50,7 +50,7 @@ class Signal:
 
 
 def transmit(
-    path_mm: Mapping[str, NDArray[np.float32]],
+    path_mm: Mapping[str, Any],
     beam: Beam,
     technique: Technique,
     workers: int = 2,
@@ -85,7 +85,7 @@ def transmit(
 
 
 def primary_of(
-    path_mm: Mapping[str, NDArray[np.float32]],
+    path_mm: Mapping[str, Any],
     technique: Technique,
     workers: int = 2,
     view: View | None = None,

@@ -1,23 +1,24 @@
 // The page: what is changed on the left is asked of the server, shown in the middle and on the right.
 
-import { find, options, words } from "./dom.js";
+import { fieldWords, find, options, words } from "./dom.js";
 import { groups, items, shapes } from "./fields.js";
 import { Film } from "./film.js";
 import { listFiles, showLines } from "./files.js";
-import { drawMasks, drawOverlay } from "./overlay.js";
+import { drawMasks, drawOverlay, tellColours } from "./overlay.js";
 import { showCursor, showFigures } from "./readout.js";
 import * as server from "./server.js";
-import { Store } from "./state.js";
+import { differingFields, Store } from "./state.js";
 
-const COARSE_PX = 512;
+const COARSE_PX = 512, MOST_NAMES = 4;
 export const film = new Film();
 export let store;
 let show, truth = null, path = null, busy = false, again = false, coarse = "", pictures = 0;
-let maskedAs = "", solidsAs = "", probing = 0;
+let maskedAs = "", solidsAs = "", windowedAs = "", probing = 0;
 
 const told = (text) => { find("#status").textContent = text; };
 function failed(error) {
   if (error instanceof server.Superseded) return;
+  told(film.present ? "What is shown is of before." : "");
   find("#error").hidden = false;
   find("#error").textContent = error.message;
 }
@@ -38,6 +39,7 @@ async function picture(side) {
     truth = made.header.truth ? { ...made.header.truth, ...made.header, shape: shapeOf(state) } : truth;
     if (truth?.shape !== shapeOf(state)) truth = null;
     film.show(made);
+    tellCompared();
     showFigures(made, (performance.now() - began) / 1000);
     coarse = key;
     const { rows, cols, whole } = made.header;
@@ -97,9 +99,21 @@ async function settled() {
 async function masksOf(state, shape) {
   const wanted = find("#show-masks").checked ? shape : "";
   if (wanted === maskedAs) return;
+  if (wanted) told("Outlining bones and osteophytes …");
   const names = drawMasks(film, wanted ? await server.masks(state) : null);
+  if (wanted) told("Bones and osteophytes are outlined.");
+  tellColours(names);
   document.documentElement.dataset.masks = names.join(" ");
   maskedAs = wanted;
+}
+
+/** In what the present picture differs from the pinned one, and what the colours of the difference mean. */
+function tellCompared() {
+  if (!film.pinned) return;
+  const names = differingFields(film.present.state, film.pinned.state).map(fieldWords);
+  const more = names.length > MOST_NAMES ? ` and ${names.length - MOST_NAMES} more` : "";
+  const what = names.length ? `B differs from A in ${names.slice(0, MOST_NAMES).join(", ")}${more}.` : "B is A.";
+  find("#compared").textContent = film.differs ? `${what} Orange: B larger; blue: B smaller; dark: alike.` : what;
 }
 
 function showCursorNow() {
@@ -121,6 +135,9 @@ function showCursorNow() {
 
 function changed(whole) {
   show();
+  // Another technique's signals lie elsewhere: a window that was kept would be black or white all over.
+  if (store.now.from !== windowedAs) film.anew = true;
+  windowedAs = store.now.from;
   if (!whole) { drag(); return; }
   history.replaceState(null, "", store.link());
   rest();
@@ -166,7 +183,7 @@ function wire(listing) {
   find("#look").onchange = ({ target }) => store.change({ look: target.value }, true);
   find("#undo").onclick = () => store.undo();
   find("#redo").onclick = () => store.redo();
-  find("#reset").onclick = () => store.change(store.start(), true);
+  find("#reset").onclick = () => { film.anew = true; store.change(store.start(), true); };
   find("#link").onclick = async () => {
     try {
       await navigator.clipboard.writeText(location.href);
@@ -177,7 +194,9 @@ function wire(listing) {
     const seed = Math.floor(Math.random() * 2 ** 32);
     try {
       const wanted = { table: find("#draw-table").value, grade: +find("#draw-grade").value, seed };
-      store.change({ knee: await server.draw(wanted) }, true);
+      const knee = await server.draw(wanted);
+      film.anew = true;
+      store.change({ knee }, true);
     } catch (error) { failed(error); }
   };
   find("#parameters").onsubmit = (event) => event.preventDefault();
@@ -197,9 +216,10 @@ function wireFilm() {
   find("#pin").onclick = () => {
     film.pin();
     find("#compare").disabled = false;
-    find("#compared").textContent = `A: ${film.pinned.header.rows} × ${film.pinned.header.cols} pixels, seed ${film.pinned.state.seed}`;
+    tellCompared();
   };
-  find("#compare").onchange = () => film.paint();
+  find("#compare").onchange = () => { film.paint(); tellCompared(); };
+  find("#skip").onclick = () => film.viewport.focus();
   find("#solids-open").ontoggle = () => { if (film.present?.header.whole) settled(); };
 }
 

@@ -13,7 +13,16 @@ export function make(parent, name, attributes = {}, text = "") {
   return parent.appendChild(node);
 }
 
-export const words = (name) => name.replace(/_(mm|deg|mas|kv|kev|mm_al|years|px)$/, "").replaceAll("_", " ");
+const SPOKEN = { jsw: "JSW", ap: "AP", bmi: "BMI", sdd: "SDD", sod: "SOD", kv: "kV", mas: "current-time product", insall: "Insall",
+  salvati: "Salvati", lyon: "Lyon", schuss: "Schuss", rosenberg: "Rosenberg",
+  gos: "GOS" };
+
+/** A name as it is read, with abbreviations as radiographers write them. */
+export const words = (name) => name.split("_").map((word) => (Object.hasOwn(SPOKEN, word) ? SPOKEN[word] : word)).join(" ");
+
+/** A field's name as it is read: its unit stands beside it. */
+export const fieldWords = (name) =>
+  (name === "tube_kv" ? "tube voltage" : words(name.replace(/_(mm|deg|kev|mm_al|years|px|per_cm)$/, "")));
 
 /** Options of a select; values and words as pairs. */
 export function options(select, pairs) {

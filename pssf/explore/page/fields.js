@@ -1,6 +1,6 @@
 // Controls of fields: a slider with a number, a list of words, a name; each with unit, range and sentence.
 
-import { make, words } from "./dom.js";
+import { fieldWords, make, words } from "./dom.js";
 
 let count = 0;
 
@@ -11,27 +11,32 @@ const stepOf = ([low, high], whole) => {
 
 function heading(parent, field) {
   const id = `f${++count}`, label = make(parent, "label", { for: id });
-  label.append(words(field.name));
+  // As Python calls it, for who points at it.
+  label.title = field.name;
+  label.append(fieldWords(field.name));
   if (field.unit) label.append(" "), make(label, "span", { class: "unit" }, field.unit);
   return id;
 }
 
 function hint(parent, field, id) {
-  const range = field.low === null ? "" : ` (${field.low} to ${field.high})`;
-  make(parent, "p", { class: "hint", id: `${id}h` }, `${field.what}${range}`).title = field.source ?? "";
+  const round = (value) => value.toLocaleString("en", { maximumFractionDigits: 6 });
+  // A whole number that a browser would round is told by its digits.
+  const range = field.low === null ? "" : field.text ? "whole, up to 19 digits" : `${round(field.low)} to ${round(field.high)}`;
+  const told = [field.what, range && `(${range})`].filter(Boolean).join(" ");
+  make(parent, "p", { class: "hint", id: `${id}h` }, told).title = field.source ?? "";
 }
 
 function numeric(parent, field, id, told) {
   const step = stepOf(field.slider, field.whole), described = { "aria-describedby": `${id}h` };
   const [low, high] = field.slider;
   const slider = make(parent, "input", { type: "range", min: low, max: high, step,
-    "aria-label": `${words(field.name)}, slider`, ...described });
+    "aria-label": `${fieldWords(field.name)}, slider`, ...described });
   const box = make(parent, "input", { type: "number", id, min: field.low, max: field.high, step: field.whole ? 1 : "any",
     ...described });
   let open = null;
   if (field.optional) {
     const label = make(parent, "label", { class: "open" });
-    open = make(label, "input", { type: "checkbox" });
+    open = make(label, "input", { type: "checkbox", "aria-label": `given: ${fieldWords(field.name)}` });
     label.append("given");
     open.onchange = () => told(open.checked ? +slider.value : null, true);
   }
@@ -93,7 +98,7 @@ export function shapes(parent, modes, store) {
   const box = make(parent, "details", { class: "group", "data-group": "knee Shape" });
   make(box, "summary", {}, "Shape scores");
   const shows = modes.map((mode, place) => {
-    const field = { name: `shape_${place}`, what: `also ${mode.also}`, unit: "SD", low: mode.low, high: mode.high,
+    const field = { name: `shape_${place}`, what: mode.also && `with it: ${mode.also}`, unit: "SD", low: mode.low, high: mode.high,
       slider: [mode.low, mode.high], whole: false, choices: null };
     return control(box, { ...field, name: mode.name }, (value, whole) => {
       const scores = modes.map((_, k) => store.now.knee.shape[k] ?? 0);

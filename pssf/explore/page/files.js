@@ -6,6 +6,8 @@ const KINDS = [["tif", "TIFF, 16 bit"], ["dcm", "DICOM, for processing"], ["pres
   ["png", "PNG"], ["json", "Parameters"], ["stl", "STL"], ["ply", "PLY"], ["glb", "GLB"], ["3mf", "3MF"],
   ["knee.toml", "Knee, TOML"], ["protocol.toml", "Protocol, TOML"], ["py", "Python"]];
 
+const sized = (bytes) => (bytes < 1e6 ? `${(bytes / 1e3).toFixed(1)} kB` : `${(bytes / 1e6).toFixed(1)} MB`);
+
 function handed(name, blob) {
   const link = make(document.body, "a", { href: URL.createObjectURL(blob), download: name });
   link.click();
@@ -22,12 +24,15 @@ export function listFiles(asked, film, told, failed) {
       try {
         const { name, blob } = await asked(kind);
         handed(name, blob);
-        told(`${name} is written, ${(blob.size / 1e6).toFixed(2)} MB.`);
+        told(`${name} is written, ${sized(blob.size)}.`);
       } catch (error) { failed(error); } finally { button.disabled = false; }
     };
   }
   const view = make(find("#files"), "button", { type: "button", "data-kind": "view" }, "This view, PNG");
-  view.onclick = () => film.canvas.toBlob((blob) => handed("view.png", blob));
+  view.onclick = () => film.canvas.toBlob((blob) => {
+    handed("view.png", blob);
+    told(`view.png is written, ${sized(blob.size)}.`);
+  });
   find("#copy-lines").onclick = async () => {
     await navigator.clipboard.writeText(find("#lines").textContent);
     told("The lines are copied.");

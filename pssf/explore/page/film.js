@@ -11,6 +11,8 @@ export class Film {
     this.viewport = find("#viewport");
     this.present = this.pinned = null;
     this.width = this.level = null;
+    // Whether the next picture gets a window of its own, up to the first whole one.
+    this.anew = false;
     this.zoom = 1;
     this.middle = [0.5, 0.5];
     this.cursor = null;
@@ -35,7 +37,9 @@ export class Film {
     this.present = picture;
     const first = this.width === null;
     if (turned || first) this.auto(true);
+    else if (this.anew) this.auto();
     else this.paint();
+    if (picture.header.whole) this.anew = false;
   }
 
   pin() { this.pinned = this.present; }
@@ -131,7 +135,7 @@ export class Film {
 
   measure(place) {
     this.measured = this.measured.length === 1 ? [this.measured[0], place] : [place];
-    this.moved();
+    this.point(place);
   }
 
   /** Length of the measure at the joint plane, mm; null where there is none. */
@@ -186,7 +190,10 @@ export class Film {
         this.moved();
       }
     };
-    viewport.onpointerup = viewport.onpointercancel = () => { before = null; };
+    viewport.onpointerup = viewport.onpointercancel = (event) => {
+      if (before && tool === "measure" && this.shown) this.point(this.from(event));
+      before = null;
+    };
     viewport.onpointerleave = () => { if (!before) this.point(null); };
     viewport.addEventListener("wheel", (event) => {
       if (!this.shown) return;

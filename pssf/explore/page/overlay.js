@@ -49,6 +49,16 @@ function drawHands(film, svg) {
   }
 }
 
+/** What each colour is; nothing where no mask is shown. */
+export function tellColours(names) {
+  const legend = find("#legend");
+  legend.hidden = !names.length;
+  legend.textContent = "";
+  // The style sheet alone may style: a property is set by script, not by an attribute.
+  for (const name of names)
+    make(legend, "span", {}, words(name)).style.setProperty("--colour", `rgb(${colourOf(name).join(" ")})`);
+}
+
 const colourOf = (name) => COLOURS[name] ?? COLOURS[name.split("_").at(-1)] ?? [255, 255, 255];
 
 /** Outlines of masks, a bit a pixel, on a canvas over the film; returns what each colour is. */

@@ -8,6 +8,12 @@ function differing(values, from) {
     JSON.stringify(value) !== JSON.stringify(from[name])));
 }
 
+/** Names of the fields in which two pictures' states differ. */
+export function differingFields(one, other) {
+  const parts = ["knee", "protocol"].flatMap((part) => Object.keys(differing(one[part], other[part])));
+  return [...parts, ...["seed", "look"].filter((name) => one[name] !== other[name])];
+}
+
 export class Store {
   constructor(listing) {
     this.listing = listing;
