@@ -73,7 +73,10 @@ def scatter_passing(kind: Grid, beam: Beam, gap_mm: float, limb: Material) -> fl
     slopes = across / (gap_mm + _BELOW_MM)
     lengths = np.sqrt(far2) / (gap_mm + _BELOW_MM)
     mu = _attenuation(beam)
-    passed = [_passed(kind, mu, abs(slope), line) for slope, line in zip(slopes, lengths, strict=True)]
+    # Both sides of the strip are alike.
+    right = len(slopes) // 2
+    passed = [_passed(kind, mu, slope, line) for slope, line in zip(slopes[right:], lengths[right:], strict=True)]
+    passed = [*passed[:0:-1], *passed]
     return float((np.array(passed) * seen[:, :, None] / seen.sum()).sum(axis=(0, 1)) @ weights)
 
 
