@@ -6,7 +6,7 @@ A stage reads the chain, which is resolved once. One that the protocol does not 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,11 +114,14 @@ class Stage:
     name    its time is put down under
     wanted  whether a protocol asks for it
     run     changes the image
+    reads   maps that are let go before later stages, unless these read them: "paths", and primary and scatter apart
+            with them; "photons", of the primary what a photon brings
     """
 
     name: str
     wanted: Callable[[Protocol], bool]
     run: Callable[[LatentImage, Chain], None]
+    reads: Literal["paths", "photons"] | None = None
 
 
 def load_spectrum(image: LatentImage, chain: Chain) -> None:
@@ -219,19 +222,16 @@ def read_out(image: LatentImage, chain: Chain) -> None:
     image.pixels = readout(values, chain.technique, seed, chain.workers)
 
 
-# Names of the stages that read path lengths, or the primary and scatter apart.
-_READ_PATHS = {"attenuation", "scatter", "grid"}
-
 STAGES = (
     Stage("spectrum", lambda protocol: protocol.focal_spot != "sampled", load_spectrum),
-    Stage("attenuation", lambda protocol: protocol.focal_spot != "sampled", attenuate),
+    Stage("attenuation", lambda protocol: protocol.focal_spot != "sampled", attenuate, "paths"),
     Stage("focal spot", lambda protocol: protocol.focal_spot == "sampled", sample_focal_spot),
-    Stage("scatter", lambda protocol: protocol.scatter == "kernel", scatter_by_kernel),
-    Stage("scatter", lambda protocol: protocol.scatter == "monte_carlo", scatter_by_photons),
-    Stage("grid", lambda protocol: protocol.grid_ratio > 0, pass_grid),
+    Stage("scatter", lambda protocol: protocol.scatter == "kernel", scatter_by_kernel, "paths"),
+    Stage("scatter", lambda protocol: protocol.scatter == "monte_carlo", scatter_by_photons, "paths"),
+    Stage("grid", lambda protocol: protocol.grid_ratio > 0, pass_grid, "paths"),
     Stage("focal spot", lambda protocol: protocol.focal_spot_mm > 0 and protocol.focal_spot == "blur", blur_focal_spot),
     Stage("marker", lambda protocol: protocol.marker != "none", lay_marker),
-    Stage("quantum noise", lambda protocol: protocol.noise == "quantum", draw_quanta),
+    Stage("quantum noise", lambda protocol: protocol.noise == "quantum", draw_quanta, "photons"),
     Stage("detector blur", lambda protocol: protocol.detector_blur != "none", blur_panel),
     Stage("readout", lambda protocol: True, read_out),
 )
@@ -251,13 +251,13 @@ def expose(image: LatentImage, chain: Chain) -> dict[str, float]:
     for place, stage in enumerate(stages, 1):
         stage.run(image, chain)
         clock.lap(stage.name)
-        _let_go(image, {later.name for later in stages[place:]}, chain.keep)
+        _let_go(image, {later.reads for later in stages[place:]}, chain.keep)
     return clock.seconds
 
 
-def _let_go(image: LatentImage, later: set[str], keep: frozenset[str]) -> None:
+def _let_go(image: LatentImage, read_later: set[str | None], keep: frozenset[str]) -> None:
     """Drop maps that no later stage reads: of a large detector each is a quarter of a gigabyte."""
-    if later & _READ_PATHS or image.primary is None:
+    if "paths" in read_later or image.primary is None:
         return
     image.path_mm = {}
     for name, held in (("primary", image.primary.kev), ("scatter", image.scatter)):
@@ -265,7 +265,7 @@ def _let_go(image: LatentImage, later: set[str], keep: frozenset[str]) -> None:
             image.kept.setdefault(name, held)
     signal = image.mean
     # Quantum noise reads of the primary what a photon brings; the sum stands in for the energy, which none reads again.
-    image.primary = Signal(signal, image.primary.photon_kev) if "quantum noise" in later else None
+    image.primary = Signal(signal, image.primary.photon_kev) if "photons" in read_later else None
     image.scatter = None
 
 

@@ -79,7 +79,7 @@ def _powers(table: Lattice) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
 
 
 def _of_variance_1(power: NDArray[np.float32], table: Lattice) -> NDArray[np.float32]:
-    """Powers (nx / 2 + 1, nz / 2 + 1, waves along y) over the variance of a field that has them, its mean left out."""
+    """Powers (nx / 2 + 1, nz / 2 + 1, waves along y), changed in place to those of a field of variance 1."""
     power[0, 0, 0] = 0
     # Each of the waves stands for two or four of frequencies of either sign. Those along y are the half that a real
     # transform holds; it reads the plane fy = 0 as if half of that were the mirror image of the other half.
