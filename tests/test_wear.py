@@ -32,7 +32,7 @@ def test_bone_on_bone_is_built_without_overlap_and_with_its_spaces(built):
 def test_only_the_plateau_under_the_femur_is_worn(built, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr("pssf.anatomy.built.worn", lambda tibia, femur, plate_mm: tibia)
-        patch.setattr("pssf.anatomy.built._check_nesting", lambda placed, muscle: None)
+        patch.setattr("pssf.anatomy.built.check_nesting", lambda placed, muscle: None)
         bare = pssf.build(WORN, FIXED_FLEXION)
     before, after = (knee.bones["tibia"].outer for knee in (bare, built))
     gone = before - after

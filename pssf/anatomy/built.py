@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from manifold3d import Manifold, OpType
+from manifold3d import Manifold
 
 from ..core.checks import Array, InputError
 from ..core.workers import one_blas_thread
@@ -17,7 +17,6 @@ from ..geometry.density import Density
 from ..geometry.mesh import Mesh
 from ..geometry.scene import Scene, Surface
 from ..geometry.view import View, view_of
-from ..geometry.within import lies_within
 from ..model.knee import Knee
 from ..model.protocol import Posture, Protocol
 from ..model.radiograph import Truth
@@ -26,15 +25,13 @@ from .cysts import CystSolids, cyst_meshes, cysts_of
 from .joint import KneeAssembly, assemble, defining_protocol
 from .plateau import along_plateau, inter_margin_mm
 from .pose import moved
+from .shells import check_nesting, nested
 from .solids import checked, mesh_of
 from .tissues import between
 from .trabeculae import BONES, Trabeculae, trabeculae
 from .truth import labels, measured_jsw_mm, osteophyte_meshes
 from .turned_truth import turned_labels
 from .wear import attrition_mm, worn
-
-# Trabecular bone that is outside its cortex by no more than this is drawn in there by so much.
-_MENDED_MM3, _DRAWN_IN_MM = 1.0, 0.1
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -162,7 +159,7 @@ def _surfaces(
     points_mm = np.vstack([part.outer.to_mesh64().vert_properties[:, :3] for part in solids.values()])
     limb = soft.layers(knee, shape, pose.flexion_deg, points_mm @ pose.soft()[:, :3])
     wraps = {name: solid.transform(pose.soft()) for name, solid in limb.items()}
-    _check_nesting(solids, wraps["muscle"])
+    check_nesting(solids, wraps["muscle"])
     surfaces = [
         _surface(wraps["skin"], "skin", "air", "skin", assembly),
         _surface(wraps["adipose"], "adipose", "skin", "adipose", assembly),
@@ -218,7 +215,7 @@ def _bones(knee: Knee, assembly: KneeAssembly) -> dict[str, _Placed]:
     whole = placed["tibia"].solids
     tibia = worn(whole, placed["femur"].solids.outer, plate_mm)
     placed |= {"tibia": replace(placed["tibia"], solids=tibia, worn=tibia is not whole)}
-    return {name: replace(part, solids=_nested(name, part.solids)) for name, part in placed.items()}
+    return {name: replace(part, solids=nested(name, part.solids)) for name, part in placed.items()}
 
 
 def _after(first: Array, then: Array) -> Array:
@@ -244,42 +241,6 @@ def _texture(knee: Knee, bone: str, table: TrabecularBone, assembly: KneeAssembl
 def _placed(part: bones.Bone, transform: Array) -> bones.Bone:
     canal = None if part.canal is None else part.canal.transform(transform)
     return bones.Bone(outer=part.outer.transform(transform), inner=part.inner.transform(transform), canal=canal)
-
-
-def _nested(name: str, part: bones.Bone) -> bones.Bone:
-    """A bone whose trabecular bone lies within it: where a thin cortex folds it is drawn in by _DRAWN_IN_MM.
-
-    raises  InputError where more than _MENDED_MM3 lies outside
-    """
-    # A solid of what is outside takes several times as long, and nearly always there is none.
-    if lies_within(mesh_of(part.inner), mesh_of(part.outer)):
-        return part
-    outside_mm3 = (part.inner - part.outer).volume()
-    if outside_mm3 <= 1e-6:
-        return part
-    if outside_mm3 > _MENDED_MM3:
-        raise InputError(f"{name}: its trabecular bone leaves its host by {outside_mm3:.3g} mm3; allowed: 0")
-    ways = [part.outer.translate(tuple(way)) for way in _DRAWN_IN_MM * np.vstack((np.eye(3), -np.eye(3)))]
-    return replace(part, inner=Manifold.batch_boolean([part.inner, part.outer, *ways], OpType.Intersect))
-
-
-def _check_nesting(placed: dict[str, bones.Bone], muscle: Manifold) -> None:
-    """Refuse shells that leave their host and bones that meet: path lengths would then be wrong in silence."""
-    for name, part in placed.items():
-        shells = [("cortex", part.outer, muscle)]
-        shells += [("marrow", part.canal, part.inner)] if part.canal is not None else []
-        for what, inside, host in shells:
-            if not lies_within(mesh_of(inside), mesh_of(host)) and (inside - host).volume() > 1e-6:
-                raise InputError(
-                    f"{name}: its {what} leaves its host by {(inside - host).volume():.3g} mm3; allowed: 0"
-                )
-    names = list(placed)
-    for i, one in enumerate(names):
-        for other in names[i + 1 :]:
-            shared = (placed[one].outer ^ placed[other].outer).volume()
-            if shared > 1e-6:
-                why = "joint spaces, osteophytes and pose leave them no room"
-                raise InputError(f"{one} and {other} overlap by {shared:.3g} mm3 ({why}); allowed: 0 mm3")
 
 
 def _surface(solid: Manifold, inside: str, outside: str, name: str, at: KneeAssembly, **densities: Density) -> Surface:
