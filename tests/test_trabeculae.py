@@ -48,7 +48,7 @@ def bone(name: str = "tibia", **changed) -> Trabeculae:
 
 
 def region(density: Trabeculae, **changed) -> Trabeculae:
-    return dataclasses.replace(density, region=density.region._replace(**changed))
+    return dataclasses.replace(density, coarse=1.0, region=density.region._replace(**changed))
 
 
 def segments(count: int, seed: int = 0, spread_mm: float = 40.0) -> np.ndarray:
@@ -266,7 +266,8 @@ def test_bone_is_denser_at_the_plate_and_medially_and_fades_down_the_shaft():
 
 
 def test_sclerosis_makes_the_plate_denser_medially_more_than_laterally_and_leaves_the_rest():
-    x, healthy, hard = np.linspace(-4, 4, 30), bone(), bone(sclerosis=1.78)
+    # Its struts are coarser as well, so that single ones are not the same.
+    x, healthy, hard = np.linspace(-4, 4, 30), *(region(bone(sclerosis=of), **NO_STRUTS) for of in (1.0, 1.78))
     rise = {(at, z): bvtv(hard, x + at, z) / bvtv(healthy, x + at, z) for at in (23.0, -23.0) for z in (-2.5, -40.0)}
     assert 1.25 < rise[23.0, -2.5] < 1.47  # Rapagna 2021: 1.47 right under the plate
     assert 1.02 < rise[-23.0, -2.5] < 0.5 + 0.5 * rise[23.0, -2.5]
@@ -278,6 +279,22 @@ def test_sclerosis_makes_the_plate_denser_medially_more_than_laterally_and_leave
     }
     assert below["hard"] > below["healthy"]
     assert bone("fibula", sclerosis=1.78) == bone("fibula")
+
+
+def test_struts_are_coarser_in_hard_bone_and_in_old_women_alike_along_all_axes():
+    starts, ends = through(np.linspace(-20, 20, 60), np.linspace(-30, -10, 60))
+    coarse = bone().coarse
+    assert bone(sclerosis=1.5).coarse > 1.1 * coarse
+    assert bone(sex="female", age_years=90.0).coarse > bone(sex="female", age_years=20.0).coarse
+    assert bone("femur", sclerosis=1.5).coarse == bone(sclerosis=1.5).coarse
+    assert len({bone(seed=seed).coarse for seed in range(20)}) > 15
+    even = region(bone(), **EVEN)
+    # The middle of the frame has the place of the lattice that all sizes share.
+    assert_allclose(
+        dataclasses.replace(even, coarse=1.25).integrate(1.25 * starts, 1.25 * ends),
+        1.25 * even.integrate(starts, ends),
+        rtol=2e-3,
+    )
 
 
 def test_age_and_sex_take_bone_away():

@@ -32,13 +32,15 @@ class Trabeculae:
     region  its smooth part
     seed    of the lattice, which is made when it is first needed
     table   of the lattice
-    shift   where in the lattice (x, z, y, in voxels) the bone is
+    coarse  its voxels over those of the table
+    shift   where in it (x, z, y, in voxels) the bone is
     into    rows of the (3, 4) transform from the knee frame into the bone's
     """
 
     region: Region
     seed: int
     table: Lattice
+    coarse: float
     shift: Triple
     into: tuple[float, ...]
 
@@ -59,7 +61,7 @@ class Trabeculae:
             return out
         starts, ends = (np.ascontiguousarray(points, np.float64) for points in (starts_mm, ends_mm))
         block, unit = lattice(self.seed, self.table)
-        x, z, y = self.table.voxel_mm
+        x, z, y = (self.coarse * voxel for voxel in self.table.voxel_mm)
         struts = Struts(block.reshape(-1), self.table.voxels, unit, (1 / x, 1 / z, 1 / y), self.shift)
         into = np.array(self.into).reshape(3, 4)
         integrate_density(starts, ends, into, struts, self.region, Steps(fine, piece), out)
@@ -105,6 +107,7 @@ def trabeculae(
         ),
         seed=int(seed),
         table=table.lattice,
+        coarse=_coarse(table, bone, int(seed), sclerosis, age_years, sex),
         shift=(x, z, y),
         into=_inverse(np.asarray(frame, np.float64), mirror),
     )
@@ -169,6 +172,15 @@ def _aged(ageing: Ageing, age_years: float, sex: str, density: float) -> tuple[f
     """BV/TV and contrast of the struts of a person over those of the table."""
     years = age_years - ageing.reference_years
     return density * (1 - ageing.per_year * years) * ageing.mean[sex], 1 + ageing.contrast_per_year[sex] * years
+
+
+def _coarse(table: TrabecularBone, bone: str, seed: int, sclerosis: float, age_years: float, sex: str) -> float:
+    """Size of a bone's struts over the lattice's; those of all bones of a knee differ alike from other people's."""
+    grain, years = table.grain, age_years - table.ageing.reference_years
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1 + len(BONES),)))
+    own = float(np.exp(grain.deviation * np.clip(rng.standard_normal(), -2.0, 2.0)))
+    hard = grain.per_plate * (sclerosis - 1) if getattr(table, _AS.get(bone, bone)).sclerosis else 0.0
+    return own * (1 + grain.per_year[sex] * years) * (1 + hard)
 
 
 def _inverse(frame: Array, mirror: Triple) -> tuple[float, ...]:

@@ -51,6 +51,14 @@ class Person(Record, frozen=True):
     density: Pair
 
 
+class Grain(Record, frozen=True):
+    """How much coarser struts are, by the plate and a year by sex, and how people differ."""
+
+    per_plate: float
+    per_year: dict[str, float]
+    deviation: float
+
+
 class Sclerosis(Record, frozen=True):
     """Rise of BV/TV with the subchondral plate."""
 
@@ -125,6 +133,7 @@ class TrabecularBone(Record, frozen=True):
     lattice: Lattice
     ageing: Ageing
     person: Person
+    grain: Grain
     sclerosis: Sclerosis
     side: Side
     scar: Scar
