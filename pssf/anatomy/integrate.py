@@ -102,7 +102,9 @@ def _nodes(lanes: Array, region: Region, struts: Struts) -> None:
         for dip in region.dips:
             surface += dip[2] * _bell((x - dip[0]) * dip[1])
         high, deep = min(z - surface - region.joint[1], region.below), y - region.joint[0]
-        depth = max(region.joint[2] - math.sqrt(deep * deep + high * high), 0.0)
+        below = region.joint[2] - math.sqrt(deep * deep + high * high)
+        depth, rim = max(below, 0.0), (below - region.rim_mm) * region.rim_per_mm
+        mean *= 1.0 - region.rim * (0.5 + 0.5 * medial) * (0.5 - 0.5 * rim / math.sqrt(1.0 + rim * rim))
         hard = region.hard_medial * (0.5 + 0.5 * medial) + region.hard_lateral * (0.5 - 0.5 * medial)
         rise = region.plate * (1.0 + region.plate_medial * medial)
         more = rise * _step(depth * region.plate_per_mm) + hard * _bell(depth * region.hard_per_mm)

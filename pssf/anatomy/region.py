@@ -41,6 +41,9 @@ class Region(NamedTuple):
     joint: Triple
     below: float
     dips: tuple[Triple, Triple, Triple]
+    rim: float
+    rim_mm: float
+    rim_per_mm: float
     gain: float
     gain_shaft: float
     scar_x: float

@@ -10,6 +10,7 @@ lattice    the struts     integrate  integrals along segments
 from dataclasses import dataclass
 
 import numpy as np
+from msgspec import structs
 
 from ..core.checks import Array, InputError, require, require_choice, require_seed
 from ..data.records import Triple
@@ -31,16 +32,14 @@ class Trabeculae:
 
     region  its smooth part
     seed    of the lattice, which is made when it is first needed
-    table   of the lattice
-    coarse  its voxels over those of the table
-    shift   where in it (x, z, y, in voxels) the bone is
+    table   of the knee's lattice
+    shift   where in the lattice (x, z, y, in voxels) the bone is
     into    rows of the (3, 4) transform from the knee frame into the bone's
     """
 
     region: Region
     seed: int
     table: Lattice
-    coarse: float
     shift: Triple
     into: tuple[float, ...]
 
@@ -61,7 +60,7 @@ class Trabeculae:
             return out
         starts, ends = (np.ascontiguousarray(points, np.float64) for points in (starts_mm, ends_mm))
         block, unit = lattice(self.seed, self.table)
-        x, z, y = (self.coarse * voxel for voxel in self.table.voxel_mm)
+        x, z, y = self.table.voxel_mm
         struts = Struts(block.reshape(-1), self.table.voxels, unit, (1 / x, 1 / z, 1 / y), self.shift)
         into = np.array(self.into).reshape(3, 4)
         integrate_density(starts, ends, into, struts, self.region, Steps(fine, piece), out)
@@ -106,8 +105,7 @@ def trabeculae(
             bone, table, rng.random(6).tolist(), scale, sclerosis, _aged(table.ageing, age_years, sex, density)
         ),
         seed=int(seed),
-        table=table.lattice,
-        coarse=_coarse(table, bone, int(seed), sclerosis, age_years, sex),
+        table=_grained(table, int(seed), sclerosis, age_years, sex),
         shift=(x, z, y),
         into=_inverse(np.asarray(frame, np.float64), mirror),
     )
@@ -139,7 +137,7 @@ def _region(
     same = {name: value for name in Region._fields if isinstance(value := getattr(part, name, None), float)}
     same |= {name: min(1.0, getattr(part, name) * contrast) for name in ("gain", "gain_shaft")}
     same |= {f"{name}_per_mm": 1 / getattr(part, f"{name}_mm") for name in ("fade", "plate")}
-    same |= {f"{name}_per_mm": 1 / getattr(part, f"{name}_half_mm") for name in ("column", "margin", "scar")}
+    same |= {f"{name}_per_mm": 1 / getattr(part, f"{name}_half_mm") for name in ("column", "margin", "rim", "scar")}
     dips = [(x, 1 / half, rise) for x, half, rise in part.dips]
     same["scar_bvtv"] *= scar.least + (1 - scar.least) * chance[1]
     return Region(
@@ -174,13 +172,13 @@ def _aged(ageing: Ageing, age_years: float, sex: str, density: float) -> tuple[f
     return density * (1 - ageing.per_year * years) * ageing.mean[sex], 1 + ageing.contrast_per_year[sex] * years
 
 
-def _coarse(table: TrabecularBone, bone: str, seed: int, sclerosis: float, age_years: float, sex: str) -> float:
-    """Size of a bone's struts over the lattice's; those of all bones of a knee differ alike from other people's."""
+def _grained(table: TrabecularBone, seed: int, sclerosis: float, age_years: float, sex: str) -> Lattice:
+    """The lattice of one knee: where its struts are stays as it is, how fine they are does not."""
     grain, years = table.grain, age_years - table.ageing.reference_years
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1 + len(BONES),)))
     own = float(np.exp(grain.deviation * np.clip(rng.standard_normal(), -2.0, 2.0)))
-    hard = grain.per_plate * (sclerosis - 1) if getattr(table, _AS.get(bone, bone)).sclerosis else 0.0
-    return own * (1 + grain.per_year[sex] * years) * (1 + hard)
+    coarse = own * (1 + grain.per_year[sex] * years) * (1 + grain.per_plate * (sclerosis - 1))
+    return structs.replace(table.lattice, high_per_mm=table.lattice.high_per_mm / coarse)
 
 
 def _inverse(frame: Array, mirror: Triple) -> tuple[float, ...]:

@@ -52,7 +52,7 @@ class Person(Record, frozen=True):
 
 
 class Grain(Record, frozen=True):
-    """How much coarser struts are, by the plate and a year by sex, and how people differ."""
+    """How much coarser struts are, over the plate and a year by sex, and how people differ."""
 
     per_plate: float
     per_year: dict[str, float]
@@ -116,6 +116,9 @@ class SpongyBone(Record, frozen=True):
     joint: Triple
     below: float
     dips: tuple[Triple, Triple, Triple]
+    rim: float
+    rim_mm: float
+    rim_half_mm: float
     gain: float
     gain_shaft: float
     scar_mm: Pair
