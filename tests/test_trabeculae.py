@@ -450,5 +450,7 @@ def test_rims_of_the_medial_plateau_above_its_floor_are_bare_and_no_others():
     assert rims < 0.4
     assert bvtv(full, 23.0, -9.0) > 0.95 * bvtv(filled, 23.0, -9.0)
     assert bvtv(full, -23.0, -1.0) > 0.9 * bvtv(filled, -23.0, -1.0)
+    # The eminence is none of it.
+    assert bvtv(full, 3.0, 4.0) > 0.85 * bvtv(filled, 3.0, 4.0)
     for other in ("femur", "fibula", "patella"):
         assert bone(other).region.rim == 0.0

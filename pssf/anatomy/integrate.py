@@ -74,6 +74,11 @@ def _step(x: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _sigmoid(x: float) -> float:
+    return 0.5 + 0.5 * x / math.sqrt(1.0 + x * x)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _aside(across: float, up: float, region: Region) -> float:
     """How far struts sway at a place, mm: two waves whose lengths have no common period, leaning to either side."""
     wave, other = up * region.sway_per_mm + region.sway_phase, across * region.sway_per_mm * region.sway_across
@@ -104,7 +109,8 @@ def _nodes(lanes: Array, region: Region, struts: Struts) -> None:
         high, deep = min(z - surface - region.joint[1], region.below), y - region.joint[0]
         below = region.joint[2] - math.sqrt(deep * deep + high * high)
         depth, rim = max(below, 0.0), (below - region.rim_mm) * region.rim_per_mm
-        mean *= 1.0 - region.rim * (0.5 + 0.5 * medial) * (0.5 - 0.5 * rim / math.sqrt(1.0 + rim * rim))
+        beyond = (x - region.rim_from_mm) * region.rim_per_mm
+        mean *= 1.0 - region.rim * _sigmoid(beyond) * _sigmoid(-rim)
         hard = region.hard_medial * (0.5 + 0.5 * medial) + region.hard_lateral * (0.5 - 0.5 * medial)
         rise = region.plate * (1.0 + region.plate_medial * medial)
         more = rise * _step(depth * region.plate_per_mm) + hard * _bell(depth * region.hard_per_mm)

@@ -42,6 +42,7 @@ class Region(NamedTuple):
     below: float
     dips: tuple[Triple, Triple, Triple]
     rim: float
+    rim_from_mm: float
     rim_mm: float
     rim_per_mm: float
     gain: float

@@ -117,6 +117,7 @@ class SpongyBone(Record, frozen=True):
     below: float
     dips: tuple[Triple, Triple, Triple]
     rim: float
+    rim_from_mm: float
     rim_mm: float
     rim_half_mm: float
     gain: float
