@@ -175,7 +175,9 @@ def test_knees_measure_about_what_is_published():
 
 
 def test_random_knees_build():
-    (row,) = builds.build_rows(4, 1)
+    told: list[str] = []
+    (row,) = builds.build_rows(4, 1, told.append)
+    assert told == [f"builds: {done} of 4, 0 refused" for done in range(1, 5)]
     assert -1e-6 < row["least_path_mm"] <= 0
     assert (row["built"], row["refused"], row["first_refusal"]) == (4, 0, "")
     assert row["jsw_error_mm"] < 1e-3

@@ -85,7 +85,7 @@ def measure(
     if {"engines", "growth"} & set(tables):
         progress("ray casting")
         engines = engine_rows(workers)
-    jobs, paths = _jobs(engines, knees, workers), []
+    jobs, paths = _jobs(engines, knees, workers, progress), []
     for name in (name for name in (*TABLES, *BY_NAME) if name in tables):
         progress(name)
         rows = jobs[name]()
@@ -103,7 +103,9 @@ def measure(
     return paths
 
 
-def _jobs(engines: list[Row], knees: int, workers: int) -> dict[str, Callable[[], list[Row]]]:
+def _jobs(
+    engines: list[Row], knees: int, workers: int, say: Callable[[str], None]
+) -> dict[str, Callable[[], list[Row]]]:
     """Table -> what measures it."""
     return {
         "engines": lambda: engines,
@@ -120,7 +122,7 @@ def _jobs(engines: list[Row], knees: int, workers: int) -> dict[str, Callable[[]
         "tessellation": tessellation_rows,
         "texture_steps": step_rows,
         "texture": lambda: spread_rows(knees, workers),
-        "builds": lambda: build_rows(knees, workers),
+        "builds": lambda: build_rows(knees, workers, say),
         "knees": lambda: knee_rows(knees, workers),
         "views": lambda: view_rows(knees, workers),
         "view_scatter": lambda: view_scatter_rows(workers),

@@ -1,5 +1,6 @@
 """Random knees built, half of them drawn as cohorts' are, by every table, half from all over the ranges of an adult."""
 
+from collections.abc import Callable
 from time import perf_counter
 from typing import Any
 
@@ -46,16 +47,31 @@ _TABLES = ("paper", "people")
 _SHAPE_SD = 3.0
 
 
-def build_rows(count: int, workers: int) -> list[Row]:
+def build_rows(count: int, workers: int, say: Callable[[str], None] = lambda line: None) -> list[Row]:
     """How many were built and how many refused, with the first refusal; largest error of a joint space, triangles.
 
     A built knee has valid solids, nested shells and bones that keep clear of each other: `build` refuses others. The
     least path in any material along any ray (as joint spaces are defined, and of geometry shift), and the knee that has
     it, is 0 unless a surface folds over itself.
+    say  is told of each refusal when it comes, and how far it is at each tenth
     """
     drawn = tuple((table, grade) for table in _TABLES for grade in grade_table(table).grades)
+    counted = {"done": 0, "refused": 0}
+
+    def arrived(number: int, one: Row) -> None:
+        counted["done"] += 1
+        if one["refused"]:
+            counted["refused"] += 1
+            say(f"builds: knee {number} refused: {one['refused']}")
+        if counted["done"] * 10 // count > (counted["done"] - 1) * 10 // count:
+            say(f"builds: {counted['done']} of {count}, {counted['refused']} refused")
+
     attempts = ordered_map(
-        _built, list(range(count)), shared={"drawn": drawn, "modes": len(shape_table().modes)}, workers=workers
+        _built,
+        list(range(count)),
+        shared={"drawn": drawn, "modes": len(shape_table().modes)},
+        workers=workers,
+        arrived=arrived,
     )
     refused = [f"knee {number}: {one['refused']}" for number, one in enumerate(attempts) if one["refused"]]
     built = [one for one in attempts if not one["refused"]]
