@@ -56,22 +56,12 @@ def build_rows(count: int, workers: int, say: Callable[[str], None] = lambda lin
     say  is told of each refusal when it comes, and how far it is at each tenth
     """
     drawn = tuple((table, grade) for table in _TABLES for grade in grade_table(table).grades)
-    counted = {"done": 0, "refused": 0}
-
-    def arrived(number: int, one: Row) -> None:
-        counted["done"] += 1
-        if one["refused"]:
-            counted["refused"] += 1
-            say(f"builds: knee {number} refused: {one['refused']}")
-        if counted["done"] * 10 // count > (counted["done"] - 1) * 10 // count:
-            say(f"builds: {counted['done']} of {count}, {counted['refused']} refused")
-
     attempts = ordered_map(
         _built,
         list(range(count)),
         shared={"drawn": drawn, "modes": len(shape_table().modes)},
         workers=workers,
-        arrived=arrived,
+        arrived=_counted(count, say),
     )
     refused = [f"knee {number}: {one['refused']}" for number, one in enumerate(attempts) if one["refused"]]
     built = [one for one in attempts if not one["refused"]]
@@ -84,6 +74,22 @@ def build_rows(count: int, workers: int, say: Callable[[str], None] = lambda lin
         "least_triangles": min(triangles), "most_triangles": max(triangles),
         "median_seconds": round(float(np.median([one["seconds"] for one in built])), 2),
     }]  # fmt: skip
+
+
+def _counted(count: int, say: Callable[[str], None]) -> Callable[[int, Row], None]:
+    """What is told number and row of each knee, and says the refusals and each tenth of `count`."""
+    done = refused = 0
+
+    def arrived(number: int, one: Row) -> None:
+        nonlocal done, refused
+        done += 1
+        if one["refused"]:
+            refused += 1
+            say(f"builds: knee {number} refused: {one['refused']}")
+        if done * 10 // count > (done - 1) * 10 // count:
+            say(f"builds: {done} of {count}, {refused} refused")
+
+    return arrived
 
 
 def _built(number: int, drawn: tuple[tuple[str, int], ...], modes: int) -> Row:

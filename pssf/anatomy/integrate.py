@@ -79,6 +79,22 @@ def _sigmoid(x: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _left_in_rim(x: float, below_mm: float, region: Region) -> float:
+    """Share of its bone that a place has: 1 but in the medial plateau's rim, above the floor."""
+    beyond, above = x - region.rim_from_mm, region.rim_mm - below_mm
+    return 1.0 - region.rim * _sigmoid(beyond * region.rim_per_mm) * _sigmoid(above * region.rim_per_mm)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _over_scar(x: float, y: float, z: float, region: Region) -> float:
+    """Height of a place over the sheet of the physeal scar, mm."""
+    back = y - region.scar_y
+    over = z - region.scar_z - region.scar_slope * x - region.scar_bow_per_mm * x * x
+    over -= region.scar_dome_per_mm * back * back
+    return over - region.scar_ripple_mm * math.sin(x * region.scar_ripple_per_mm + region.scar_phase)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _aside(across: float, up: float, region: Region) -> float:
     """How far struts sway at a place, mm: two waves whose lengths have no common period, leaning to either side."""
     wave, other = up * region.sway_per_mm + region.sway_phase, across * region.sway_per_mm * region.sway_across
@@ -108,9 +124,8 @@ def _nodes(lanes: Array, region: Region, struts: Struts) -> None:
             surface += dip[2] * _bell((x - dip[0]) * dip[1])
         high, deep = min(z - surface - region.joint[1], region.below), y - region.joint[0]
         below = region.joint[2] - math.sqrt(deep * deep + high * high)
-        depth, rim = max(below, 0.0), (below - region.rim_mm) * region.rim_per_mm
-        beyond = (x - region.rim_from_mm) * region.rim_per_mm
-        mean *= 1.0 - region.rim * _sigmoid(beyond) * _sigmoid(-rim)
+        depth = max(below, 0.0)
+        mean *= _left_in_rim(x, below, region)
         hard = region.hard_medial * (0.5 + 0.5 * medial) + region.hard_lateral * (0.5 - 0.5 * medial)
         rise = region.plate * (1.0 + region.plate_medial * medial)
         more = rise * _step(depth * region.plate_per_mm) + hard * _bell(depth * region.hard_per_mm)
@@ -118,10 +133,7 @@ def _nodes(lanes: Array, region: Region, struts: Struts) -> None:
         swing *= 1.0 + region.plate_struts * more * fade
         mean *= 1.0 + more * fade
         swing = min(swing, mean)
-        back = y - region.scar_y
-        over = z - region.scar_z - region.scar_slope * x - region.scar_bow_per_mm * x * x
-        over -= region.scar_dome_per_mm * back * back
-        over -= region.scar_ripple_mm * math.sin(x * region.scar_ripple_per_mm + region.scar_phase)
+        over = _over_scar(x, y, z, region)
         across = (u * region.scale + _aside(u, true_z, region)) / region.squat
         up = true_z * region.squat
         lanes[_FAR + _A + n] = across * struts.per_mm[0] + struts.shift[0] + _PERIODS
