@@ -258,9 +258,7 @@ def test_bone_is_denser_at_the_plate_and_medially_and_fades_down_the_shaft():
     deep = [(x + 23, z, 22.5) for z in np.arange(-22, -6, 3)]
     medial, lateral, metaphysis = np.split(usual_bvtv(*sides, *deep), (3, 6))
     assert medial[0] > 1.15 * medial[1] > 1.15 * medial[2]
-    # Where strength was measured; 15 mm under the floor films show no more bone medially than laterally.
-    assert all(m > 1.1 * other for m, other in zip(medial[:2], lateral[:2], strict=True))
-    assert medial[2] > lateral[2]
+    assert all(m > 1.1 * other for m, other in zip(medial, lateral, strict=True))
     assert 0.18 < medial[0] < 0.37
     assert 0.08 < medial[2] < 0.22
     assert bvtv(bone(), x, -120.0) < 0.05

@@ -1,6 +1,5 @@
 """lattice: a seed -> the struts of a knee, a periodic block of relative bone content made by FFT."""
 
-from functools import lru_cache
 from threading import Lock
 
 import numpy as np
@@ -57,7 +56,6 @@ def _made(seed: int, table: Lattice) -> tuple[Block, float]:
     return block, 1 / float(block[:nx, :nz].mean())
 
 
-@lru_cache(maxsize=2)
 def _powers(table: Lattice) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """(nx / 2 + 1, nz / 2 + 1, waves along y) each  of fields of struts and of patches, with variance 1;
     frequencies not negative

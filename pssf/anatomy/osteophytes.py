@@ -14,7 +14,7 @@ from .implicit import blend
 from .lips import Deform, Lip, lip_at
 from .mean_bone import MeanBone
 from .remesh import laplacian_smooth
-from .solids import checked, mesh_of
+from .solids import box_about, checked, mesh_of
 
 _CORTEX_MM = 0.3
 # Large ones have more of it, by this part of their size.
@@ -83,12 +83,6 @@ class Spike:
 OsteophyteShape = Lip | Spike
 
 
-def _box(solid: Manifold) -> Manifold:
-    """A box about a solid, with room for it to be drawn in."""
-    low, high = np.array(solid.bounding_box()).reshape(2, 3)
-    return Manifold.cube(high - low + 4 * _DRAWN_IN_MM).translate(low - 2 * _DRAWN_IN_MM)
-
-
 @dataclass(frozen=True)
 class BoneWithOsteophytes:
     """A bone's outer solid with its osteophytes, in its frame at the mean man's size."""
@@ -100,7 +94,7 @@ class BoneWithOsteophytes:
         """The trabecular solid of the bone with what is inside its osteophytes."""
         for shape in self.shapes:
             within = shape.solid(_CORTEX_MM / scale + _THICKENING * shape.size_mm)
-            about = self.outer ^ _box(within)
+            about = self.outer ^ box_about(within, 2 * _DRAWN_IN_MM)
             # A rounded margin may not hold the feet of a small one; what is outside of the bone, drawn in, is cut off.
             if (within - about).volume() > 0:
                 within = within ^ about

@@ -9,7 +9,7 @@ from manifold3d import Manifold, OpType
 from ..core.checks import InputError
 from ..geometry.within import lies_within
 from .bones import Bone
-from .solids import mesh_of
+from .solids import box_about, mesh_of
 
 # Trabecular bone that is outside its cortex by no more than this is drawn in by so much, so far about what is outside.
 _MENDED_MM3, _DRAWN_IN_MM, _ABOUT_MM = 1.0, 0.1, 0.5
@@ -32,17 +32,16 @@ def nested(name: str, part: Bone) -> Bone:
     if outside_mm3 > _MENDED_MM3:
         raise InputError(f"{name}: its trabecular bone leaves its host by {outside_mm3:.3g} mm3; allowed: 0")
     # Copies of the whole bone would cross each other everywhere, which takes a second.
-    about = part.outer ^ _boxes(outside, _ABOUT_MM + 2 * _DRAWN_IN_MM)
+    pieces = outside.decompose()
+    about = part.outer ^ _boxes(pieces, _ABOUT_MM + 2 * _DRAWN_IN_MM)
     ways = [about.translate(tuple(way)) for way in _DRAWN_IN_MM * np.vstack((np.eye(3), -np.eye(3)))]
     drawn_in = Manifold.batch_boolean([about, *ways], OpType.Intersect)
-    return replace(part, inner=part.inner - (_boxes(outside, _ABOUT_MM) - drawn_in))
+    return replace(part, inner=part.inner - (_boxes(pieces, _ABOUT_MM) - drawn_in))
 
 
-def _boxes(solid: Manifold, margin_mm: float) -> Manifold:
-    """All that lies in a box about any piece of a solid."""
-    corners = [np.array(piece.bounding_box()).reshape(2, 3) for piece in solid.decompose()]
-    cubes = [Manifold.cube(high - low + 2 * margin_mm).translate(low - margin_mm) for low, high in corners]
-    return Manifold.batch_boolean(cubes, OpType.Add)
+def _boxes(pieces: list[Manifold], margin_mm: float) -> Manifold:
+    """All that lies in a box about any of the pieces."""
+    return Manifold.batch_boolean([box_about(piece, margin_mm) for piece in pieces], OpType.Add)
 
 
 def check_nesting(placed: Mapping[str, Bone], muscle: Manifold) -> None:

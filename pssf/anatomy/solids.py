@@ -47,6 +47,12 @@ def mesh_of(solid: Manifold) -> Mesh:
     return Mesh(np.array(mesh.vert_properties[:, :3]), mesh.tri_verts.astype(np.int64))
 
 
+def box_about(solid: Manifold, margin_mm: float) -> Manifold:
+    """The box that holds a solid and a margin on all sides of it."""
+    low, high = np.array(solid.bounding_box()).reshape(2, 3)
+    return Manifold.cube(high - low + 2 * margin_mm).translate(low - margin_mm)
+
+
 def edges_of(faces: Indices) -> Indices:
     """(m, 2)  every edge of a mesh once, the smaller vertex first
 
