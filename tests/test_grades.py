@@ -84,6 +84,18 @@ def test_a_table_changes_one_value_of_its_base_and_no_other_draw():
     assert {name for name in paper.body if paper.body[name] != people.body[name]} == {"tibial_slope_deg"}
 
 
+def test_bone_is_denser_and_bodies_heavier_with_grade_by_what_the_table_says():
+    rest = grade_table("people").rest
+    knees = [
+        [pssf.draw_knee(grade=grade, rng=np.random.default_rng(seed), table="people", sex="male") for seed in range(20)]
+        for grade in (0, 3)
+    ]
+    more = [rest.density_more[3] - rest.density_more[0], rest.bmi_more[3] - rest.bmi_more[0]]
+    for name, by in zip(("bone_density", "bmi"), more, strict=True):
+        apart = [getattr(high, name) - getattr(low, name) for low, high in zip(*knees, strict=True)]
+        np.testing.assert_allclose(apart, by, atol=2e-4)
+
+
 def test_a_table_of_ones_own_takes_the_body_from_its_base(tmp_path):
     own = tmp_path / "own.toml"
     own.write_text("""base = "paper"

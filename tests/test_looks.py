@@ -14,6 +14,7 @@ from pssf.data.looks import looks
 from pssf.detector import rendering
 from pssf.detector.looks import film, processed
 from pssf.detector.pyramid import join, split
+from pssf.model.look import drawn_look
 
 PLAIN = msgspec.structs.replace(looks().processed, power=1.0, edge_gain=1.0, latitude_gain=1.0)
 SIDE = 256
@@ -173,12 +174,15 @@ def test_a_field_of_no_pixel_is_refused(field_mm, what):
         pssf.present(limb().astype(np.uint16), pixel_mm=0.2, field_mm=field_mm)
 
 
-def test_drawn_looks_vary_as_the_table_says_and_the_same_chance_gives_the_same_look():
-    spread = looks().spread
-    drawn = [pssf.draw_look(rng=np.random.default_rng(seed)) for seed in range(400)]
-    assert drawn[7] == pssf.draw_look(rng=np.random.default_rng(7))
+@pytest.mark.parametrize(("share", "kind"), [(0.0, ""), (1.0, "plain_")])
+def test_drawn_looks_vary_as_the_table_says_and_the_same_chance_gives_the_same_look(share, kind):
+    spread = msgspec.structs.replace(looks().spread, plain=share)
+    known = msgspec.structs.replace(looks(), spread=spread)
+    drawn = [drawn_look(known, rng=np.random.default_rng(seed)) for seed in range(400)]
+    assert drawn[7] == drawn_look(known, rng=np.random.default_rng(7))
     for name in ("latitude_gain", "edge_gain", "dark", "bright", "bend"):
-        law, values = getattr(spread, name), np.array([getattr(look, name) for look in drawn])
+        law = getattr(spread, kind + name if name.endswith("gain") else name)
+        values = np.array([getattr(look, name) for look in drawn])
         values = np.log(values) if name == "edge_gain" else values
         assert law.low - 1e-3 <= values.min()
         assert values.max() <= law.high + 1e-3
@@ -186,6 +190,15 @@ def test_drawn_looks_vary_as_the_table_says_and_the_same_chance_gives_the_same_l
         assert abs(values.mean() - law.mean) < (3 / np.sqrt(400) + 0.2) * law.sd
         assert 0.5 * law.sd < values.std() < 1.1 * law.sd
     assert all(look.power == looks().processed.power for look in drawn)
+
+
+def test_so_large_a_share_of_drawn_looks_is_plain():
+    known = looks()
+    rare = msgspec.structs.replace(known.spread.plain_latitude_gain, mean=9.0, sd=0.0, low=9.0, high=9.0)
+    known = msgspec.structs.replace(known, spread=msgspec.structs.replace(known.spread, plain_latitude_gain=rare))
+    plain = [drawn_look(known, rng=np.random.default_rng(seed)).latitude_gain == 9.0 for seed in range(600)]
+    share = known.spread.plain
+    assert abs(np.mean(plain) - share) < 4 * np.sqrt(share * (1 - share) / 600)
 
 
 def test_every_drawn_look_shows_a_limb_from_dark_to_bright():

@@ -1,6 +1,7 @@
 """Films in the standard form: outlines, features, domains, the page."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -9,10 +10,13 @@ from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter
 
 import pssf
+from pssf.core.blocks import area_mean, block_mean
+from pssf.io.films import Film
 from pssf.realism import domains, films_section
+from pssf.realism import run as realism_run
 from pssf.realism.blind import blind_test
 from pssf.realism.effects import effects
-from pssf.realism.films import centred, measured
+from pssf.realism.films import Source, centred, measured
 from pssf.realism.form import PITCH_MM, PLATEAU_MM, Place, field_of, joint_pixel, made_smaller, stretched
 from pssf.realism.outline import cheapest_path, trace_outline
 from pssf.realism.page import Section, Table, render
@@ -93,6 +97,36 @@ def test_a_film_made_smaller_has_the_form_of_one_taken_in_larger_pixels():
     assert abs(values["joint_col_px"] - plain["joint_col_px"]) < 5
     back = place.binned(1 / 3)
     assert (back.row, back.col, back.pitch_mm) == pytest.approx((509.5, 509.5, 0.15))
+
+
+@pytest.mark.parametrize("side", [1.0, 2.5, 3.0, 3.37])
+def test_means_over_squares_that_share_pixels_are_exact(side):
+    """The mean of a plane over a square is its value in the middle; of single bright pixels the sum stays."""
+    rows, cols = np.mgrid[:40, :31].astype(float)
+    # Pixels hold the mean of their own area, so that a plane is a plane of steps: whole squares alone are exact.
+    means = area_mean(2.0 * rows - 3.0 * cols, side)
+    middle = (np.arange(40) + 0.5) * side - 0.5
+    plane = 2.0 * middle[: len(means), None] - 3.0 * middle[None, : means.shape[1]]
+    assert means.shape == (int(40 / side), int(31 / side))
+    assert np.abs(means - plane).max() < (0.0 if side in (1.0, 3.0) else 5 / (8 * side)) + 1e-9
+    spot = np.zeros((40, 31))
+    spot[11, 17] = 1.0
+    assert area_mean(spot, side).sum() * side**2 == pytest.approx(1.0)
+    whole = np.random.default_rng(0).random((39, 30))
+    assert np.allclose(area_mean(whole, 3.0), block_mean(whole, 3))
+
+
+def test_simulated_films_are_made_smaller_to_pitches_of_the_largest_real_source():
+    films = tuple(
+        Film(file=f"{n}.tif", grade=n % 5, subject="", side=None, pixel_mm=0.15, sha256="") for n in range(40)
+    )
+    simulated = Source(name="simulated", folder=Path(), films=films)
+    clinic = [{"status": "found", "pitch_mm": mm} for mm in (0.4, 0.45, 0.5)] + [{"status": "no knee"}]
+    records = {"few": [{"status": "found", "pitch_mm": 9.0}], "clinic": clinic}
+    made = [film.coarse_mm for film in realism_run._as_large(simulated, records, 3).films]
+    assert set(made) == {0.4, 0.45, 0.5}
+    assert made == [film.coarse_mm for film in realism_run._as_large(simulated, records, 3).films]
+    assert realism_run._as_large(simulated, {}, 3) is simulated
 
 
 def test_a_place_off_by_centimetres_and_a_wrong_pitch_are_mended():

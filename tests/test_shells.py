@@ -44,7 +44,7 @@ def test_shells_that_nest_are_left_as_they_are():
 
 def test_what_is_no_fold_is_refused():
     with pytest.raises(InputError, match=r"tibia: its trabecular bone leaves its host by .* mm3; allowed: 0"):
-        nested("tibia", with_folds(LATERAL, size_mm=1.5))
+        nested("tibia", with_folds(LATERAL, size_mm=4.0))
 
 
 def test_bones_that_meet_and_shells_that_leave_are_refused():

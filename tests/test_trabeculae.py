@@ -180,7 +180,7 @@ def test_density_is_never_below_that_of_marrow_and_comes_near_it_between_struts(
     ).all()
     found = density.integrate(starts, ends) / np.linalg.norm(ends - starts, axis=1)
     assert found.min() >= density.region.marrow * (1 - 1e-12)
-    assert found.min() < density.region.marrow + {"patella": 0.25, "fabella": 0.25, "femur": 0.15}.get(name, 0.05)
+    assert found.min() < density.region.marrow + {"patella": 0.25, "fabella": 0.25, "femur": 0.15}.get(name, 0.1)
     assert found.max() > 1.5
 
 
@@ -199,7 +199,7 @@ def test_the_lattice_is_bone_in_about_its_share_and_repeats():
     assert np.array_equal(block[:, -1], block[:, 0])
     block = block[:-1, :-1]
     assert_allclose(block.mean() * unit, 1.0, rtol=1e-12)
-    assert 0.12 < (block > 127).mean() < 0.18
+    assert 0.1 < (block > 127).mean() < 0.18
     even = region(bone(), **EVEN)
     starts, ends = through(np.linspace(-20, 20, 200), -12.0)
     for period_mm in ((81.92, 0.0, 0.0), (0.0, 64.0, 0.0), (0.0, 0.0, 51.2)):
@@ -280,7 +280,10 @@ def test_sclerosis_makes_the_plate_denser_medially_more_than_laterally_and_leave
         for name, bone_of in (("healthy", healthy), ("hard", hard))
     }
     assert below["hard"] > below["healthy"]
-    assert bone("fibula", sclerosis=1.78).region == bone("fibula").region
+    # The contrast of struts falls all over the knee, in the fibula that alone.
+    fibula, filled = (bone("fibula", sclerosis=of).region for of in (1.0, 1.78))
+    assert filled.gain < 0.85 * fibula.gain
+    assert filled._replace(gain=fibula.gain, gain_shaft=fibula.gain_shaft) == fibula
 
 
 def test_struts_are_coarser_in_hard_bone_and_in_old_women_and_stay_where_they_are():
@@ -332,7 +335,7 @@ def test_struts_wave_from_side_to_side_by_no_more_than_is_said_and_neighbours_al
 
     def shift_mm(x_mm, z_mm):
         """By how much what swaying struts show about a place is shifted from what straight ones do."""
-        x = x_mm + np.linspace(-3.0, 3.0, 61)
+        x = x_mm + np.linspace(-5.0, 5.0, 101)  # over fewer struts another shift fits as well by chance
         shown = swaying.integrate(*through(x, z_mm))
         there = straight.integrate(*through(x[:, None] + tried, z_mm)).reshape(len(x), len(tried))
         return tried[np.argmax([np.corrcoef(shown, other)[0, 1] for other in there.T])]

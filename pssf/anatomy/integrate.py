@@ -128,10 +128,12 @@ def _nodes(lanes: Array, region: Region, struts: Struts) -> None:
         mean *= _left_in_rim(x, below, region)
         hard = region.hard_medial * (0.5 + 0.5 * medial) + region.hard_lateral * (0.5 - 0.5 * medial)
         rise = region.plate * (1.0 + region.plate_medial * medial)
-        more = rise * _step(depth * region.plate_per_mm) + hard * _bell(depth * region.hard_per_mm)
+        plate = rise * _step(depth * region.plate_per_mm)
         swing = mean * (region.gain_shaft + (region.gain - region.gain_shaft) * fade)
-        swing *= 1.0 + region.plate_struts * more * fade
-        mean *= 1.0 + more * fade
+        swing *= (1.0 + region.plate_struts * plate * fade) * (
+            1.0 + region.struts * _bell(depth * region.struts_per_mm)
+        )
+        mean *= 1.0 + (plate + hard * _bell(depth * region.hard_per_mm)) * fade
         swing = min(swing, mean)
         over = _over_scar(x, y, z, region)
         across = (u * region.scale + _aside(u, true_z, region)) / region.squat

@@ -9,6 +9,7 @@ class Region(NamedTuple):
     """The smooth part of one bone's density, as in `data/trabeculae.toml`; lengths inverted, for divisions take time.
 
     plate                        relative rise of BV/TV at the subchondral plate
+    struts, struts_per_mm        contrast of struts near the joint over that farther on, and how it falls
     hard_medial, hard_lateral    what sclerosis adds to it there, and deeper
     scar_x, scar_y, scar_z       where this bone's scar is
     scar_phase, scar_bvtv        of its ripple, and how strong it is
@@ -32,6 +33,8 @@ class Region(NamedTuple):
     plate_per_mm: float
     plate_struts: float
     plate_medial: float
+    struts: float
+    struts_per_mm: float
     hard_medial: float
     hard_lateral: float
     hard_per_mm: float

@@ -12,7 +12,7 @@ from .bones import Bone
 from .solids import box_about, mesh_of
 
 # Trabecular bone that is outside its cortex by no more than this is drawn in by so much, so far about what is outside.
-_MENDED_MM3, _DRAWN_IN_MM, _ABOUT_MM = 1.0, 0.1, 0.5
+_MENDED_MM3, _DRAWN_IN_MM, _ABOUT_MM = 10.0, 0.1, 0.5
 # So little outside of a host, or shared by two bones, is rounding.
 _NOTHING_MM3 = 1e-6
 

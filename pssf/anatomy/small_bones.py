@@ -25,8 +25,9 @@ _COARSER_MM = 0.02
 _PATELLA_COUNT, _PATELLA_STEP_MM = 64, 1.25
 # Of the patella, upwards and downwards.
 _DRAWN_IN_MM = 0.1
-# Of the fibula, towards the tibia.
+# Of the fibula, towards the tibia; and of the tip of its head.
 _JOINT_PLATE_MM = 0.7
+_TIP_MM = 0.3
 # Of the fibula, from here on it leans with the tibia's shaft (mean man's size).
 _FIBULA_LEANS_BELOW_MM = -25.0
 # The part of the femur that a patella can lie on, and what of it faces the front: as much as the sides of the trochlea.
@@ -55,8 +56,9 @@ def fibula(knee: Knee, build: Build, tibia: Manifold) -> Bone:
     sideways = ((formed(joint, build.tibia) - joint) * s)[0]
     down = -knee.fibular_tip_mm - sections[:, 0].max()
     heights = levels(-SHAFT_END_MM - down, sections[:, 0].max(), 1.5)
+    heights = np.sort(np.append(heights, heights[-1] - _TIP_MM))
     # Rings at the same heights, so that between them too the inner loft lies within the outer one.
-    within = heights[(heights > heights[0] + 1.4) & (heights < heights[-1] - 0.7)]
+    within = heights[(heights > heights[0] + 1.4) & (heights < heights[-1])]
     outer, inner = (
         column(sections, inset, rings, "fibula", count=64).simplify(tolerance).translate((*sideways[:2], down))
         for inset, rings, tolerance in ((np.zeros_like, heights, _COARSER_MM / 2), (cortex, within, _COARSER_MM))

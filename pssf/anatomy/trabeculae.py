@@ -134,10 +134,13 @@ def _region(
     # A plate thinner than a healthy one takes no more than its own rise.
     added = [max(-part.plate, (1 + part.plate) * excess * share) for share in (1.0, hard.lateral_share)]
     left, contrast = aged
+    contrast /= 1 + hard.fills_per_plate * (sclerosis - 1)
     same = {name: value for name in Region._fields if isinstance(value := getattr(part, name, None), float)}
     same |= {name: min(1.0, getattr(part, name) * contrast) for name in ("gain", "gain_shaft")}
     same |= {f"{name}_per_mm": 1 / getattr(part, f"{name}_mm") for name in ("fade", "plate")}
-    same |= {f"{name}_per_mm": 1 / getattr(part, f"{name}_half_mm") for name in ("column", "margin", "rim", "scar")}
+    same |= {
+        f"{name}_per_mm": 1 / getattr(part, f"{name}_half_mm") for name in ("column", "margin", "rim", "scar", "struts")
+    }
     dips = [(x, 1 / half, rise) for x, half, rise in part.dips]
     same["scar_bvtv"] *= scar.least + (1 - scar.least) * chance[1]
     return Region(

@@ -33,6 +33,23 @@ def block_mean(image: Rows, step: int) -> Array:
     return np.concatenate(parts) if parts else np.empty((0, -(-cols // step)))
 
 
+def area_mean(image: Array, side: float) -> Array:
+    """(rows // side, cols // side)  means of squares of `side` pixels, which may share pixels; what is left over is not
+    told
+
+    image  (rows, cols)  any unit
+    side   1 or more, not whole in general
+    """
+    for axis in (0, 1):
+        ends = np.arange(int(image.shape[axis] / side + 1e-9) + 1) * side
+        whole = np.minimum(ends.astype(int), image.shape[axis] - 1)
+        part = (ends - whole) if axis else (ends - whole)[:, None]
+        sums = np.cumsum(image, axis=axis) - image  # of what lies before each pixel
+        sums = np.take(sums, whole, axis) + part * np.take(image, whole, axis)
+        image = np.diff(sums, axis=axis) / side
+    return image
+
+
 def _whole_blocks(image: NDArray[np.integer | np.floating], step: int) -> Array:
     blocks = image.reshape(image.shape[0] // step, step, image.shape[1] // step, step)
     return np.asarray(np.einsum("iajb->ij", blocks, dtype=np.float64)) / step**2

@@ -75,6 +75,7 @@ class Rest(Record, frozen=True):
     age_years: Laws
     women: Numbers
     bmi_more: Numbers
+    density_more: Numbers
 
 
 class Cysts(Record, frozen=True):
@@ -193,6 +194,7 @@ def _require_every_grade(table: SeverityGrades, name: str) -> None:
         "rest.age_years": table.rest.age_years,
         "rest.women": table.rest.women,
         "rest.bmi_more": table.rest.bmi_more,
+        "rest.density_more": table.rest.density_more,
     }
     if table.cysts is not None:
         lists["cysts.share"] = table.cysts.share

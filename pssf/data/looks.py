@@ -55,10 +55,16 @@ class Law(Record, frozen=True):
 
 
 class LookSpread(Record, frozen=True):
-    """How `Processed` varies from site to site; edge_gain as its natural logarithm, edge_mm is the same for all."""
+    """How `Processed` varies from site to site; edge_gain as its natural logarithm, edge_mm is the same for all.
 
+    A share of films is plain: hardly processed, with gains by laws of their own.
+    """
+
+    plain: float
     latitude_gain: Law
     edge_gain: Law
+    plain_latitude_gain: Law
+    plain_edge_gain: Law
     edge_mm: float
     dark: Law
     bright: Law

@@ -65,6 +65,7 @@ class Sclerosis(Record, frozen=True):
     per_plate: float
     deep_mm: float
     lateral_share: float
+    fills_per_plate: float
 
 
 class Side(Record, frozen=True):
@@ -110,6 +111,8 @@ class SpongyBone(Record, frozen=True):
     plate_mm: float
     plate_struts: float
     plate_medial: float
+    struts: float
+    struts_half_mm: float
     fan: float
     fan_mm: float
     squat: float

@@ -45,7 +45,7 @@ class Film:
     pixel_mm  pitch at the film, None where it is not known
     sha256    of the file
     look      that linear pixels are shown with, None for that of `for_eyes`; others are shown already
-    binned    pixels to a side that are taken as one before it is compared with films of larger pixels
+    coarse_mm pitch, of a knee of the standard size, that it is made smaller to before it is compared; None: as it is
     """
 
     file: str
@@ -55,7 +55,7 @@ class Film:
     pixel_mm: float | None
     sha256: str
     look: Processed | None = None
-    binned: int = 1
+    coarse_mm: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -96,11 +96,12 @@ def drawn_knee(laws: DrawLaws, *, grade: int, rng: np.random.Generator, **fixed:
         drawn["lean_deg"] = round(float(np.clip(lean_deg, -15.0, 15.0)), 4)
     elif ranges is not None:
         drawn["osteophytes"] = _draw_osteophytes(rng, ranges.osteophyte_count, ranges.largest_osteophyte_mm)
-    more = law.rest.bmi_more[grade] if isinstance(law, SeverityGrades) else 0.0
-    bmi = fixed.get("bmi", round(_normal(rng.spawn(1)[0], laws.limbs.bmi, sex) + more, 4))
+    rest = law.rest if isinstance(law, SeverityGrades) else None
+    heavier, denser = (rest.bmi_more[grade], rest.density_more[grade]) if rest else (0.0, 0.0)
+    bmi = fixed.get("bmi", round(_normal(rng.spawn(1)[0], laws.limbs.bmi, sex) + heavier, 4))
     laws.bmi.check("bmi", bmi)
     drawn |= _limb(bmi, sex, drawn, laws.limbs)
-    drawn["bone_density"] = _normal(rng.spawn(1)[0], laws.density, sex)
+    drawn["bone_density"] = round(_normal(rng.spawn(1)[0], laws.density, sex) + denser, 4)
     return from_table(Knee, {**drawn, **fixed}, "draw_knee")
 
 

@@ -23,7 +23,10 @@ def drawn_look(known: Looks, *, rng: np.random.Generator) -> Processed:
     require_generator(rng)
     spread = known.spread
     scores = np.clip(rng.standard_normal(5), -_CUT_SD, _CUT_SD)
-    laws = (spread.latitude_gain, spread.edge_gain, spread.dark, spread.bright, spread.bend)
+    gains = (spread.latitude_gain, spread.edge_gain)
+    if rng.random() < spread.plain:
+        gains = (spread.plain_latitude_gain, spread.plain_edge_gain)
+    laws = (*gains, spread.dark, spread.bright, spread.bend)
     latitude, edge, dark, bright, bend = (
         round(float(np.clip(law.mean + law.sd * score, law.low, law.high)), 4)
         for law, score in zip(laws, scores, strict=True)

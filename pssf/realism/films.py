@@ -124,7 +124,7 @@ def measure_film(
     raises  InputError where the code is another here
     """
     require_code(code)
-    record: Record = {"sha256": film.sha256, "side": film.side or "", "reason": "", "binned": film.binned}
+    record: Record = {"sha256": film.sha256, "side": film.side or "", "reason": ""}
     try:
         image = read_film(folder / film.file, film.look)
     except InputError as error:
@@ -144,10 +144,11 @@ def measure_film(
     middle = joint.col + lateral * _TO_MIDDLE * plateau_mm / joint.pixel_mm
     pitch_mm = joint.pixel_mm * PLATEAU_MM / plateau_mm
     place = Place(row=joint.row, col=middle, side=joint.side, pitch_mm=pitch_mm)
-    return record | measured(bright, place, joint.pixel_mm, film.binned)
+    binned = 1.0 if film.coarse_mm is None else max(1.0, film.coarse_mm / pitch_mm)
+    return record | {"binned": binned} | measured(bright, place, joint.pixel_mm, binned)
 
 
-def measured(film: Array, near: Place, pixel_mm: float, binned: int = 1) -> Record:
+def measured(film: Array, near: Place, pixel_mm: float, binned: float = 1) -> Record:
     """group|feature -> value of a film about its joint.
 
     film      (rows, cols) grey, a display value, bone bright
@@ -210,8 +211,8 @@ def learnable(name: str, records: Sequence[Record]) -> Films:
 
 def _shown_key(key: str, film: Film) -> str:
     """The key of a film's record, by what it was shown with."""
-    shown = f"{key} {film.look!r} {film.binned}"
-    return key if film.look is None and film.binned == 1 else hashlib.sha256(shown.encode()).hexdigest()[:16]
+    shown = f"{key} {film.look!r} {film.coarse_mm}"
+    return key if film.look is None and film.coarse_mm is None else hashlib.sha256(shown.encode()).hexdigest()[:16]
 
 
 def _said(film: Film, source: str) -> Record:

@@ -196,7 +196,7 @@ def _form(film: Array, record: Record) -> NDArray[np.uint8]:
     place = Place(
         row=record["joint_row_px"], col=record["joint_col_px"], side=record["side"], pitch_mm=record["pitch_mm"]
     )
-    return stretched(field_of(*made_smaller(bright, place, int(record["binned"])))).astype(np.uint8)
+    return stretched(field_of(*made_smaller(bright, place, float(record["binned"])))).astype(np.uint8)
 
 
 def _called(grade: int) -> str:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from ..core.blocks import block_mean
+from ..core.blocks import area_mean
 from ..core.checks import Array, InputError, require, require_choice
 
 # Mean of people on films (Tiulpin et al. 2019, see `data/landmarks.toml`).
@@ -59,12 +59,13 @@ class Place:
         return Place(row=float(row), col=float(col), side=self.side, pitch_mm=self.pitch_mm)
 
 
-def made_smaller(film: Array, place: Place, pixels: int) -> tuple[Array, Place]:
+def made_smaller(film: Array, place: Place, pixels: float) -> tuple[Array, Place]:
     """A film in pixels that are the mean of so many by so many of its own, as crops are made, and a place on it.
 
-    film  (rows, cols) grey, a display value
+    film    (rows, cols) grey, a display value
+    pixels  1 or more, not whole in general
     """
-    return (film, place) if pixels == 1 else (block_mean(film, pixels), place.binned(pixels))
+    return (film, place) if pixels == 1 else (area_mean(film, pixels), place.binned(pixels))
 
 
 def field_of(film: Array, place: Place) -> Array:

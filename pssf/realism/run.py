@@ -50,8 +50,8 @@ _CONTOURS = (
     "standard deviation of people's, a spread between 0.7 and 1.4 of theirs. The protocol of the drawn knees is given "
     "above; people's films were PA in fixed flexion."
 )
-# Of the chance that looks are drawn by, beside the cohort's own.
-_LOOKS = 301
+# Of the chance that looks and sizes of pixels are drawn by, beside the cohort's own.
+_LOOKS, _PITCHES = 301, 302
 _BONES = (
     "Bones without osteophytes are laid onto one another by a similarity (rotation, translation, size), and distances "
     "taken from surface to surface, both ways, at people's size; the flat cut of the shafts is left out. Spread is "
@@ -205,7 +205,7 @@ def _films(out: Path, sources: Sequence[Source], plan: Plan, tables: FilmTables,
         templates = standard_templates("scanline")
     simulated = _simulated(out / "simulated", plan, tables.looks, execution)
     records = {source.name: _measured(source, out, templates, tables.localisation, execution) for source in sources}
-    simulated = _as_large(simulated, records)
+    simulated = _as_large(simulated, records, plan.seed)
     records[SIMULATED] = _measured(simulated, out, templates, tables.localisation, execution)
     with execution.stage("models", "parts", 1):
         return films_section(records, partial(_read, {one.name: one for one in (*sources, simulated)}), seed=plan.seed)
@@ -218,18 +218,20 @@ def _measured(
     return measure_films(source, templates, table, execution, known=_known(path), save=partial(_save, path))
 
 
-def _as_large(simulated: Source, records: Mapping[str, Sequence[Record]]) -> Source:
-    """Simulated films in pixels about as large as those of the real source of which most were found.
+def _as_large(simulated: Source, records: Mapping[str, Sequence[Record]], seed: int) -> Source:
+    """Simulated films in pixels as large as those of the real source of which most were found, whatever their grade.
 
-    What a film is made smaller by blurs it, and tells it from one that was not.
+    What a film is made smaller by blurs it, and tells it from one that was not. Crops are made smaller to one number of
+    pixels, so that how large these are, over the knee, hangs on each crop: a pitch is drawn from the real ones.
     """
-    pitches = [[one["pixel_mm"] for one in of if one["status"] == "found"] for of in records.values()]
-    own_mm = simulated.films[0].pixel_mm if simulated.films else None
-    pixel_mm = max(pitches, key=len, default=[])
-    if own_mm is None or not pixel_mm:
+    pitches = [sorted(float(one["pitch_mm"]) for one in of if one["status"] == "found") for of in records.values()]
+    known = max(pitches, key=len, default=[])
+    if not known:
         return simulated
-    binned = max(1, round(float(np.median(pixel_mm)) / own_mm))
-    return replace(simulated, films=tuple(replace(film, binned=binned) for film in simulated.films))
+    chance = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_PITCHES,)))
+    drawn = chance.choice(known, len(simulated.films)).tolist()
+    films = (replace(film, coarse_mm=mm) for film, mm in zip(simulated.films, drawn, strict=True))
+    return replace(simulated, films=tuple(films))
 
 
 def _drawn(protocol: str, knees: int, grades: str, count: int) -> dict[str, Any]:
