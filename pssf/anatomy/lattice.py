@@ -11,6 +11,8 @@ from ..data.spongy import Lattice
 Block = NDArray[np.uint8]
 # Beyond this the exponential leaves nothing of 255, and it overflows beyond 88.
 _EMPTY = np.float32(80.0)
+# No person is farther off than so many deviations.
+_MOST_SD = 2.0
 _MAKING = Lock()
 _LAST: dict[tuple[int, Lattice], tuple[Block, float]] = {}
 
@@ -29,11 +31,16 @@ def lattice(seed: int, table: Lattice) -> tuple[Block, float]:
         return _LAST[seed, table]
 
 
+def personal_factor(spread: float, rng: np.random.Generator) -> float:
+    """By what a person differs from the median one: lognormal, `spread` the deviation of its logarithm."""
+    return float(np.exp(spread * np.clip(rng.standard_normal(), -_MOST_SD, _MOST_SD)))
+
+
 def _made(seed: int, table: Lattice) -> tuple[Block, float]:
     nx, nz, ny = table.voxels
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
     usual, spread = table.patches
-    share = usual * float(np.exp(spread * np.clip(rng.standard_normal(), -2.0, 2.0)))
+    share = usual * personal_factor(spread, rng)
     struts, patches = _powers(table)
     amplitude = np.sqrt((1 - share) * struts + share * patches, dtype=np.float32)
     waves = rng.standard_normal((nx, nz, 2 * amplitude.shape[2]), np.float32).view(np.complex64)

@@ -16,7 +16,7 @@ from ..core.checks import Array, InputError, require, require_choice, require_se
 from ..data.records import Triple
 from ..data.spongy import Ageing, Lattice, TrabecularBone
 from .integrate import Steps, Struts, integrate_density
-from .lattice import lattice
+from .lattice import lattice, personal_factor
 from .region import Region
 
 BONES = ("femur", "tibia", "fibula", "patella", "fabella")
@@ -179,8 +179,11 @@ def _grained(table: TrabecularBone, seed: int, sclerosis: float, age_years: floa
     """The lattice of one knee: where its struts are stays as it is, how fine they are does not."""
     grain, years = table.grain, age_years - table.ageing.reference_years
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1 + len(BONES),)))
-    own = float(np.exp(grain.deviation * np.clip(rng.standard_normal(), -2.0, 2.0)))
-    coarse = own * (1 + grain.per_year[sex] * years) * (1 + grain.per_plate * (sclerosis - 1))
+    coarse = (
+        personal_factor(grain.deviation, rng)
+        * (1 + grain.per_year[sex] * years)
+        * (1 + grain.per_plate * (sclerosis - 1))
+    )
     return structs.replace(table.lattice, high_per_mm=table.lattice.high_per_mm / coarse)
 
 
