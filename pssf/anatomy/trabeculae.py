@@ -14,7 +14,7 @@ from msgspec import structs
 
 from ..core.checks import Array, InputError, require, require_choice, require_seed
 from ..data.records import Triple
-from ..data.spongy import Ageing, Lattice, TrabecularBone
+from ..data.spongy import Ageing, Lattice, SpongyBone, TrabecularBone
 from .integrate import Steps, Struts, integrate_density
 from .lattice import lattice, personal_factor
 from .region import Region
@@ -137,10 +137,7 @@ def _region(
     contrast /= 1 + hard.fills_per_plate * (sclerosis - 1)
     same = {name: value for name in Region._fields if isinstance(value := getattr(part, name, None), float)}
     same |= {name: min(1.0, getattr(part, name) * contrast) for name in ("gain", "gain_shaft")}
-    same |= {f"{name}_per_mm": 1 / getattr(part, f"{name}_mm") for name in ("fade", "plate")}
-    same |= {
-        f"{name}_per_mm": 1 / getattr(part, f"{name}_half_mm") for name in ("column", "margin", "rim", "scar", "struts")
-    }
+    same |= _inverse_lengths(part)
     dips = [(x, 1 / half, rise) for x, half, rise in part.dips]
     same["scar_bvtv"] *= scar.least + (1 - scar.least) * chance[1]
     return Region(
@@ -167,6 +164,12 @@ def _region(
         marrow=tissue.marrow,
         per_bvtv=left * (1 - tissue.marrow) / tissue.bvtv,
     )
+
+
+def _inverse_lengths(part: SpongyBone) -> dict[str, float]:
+    halves = ("column", "margin", "rim", "scar", "struts")
+    lengths = {name: f"{name}_mm" for name in ("fade", "plate")} | {name: f"{name}_half_mm" for name in halves}
+    return {f"{name}_per_mm": 1 / getattr(part, field) for name, field in lengths.items()}
 
 
 def _aged(ageing: Ageing, age_years: float, sex: str, density: float) -> tuple[float, float]:
