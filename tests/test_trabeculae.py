@@ -199,7 +199,7 @@ def test_the_lattice_is_bone_in_about_its_share_and_repeats():
     assert np.array_equal(block[:, -1], block[:, 0])
     block = block[:-1, :-1]
     assert_allclose(block.mean() * unit, 1.0, rtol=1e-12)
-    assert 0.1 < (block > 127).mean() < 0.18
+    assert 0.08 < (block > 127).mean() < 0.18  # BV/TV of metaphyses in the reference list: 0.08 to 0.20
     even = region(bone(), **EVEN)
     starts, ends = through(np.linspace(-20, 20, 200), -12.0)
     for period_mm in ((81.92, 0.0, 0.0), (0.0, 64.0, 0.0), (0.0, 0.0, 51.2)):
