@@ -48,14 +48,18 @@ def test_the_femur_stands_so_far_to_medial_on_the_tibia_and_spaces_are_kept(slip
     assert (placed["femur"].outer ^ placed["tibia"].outer).volume() < 1e-6
 
 
-def test_a_bent_knee_has_slipped_as_far():
-    knee = Knee(jsw_as="read", jsw_medial_mm=2.0, jsw_lateral_mm=5.0, subluxation_mm=4.0)
-    tables, protocol = anatomy_tables(), defining_protocol(knee)
-    bent, straight = (assemble(knee, tables, posture, protocol) for posture in (FIXED_FLEXION.posture, Posture()))
-    # Of the place that the femur bends and turns about.
-    at = [moved(np.array([pose.pivot_mm]), pose.femur_on_tibia())[0, 0] for pose in (bent.pose, straight.pose)]
-    assert at[0] == pytest.approx(at[1], abs=1.0)
-    assert bent.pose.medial_mm == straight.pose.medial_mm == 4.0
+@pytest.mark.parametrize("posture", [FIXED_FLEXION.posture, Posture()])
+def test_a_bent_knee_has_slipped_as_far(posture):
+    slipped = Knee(jsw_as="read", jsw_medial_mm=2.0, jsw_lateral_mm=5.0, subluxation_mm=4.0)
+    tables, protocol = anatomy_tables(), defining_protocol(slipped)
+    poses = [
+        assemble(knee, tables, posture, protocol).pose
+        for knee in (slipped, dataclasses.replace(slipped, subluxation_mm=0.0))
+    ]
+    # Of the place that the femur bends and turns about; the tilt that keeps the spaces moves it by some tenths.
+    one, other = (moved(np.array([pose.pivot_mm]), pose.femur_on_tibia())[0, 0] for pose in poses)
+    assert one - other == pytest.approx(4.0, abs=0.5)
+    assert [pose.medial_mm for pose in poses] == [4.0, 0.0]
 
 
 def test_a_subluxed_knee_is_built_without_faults_with_its_spaces():
@@ -77,5 +81,5 @@ def test_it_is_bounded_and_drawn_where_the_medial_side_of_an_advanced_knee_narro
         assert ((slipped >= 0) & (slipped <= 5)).all()
         assert (slipped > 0).any() == (grade > 2)
         if grade > 2:
-            assert 1.2 < slipped[narrow].mean() < 2.6
+            assert 0.2 < slipped[narrow].mean() < 1.0
             assert slipped[~narrow].mean() < 0.5
