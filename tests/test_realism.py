@@ -80,7 +80,8 @@ def test_all_that_is_given_is_measured_once_and_the_page_tells_it(phantoms_for_k
     settings = {"films": given, "knees": 6, "grades": "paper", "seed": 1}
     knees = run.draw_knees(run.draw_laws("paper"), 6, 1, side="right", jsw_as="read")
     by = run.defining_protocol(knees[0])
-    sample = run.contours.drawn_landmarks(knees, pssf.load_protocol("reference"), anatomy_tables(), by)
+    takings = run.contours.takings_of(knees, pssf.load_protocol("reference"), 1)
+    sample = run.contours.drawn_landmarks(takings, anatomy_tables(), by)
     monkeypatch.setattr(run.contours, "drawn_landmarks", lambda *given: sample)
     first = run.measure(tmp_path / "out", Execution(), **settings)
     assert [line.split(":")[0] for line in first.lines] == ["Contours", "Films"]

@@ -122,7 +122,8 @@ def test_a_single_knee_or_an_unknown_grade_is_refused():
 
 def landmarks_of_drawn(count, seed, protocol):
     knees = draw_knees(draw_laws("people"), count, seed, side="right", jsw_as="read")
-    return contours.drawn_landmarks(knees, protocol, anatomy_tables(), defining_protocol(knees[0]))
+    takings = [(knee, protocol) for knee in knees]
+    return contours.drawn_landmarks(takings, anatomy_tables(), defining_protocol(knees[0]))
 
 
 def test_drawn_landmarks_are_the_labels_of_the_knee_that_is_built():

@@ -168,7 +168,8 @@ def lip_at(
     origin[2] = margin.at_z
     outline, rise = _outline(mean.field, origin, axes)
     edge_mm = form.edge_mm[0] + form.edge_mm[1] * size_mm
-    rise -= [margin.drop_mm + edge_mm, 0.0, 0.0]
+    drop_mm = margin.medial_drop_mm if side > 0 else margin.lateral_drop_mm
+    rise -= [drop_mm[0] + drop_mm[1] * size_mm + edge_mm, 0.0, 0.0]
     sunk_mm = fillet_of(size_mm) + _SUNK_MM
     long_mm = min(form.long_mm[0] + form.long_mm[1] * size_mm, form.longest_mm)
     half_mm = long_mm / 2 * np.sqrt((size_mm + sunk_mm) / size_mm)

@@ -158,14 +158,17 @@ class FabellaShape(Record, frozen=True):
 
 
 class Margin(Record, frozen=True):
-    """Where a bone's margin is looked for, about how high it is, the way to the joint (+1 up, -1 down), and how far the
-    joint surface is above what of an osteophyte is nearest to it.
+    """Where a bone's margin is looked for, about how high it is, and the way to the joint (+1 up, -1 down).
+
+    medial_drop_mm, lateral_drop_mm  how far the joint surface is above what of an osteophyte is nearest to it: of the
+                                     smallest, and more of it a millimetre of size
     """
 
     band_z: Pair
     at_z: float
     joint: float
-    drop_mm: float
+    medial_drop_mm: Pair
+    lateral_drop_mm: Pair
 
 
 class LipShape(Record, frozen=True):

@@ -19,6 +19,7 @@ from ..data.anatomy import AnatomyTables
 from ..data.landmarks import GradeContours, LandmarkReference
 from ..data.records import Pair
 from ..geometry.view import view_of
+from ..model.exposure import draw_exposure
 from ..model.knee import Knee
 from ..model.protocol import Protocol
 from ..study.statistics.metrics import auc_with_interval
@@ -31,6 +32,8 @@ EDGES = tuple(name for name in CONTOUR_LANDMARKS if name.endswith("_edge"))
 _TIBIA, _FEMUR = slice(0, 9), slice(9, 16)
 # Least gaps are sought at these shares of the femur's width from its edge.
 _GAP_SHARES = np.linspace(0.1, 0.3, 81)
+# Of the chance that takings are drawn by.
+_TAKINGS = 303
 _GAPS_AT = {"0150": 0.15, "0200": 0.2, "0250": 0.25, "0300": 0.3}
 
 
@@ -69,21 +72,31 @@ class ContourComparison:
     figure: bytes
 
 
+def takings_of(knees: Sequence[Knee], protocol: Protocol, seed: int) -> list[tuple[Knee, Protocol]]:
+    """Right knees, each with a taking of the protocol, as people's films are takings of theirs."""
+    takings = []
+    for number, knee in enumerate(knees):
+        chance = np.random.SeedSequence(seed, spawn_key=(_TAKINGS, number))
+        takings.append((knee, draw_exposure(protocol, rng=np.random.default_rng(chance), side="right")))
+    return takings
+
+
 def drawn_landmarks(
-    knees: Sequence[Knee], protocol: Protocol, tables: AnatomyTables, defined_under: Protocol, workers: int = 1
+    takings: Sequence[tuple[Knee, Protocol]], tables: AnatomyTables, defined_under: Protocol, workers: int = 1
 ) -> LandmarkSample:
-    """Landmarks of right knees under a protocol.
+    """Landmarks of right knees, each under a protocol of its own.
 
     tables         that bones are made from
     defined_under  the protocol of `defining_protocol`
     """
-    shared = {"protocol": protocol, "tables": tables, "defined_under": defined_under}
-    places = ordered_map(_landmarks_of, knees, shared=shared, workers=workers)
-    return LandmarkSample(places_mm=np.array(places), grades=np.array([knee.grade for knee in knees]))
+    shared = {"tables": tables, "defined_under": defined_under}
+    places = ordered_map(_landmarks_of, takings, shared=shared, workers=workers)
+    return LandmarkSample(places_mm=np.array(places), grades=np.array([knee.grade for knee, _ in takings]))
 
 
-def _landmarks_of(knee: Knee, protocol: Protocol, tables: AnatomyTables, defined_under: Protocol) -> Array:
+def _landmarks_of(taking: tuple[Knee, Protocol], tables: AnatomyTables, defined_under: Protocol) -> Array:
     """(16, 2)  the labels of a right knee, without building what they do not need"""
+    knee, protocol = taking
     assembly = assemble(knee, tables, protocol.posture, defined_under)
     femur, tibia = (assembly.mirrored(mesh) for mesh in outer_bones(assembly))
     view = view_of(protocol)
