@@ -50,8 +50,23 @@ class Spaces(Record, frozen=True):
     lateral: dict[str, tuple[Pair, Pair]]
 
 
+class Around(Record, frozen=True):
+    """What else is on the margin of an osteophyte of from_mm or more: in front of it in such a share, and behind it.
+
+    place, size  where between its middle (0) and its end (1), and of the first one's size, between these
+    """
+
+    from_mm: float
+    share: float
+    place: Pair
+    size: Pair
+
+
 class Margins(Record, frozen=True):
-    """Latent OARSI grades of osteophytes, by KL grade and site, and the sizes that each stands for, mm."""
+    """Latent OARSI grades of osteophytes, by KL grade and site, and the sizes that each stands for, mm.
+
+    spine, spine_other  share of knees whose spine of the narrowed side is spiked, by KL grade; the other's over that
+    """
 
     level: Numbers
     site: dict[str, float]
@@ -61,7 +76,9 @@ class Margins(Record, frozen=True):
     size_mm: tuple[Pair, Pair, Pair, Pair]
     doubtful_mm: float
     spine: Numbers
+    spine_other: float
     spine_mm: Pair
+    around: Around
     curve_deg: dict[str, float]
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from ..core.checks import Array
-from ..data.grades import Margins, SeverityGrades
+from ..data.grades import Around, Margins, SeverityGrades
 from .advanced import advanced_fields
 from .knee import Osteophyte
 
@@ -73,15 +73,28 @@ def _osteophytes(
         low, high = law.size_mm[degree]
         most = law.doubtful_mm if grade == 1 else high
         sizes[site] = float(rng.uniform(min(low, most), min(high, most)))
-    spiked, size_mm = rng.random() < law.spine[grade], float(rng.uniform(*law.spine_mm))
-    if spiked:
-        sizes[f"{narrowed}_spine"] = size_mm
+    for side, share in ((narrowed, 1.0), ("lateral" if narrowed == "medial" else "medial", law.spine_other)):
+        spiked, size_mm = rng.random() < share * law.spine[grade], float(rng.uniform(*law.spine_mm))
+        if spiked:
+            sizes[f"{side}_spine"] = size_mm
     # Below this an osteophyte cannot be told from the margin's own rounding, nor seen in a 0.15 mm pixel.
+    sites = {site: mm for site, mm in sizes.items() if mm >= _LEAST_MM}
+    placed = [(site, mm, 0.0) for site, mm in sites.items()]
+    placed += [one for site, mm in sites.items() if site in oarsi for one in _around(law.around, site, mm, rng)]
     return tuple(
-        Osteophyte(site=site, size_mm=round(mm, 4), curve_deg=law.curve_deg.get(site, 0.0))
-        for site, mm in sizes.items()
-        if mm >= _LEAST_MM
+        Osteophyte(site=site, size_mm=round(mm, 4), place=place, curve_deg=law.curve_deg.get(site, 0.0))
+        for site, mm, place in placed
     )
+
+
+def _around(law: Around, site: str, size_mm: float, rng: np.random.Generator) -> list[tuple[str, float, float]]:
+    """What else is on the margin of an osteophyte, in front of it and behind: site, size (mm) and place."""
+    found = []
+    for end in (-1.0, 1.0):
+        there, share, place = rng.random() < law.share, rng.uniform(*law.size), rng.uniform(*law.place)
+        if there and size_mm >= law.from_mm:
+            found.append((site, float(share) * size_mm, round(end * float(place), 3)))
+    return found
 
 
 def _oarsi(law: Margins, grade: int, narrowed: str, severity: float, rng: np.random.Generator) -> dict[str, int]:

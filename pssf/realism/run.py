@@ -47,8 +47,8 @@ _TEXT = ("sha256", "key", "file", "source", "subject", "status", "side", "polari
 _CONTOURS = (
     "Sixteen contour landmarks, labels of every knee, beside those that people set on 748 fixed-flexion films (Tiulpin "
     "et al. 2019): in shares of the plateau's width, so that size is taken out. A mean is inside within half a "
-    "standard deviation of people's, a spread between 0.7 and 1.4 of theirs. Of each drawn knee a taking of the protocol "
-    "that is given above is seen, or its radiographs of a cohort; people's films were PA in fixed flexion."
+    "standard deviation of people's, a spread between 0.7 and 1.4 of theirs. Of each drawn knee a taking of the "
+    "protocol given above is seen, or its radiographs of a cohort; people's films were PA in fixed flexion."
 )
 # Of the chance that looks and sizes of pixels are drawn by, beside the cohort's own.
 _LOOKS, _PITCHES = 301, 302
