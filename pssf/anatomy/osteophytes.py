@@ -28,9 +28,9 @@ _CONES = 17
 _TURNS, _STEP_MM = 12, 1e-3
 _EDGE_MM, _ROUGH_EDGE_MM = 2.0, 1.2
 _DRAWN_IN_MM = 0.3
-# Spikes on spines lean towards each other, by this part of their size, from a foot inward of the spine's top, so many mm
-# at most, which falls by such a part of that: on films of KL 4 spines stand 2.7 mm nearer to each other than on those of
-# KL 0, and what is between them no lower (Tiulpin et al. 2019).
+# Spikes on spines lean towards each other, by this part of their size, from a foot inward of the spine's top, so many
+# mm at most, which falls by such a part of that: on films of KL 4 spines stand 2.7 mm nearer to each other than on those
+# of KL 0, and what is between them no lower (Tiulpin et al. 2019).
 _LEANS, _MOST_INWARD_MM, _FALLS = 1.3, 5.5, 0.38
 # At a margin, at the mean man's size; and how far its feet are from there, away from the joint.
 _SMALL_MM, _FOOT_MM = 0.38, 3.0

@@ -19,7 +19,7 @@ class Ellipsoid(Record, frozen=True):
 
 
 class Notch(Record, frozen=True):
-    """The intercondylar notch about middle_x. sections: y, height of the roof, curvature of its arch (1/mm), half width."""
+    """The intercondylar notch about middle_x. sections: y, roof's height, curvature of its arch (1/mm), half width."""
 
     middle_x: float
     fillet_mm: float
