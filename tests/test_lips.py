@@ -74,10 +74,10 @@ def test_the_filling_of_a_lip_is_one_with_the_spongy_bone_and_within_a_cortex():
 
 
 def test_one_lip_that_hides_the_end_of_another_is_refused():
-    small, large = (lip("medial_tibia", size)[0].shapes[0] for size in (1.0, 6.0))
-    osteophyte = pssf.Osteophyte(site="medial_tibia", size_mm=1.0)
+    small, large = (lip("medial_femur", size)[0].shapes[0] for size in (1.0, 6.0))
+    osteophyte = pssf.Osteophyte(site="medial_femur", size_mm=1.0)
     with pytest.raises(pssf.InputError, match=r"one hides the farthest point of another; allowed: smaller"):
-        osteophytes._refuse_hidden((osteophyte,), [small, large], "tibia")
+        osteophytes._refuse_hidden((osteophyte,), [small, large], "femur")
 
 
 def test_two_lips_of_one_margin_are_one_mask():

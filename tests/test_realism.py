@@ -80,7 +80,7 @@ def test_all_that_is_given_is_measured_once_and_the_page_tells_it(phantoms_for_k
     settings = {"films": given, "knees": 6, "grades": "paper", "seed": 1}
     knees = run.draw_knees(run.draw_laws("paper"), 6, 1, side="right", jsw_as="read")
     by = run.defining_protocol(knees[0])
-    takings = run.contours.takings_of(knees, pssf.load_protocol("reference"), 1)
+    takings = [(knee, pssf.load_protocol("reference")) for knee in knees]
     sample = run.contours.drawn_landmarks(takings, anatomy_tables(), by)
     monkeypatch.setattr(run.contours, "drawn_landmarks", lambda *given: sample)
     first = run.measure(tmp_path / "out", Execution(), **settings)

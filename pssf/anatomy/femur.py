@@ -85,7 +85,7 @@ def _notch_at(y_mm: Array, notch: Notch) -> tuple[Array, Array, Array]:
 def notch_field(points: Array, notch: Notch) -> Array:
     """(n,)  approximate distance of points (n, 3), mm, from the notch, negative within it"""
     roof, bend, half = _notch_at(points[:, 1], notch)
-    across = points[:, 0] - notch.middle_x
+    across = points[:, 0]
     under = (points[:, 2] - roof + bend * across**2) / np.sqrt(1.29 + (2 * bend * across) ** 2)
     return meet(under, np.abs(across) - half - notch.flare * np.maximum(roof - points[:, 2], 0.0), 5.0)
 
@@ -124,6 +124,5 @@ def _rough_notch(notch: Notch) -> Manifold:
         across = np.linspace(half, -half, 25)
         arch = np.column_stack((across, np.full(25, y), roof - bend * across**2))
         foot = half + notch.flare * (roof + 30.0)
-        ring = np.vstack(([[-foot, y, -30.0], [foot, y, -30.0]], arch))
-        rings.append(ring + np.array([notch.middle_x, 0.0, 0.0]))
+        rings.append(np.vstack(([[-foot, y, -30.0], [foot, y, -30.0]], arch)))
     return loft(np.array(rings), "femur notch")

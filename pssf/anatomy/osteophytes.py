@@ -28,10 +28,9 @@ _CONES = 17
 _TURNS, _STEP_MM = 12, 1e-3
 _EDGE_MM, _ROUGH_EDGE_MM = 2.0, 1.2
 _DRAWN_IN_MM = 0.3
-# Spikes on spines lean towards each other, by this part of their size, from a foot inward of the spine's top, so many
-# mm at most, which falls by such a part of that: on films of KL 4 spines stand 2.7 mm nearer to each other than on those
-# of KL 0, and what is between them no lower (Tiulpin et al. 2019).
-_LEANS, _MOST_INWARD_MM, _FALLS = 1.3, 5.5, 0.38
+# Spikes on spines lean towards each other, by this part of their size and so many mm at most: on films of KL 4 spines
+# stand 2.7 mm nearer to each other than on those of KL 0 (Tiulpin et al. 2019).
+_LEANS, _MOST_LEANING_MM = 1.0, 1.5
 # At a margin, at the mean man's size; and how far its feet are from there, away from the joint.
 _SMALL_MM, _FOOT_MM = 0.38, 3.0
 
@@ -192,13 +191,12 @@ def _on_spine(direction: float, bare: Manifold, size_mm: float, deform: Deform) 
     side = points[points[:, 0] * direction > 1.0]
     height = deform(side)[:, 2]
     top = side[height.argmax()]
-    tip_mm, foot_mm = 0.5 + 0.25 * size_mm, 1.4 + 0.5 * size_mm
+    tip_mm, foot_mm = 0.35 + 0.15 * size_mm, 1.0 + 0.3 * size_mm
     feet = top - [0.0, 0.0, foot_mm + 0.6] + np.array([[0.0, -3.0, -0.6], [0.0, 0.0, 0.0], [0.0, 3.0, -0.6]])
-    inward_mm = min(2.5 + 1.5 * size_mm, _MOST_INWARD_MM)
-    feet[1] -= np.array([direction, 0.0, _FALLS]) * inward_mm
+    inward_mm = min(_LEANS * size_mm, _MOST_LEANING_MM)
 
     def shape(stands_mm: float, out: Array) -> Spike:
-        tip = top + np.array([-_LEANS * size_mm * direction, 0.0, stands_mm - tip_mm])
+        tip = top + np.array([-inward_mm * direction, 0.0, stands_mm - tip_mm])
         return Spike(feet, foot_mm, tip, tip_mm, size_mm, out)
 
     return _standing_out(shape, np.array([0.0, 0.0, 1.0]), float(height.max()), size_mm, deform)

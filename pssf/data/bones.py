@@ -19,9 +19,8 @@ class Ellipsoid(Record, frozen=True):
 
 
 class Notch(Record, frozen=True):
-    """The intercondylar notch about middle_x. sections: y, roof's height, curvature of its arch (1/mm), half width."""
+    """The intercondylar notch. sections: y, height of the roof, curvature of its arch (1/mm), half width."""
 
-    middle_x: float
     fillet_mm: float
     cortex_mm: float
     sections: Rows

@@ -89,12 +89,12 @@ def _osteophytes(
 
 def _around(law: Around, site: str, size_mm: float, rng: np.random.Generator) -> list[tuple[str, float, float]]:
     """What else is on the margin of an osteophyte, in front of it and behind: site, size (mm) and place."""
-    found = []
+    beside = []
     for end in (-1.0, 1.0):
         there, share, place = rng.random() < law.share, rng.uniform(*law.size), rng.uniform(*law.place)
         if there and size_mm >= law.from_mm:
-            found.append((site, float(share) * size_mm, round(end * float(place), 3)))
-    return found
+            beside.append((site, float(share) * size_mm, round(end * float(place), 3)))
+    return beside
 
 
 def _oarsi(law: Margins, grade: int, narrowed: str, severity: float, rng: np.random.Generator) -> dict[str, int]:

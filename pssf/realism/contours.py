@@ -4,7 +4,7 @@ Everything is in the frame of `data/landmarks.toml`: x from the lateral to the m
 y = 0, in shares of the plateau's width. Only gaps and width are in millimetres on the film.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +19,6 @@ from ..data.anatomy import AnatomyTables
 from ..data.landmarks import GradeContours, LandmarkReference
 from ..data.records import Pair
 from ..geometry.view import view_of
-from ..model.exposure import draw_exposure
 from ..model.knee import Knee
 from ..model.protocol import Protocol
 from ..study.statistics.metrics import auc_with_interval
@@ -72,12 +71,15 @@ class ContourComparison:
     figure: bytes
 
 
-def takings_of(knees: Sequence[Knee], protocol: Protocol, seed: int) -> list[tuple[Knee, Protocol]]:
-    """Right knees, each with a taking of the protocol, as people's films are takings of theirs."""
+def takings_of(knees: Sequence[Knee], draw: Callable[..., Protocol], seed: int) -> list[tuple[Knee, Protocol]]:
+    """Knees, each with a taking of its own, as people's films are takings of a view.
+
+    draw  a taking, by a generator `rng`
+    """
     takings = []
     for number, knee in enumerate(knees):
         chance = np.random.SeedSequence(seed, spawn_key=(_TAKINGS, number))
-        takings.append((knee, draw_exposure(protocol, rng=np.random.default_rng(chance), side="right")))
+        takings.append((knee, draw(rng=np.random.default_rng(chance))))
     return takings
 
 

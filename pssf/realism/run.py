@@ -24,6 +24,7 @@ from ..io.bones import read_bones
 from ..io.films import Film, list_films, read_film
 from ..io.records import read_manifest
 from ..model.draw import DrawLaws, draw_knees, draw_laws
+from ..model.exposure import draw_exposure
 from ..model.knee import Knee
 from ..model.look import drawn_look
 from ..model.protocol import load_protocol
@@ -114,7 +115,7 @@ def measure(
             # Labels of a left knee mirror those of a right one. Readers took people's joint spaces.
             drawn = draw_knees(laws, knees, seed, side="right", jsw_as="read")
             by = defining_protocol(drawn[0])
-            takings = contours.takings_of(drawn, seen_under, seed)
+            takings = contours.takings_of(drawn, partial(draw_exposure, seen_under, side="right"), seed)
             sample = contours.drawn_landmarks(takings, tables, by, execution.workers)
         else:
             sample = cohort_landmarks(cohort, seen_under.name)
