@@ -31,9 +31,9 @@ EDGES = tuple(name for name in CONTOUR_LANDMARKS if name.endswith("_edge"))
 _TIBIA, _FEMUR = slice(0, 9), slice(9, 16)
 # Least gaps are sought at these shares of the femur's width from its edge.
 _GAP_SHARES = np.linspace(0.1, 0.3, 81)
-# Of the chance that takings are drawn by.
-_TAKINGS = 303
 _GAPS_AT = {"0150": 0.15, "0200": 0.2, "0250": 0.25, "0300": 0.3}
+# Of the chance that takings are drawn by, beside those of `run`.
+_TAKINGS = 303
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
