@@ -117,8 +117,9 @@ def probe(warm: Warm, wanted: Wanted) -> Answer:
     inside = 0 <= row < wanted.protocol.rows and 0 <= col < wanted.protocol.cols
     if paths is None or not inside:
         return {"path_mm": None}, b""
-    along = {name: round(float(values[row, col]), 3) for name, values in paths.path_mm.items()}
-    return {"path_mm": {name: mm for name, mm in along.items() if mm > 0}}, b""
+    # Whole, since the page rounds what it shows: rounded twice, 1.7449 would be read as 1.75.
+    along = {name: float(values[row, col]) for name, values in paths.path_mm.items()}
+    return {"path_mm": {name: mm for name, mm in along.items() if mm > 5e-4}}, b""
 
 
 def masks(warm: Warm, wanted: Wanted) -> Answer:
