@@ -23,7 +23,7 @@ _THICKENING = 0.06
 BONE = {"femur": "femur", "tibia": "tibia", "spine": "tibia"}
 # Rounds of evening out the mesh; cones that stand for the hull of tip and feet.
 _ROUNDS = 3
-_CONES = 17
+_CONES_A_SIDE = 8
 # Turns in which a tip is moved to where it belongs, and the step of the slopes that this takes.
 _TURNS, _STEP_MM = 12, 1e-3
 _EDGE_MM, _ROUGH_EDGE_MM = 2.0, 1.2
@@ -31,20 +31,26 @@ _DRAWN_IN_MM = 0.3
 # Spikes on spines lean towards each other, by this part of their size and so many mm at most: on films of KL 4 spines
 # stand 2.7 mm nearer to each other than on those of KL 0 (Tiulpin et al. 2019).
 _LEANS, _MOST_LEANING_MM = 1.0, 1.5
+_BROADEST_MM = 2.5
+_INNER_FOOT_MM = 4.0
+_CREST = (2.2, 0.45)
 # At a margin, at the mean man's size; and how far its feet are from there, away from the joint.
 _SMALL_MM, _FOOT_MM = 0.38, 3.0
 
 
 @dataclass(frozen=True)
 class Spike:
-    """On a spine: cones from three feet in the bone to a tip, whose farthest point stands out by the osteophyte's size.
+    """Of a spine: cones from feet in the bone to tips, the farthest of which stands out by the osteophyte's size.
 
-    feet  (3, 3)  centres and the radius of the balls there; tip (3,) likewise; mm
-    out   (3,)    unit vector in which it stands out
+    feet, tips  (k, 3)  centres of the balls there, and their radii; a cone goes from each to its own, and from places
+                between one and the next
+    tip         (3,)    the farthest one
+    out         (3,)    unit vector in which it stands out
     """
 
     feet: Array
     foot_mm: float
+    tips: Array
     tip: Array
     tip_mm: float
     size_mm: float
@@ -67,18 +73,23 @@ class Spike:
 
     def field(self, points: Array) -> Array:
         """(n,)  approximate distance from the spike at points (n, 3), mm"""
-        shares = np.linspace(0.0, 2.0, _CONES)
-        feet = np.stack([np.interp(shares, [0, 1, 2], self.feet[:, axis]) for axis in range(3)], axis=1)
+        corners = np.arange(len(self.feet))
+        shares = np.linspace(0.0, corners[-1], _CONES_A_SIDE * corners[-1] + 1)
+        feet, tips = (
+            np.stack([np.interp(shares, corners, ends[:, axis]) for axis in range(3)], axis=1)
+            for ends in (self.feet, self.tips)
+        )
         # A plain minimum: blended, the cones would swell where they meet, in the tip.
-        return np.asarray(_cones(points, feet, self.foot_mm, self.tip, self.tip_mm).min(axis=0))
+        return np.asarray(_cones(points, feet, self.foot_mm, tips, self.tip_mm).min(axis=0))
 
     def solid(self, inset_mm: float) -> Manifold:
         """Hull of the balls, drawn in; the cortex takes the whole tip of a small one."""
         tip_mm = max(self.tip_mm - inset_mm, 0.1)
         middle = self.feet.mean(axis=0)
         inward = (middle - self.tip) / np.linalg.norm(middle - self.tip)
-        tip = self.tip + inward * max(0.0, inset_mm - (self.tip_mm - tip_mm))
-        balls = [_ball(tip, tip_mm)] + [_ball(foot, self.foot_mm - inset_mm) for foot in self.feet]
+        moved = inward * max(0.0, inset_mm - (self.tip_mm - tip_mm))
+        balls = [_ball(tip + moved, tip_mm) for tip in np.unique(self.tips, axis=0)]
+        balls += [_ball(foot, self.foot_mm - inset_mm) for foot in np.unique(self.feet, axis=0)]
         return checked(Manifold.batch_hull(balls), "osteophyte")
 
 
@@ -180,7 +191,7 @@ def _at_margin(table: Margin, direction: float, bare: Manifold, size_mm: float, 
 
     def shape(stands_mm: float, out: Array) -> Spike:
         tip = np.array([direction * (margin + stands_mm - tip_mm), 0.0, table.at_z])
-        return Spike(feet, foot_mm, tip, tip_mm, size_mm, out)
+        return Spike(feet, foot_mm, np.tile(tip, (len(feet), 1)), tip, tip_mm, size_mm, out)
 
     way = np.array([direction, 0.0, 0.0])
     return _standing_out(shape, way, float((deform(band) @ way).max()), size_mm, deform)
@@ -191,13 +202,23 @@ def _on_spine(direction: float, bare: Manifold, size_mm: float, deform: Deform) 
     side = points[points[:, 0] * direction > 1.0]
     height = deform(side)[:, 2]
     top = side[height.argmax()]
-    tip_mm, foot_mm = 0.35 + 0.15 * size_mm, 1.0 + 0.3 * size_mm
-    feet = top - [0.0, 0.0, foot_mm + 0.6] + np.array([[0.0, -3.0, -0.6], [0.0, 0.0, 0.0], [0.0, 3.0, -0.6]])
+    broad_mm = min(size_mm, _BROADEST_MM)
+    tip_mm, foot_mm = 0.35 + 0.35 * broad_mm, 1.2 + 0.6 * broad_mm
+    below = np.array([0.0, 0.0, foot_mm + 0.6])
+    feet = top - below + np.array([[0.0, -3.0, -0.6], [0.0, 0.0, 0.0], [0.0, 3.0, -0.6]])
+    saddle = top[:2] - [direction * _INNER_FOOT_MM, 0.0]
+    near = points[np.linalg.norm(points[:, :2] - saddle, axis=1) < 2.0]
+    inner = np.append(saddle, near[:, 2].max()) - below
+    feet = np.vstack((feet[0], inner, feet[2], feet[1], feet[0]))
+    beside = (
+        broad_mm
+        * np.array([[0.0, -_CREST[0], -_CREST[1]], [0.0, 0.0, 0.0], [0.0, _CREST[0], -_CREST[1]]])[[0, 1, 2, 1, 0]]
+    )
     inward_mm = min(_LEANS * size_mm, _MOST_LEANING_MM)
 
     def shape(stands_mm: float, out: Array) -> Spike:
         tip = top + np.array([-inward_mm * direction, 0.0, stands_mm - tip_mm])
-        return Spike(feet, foot_mm, tip, tip_mm, size_mm, out)
+        return Spike(feet, foot_mm, tip + beside, tip, tip_mm, size_mm, out)
 
     return _standing_out(shape, np.array([0.0, 0.0, 1.0]), float(height.max()), size_mm, deform)
 
@@ -218,9 +239,9 @@ def _standing_out(
     return make(stands_mm, out)
 
 
-def _cones(points: Array, feet: Array, foot_mm: float, tip: Array, tip_mm: float) -> Array:
-    """(cones, n)  approximate distances of points (n, 3) from cones between balls at feet (cones, 3) and at the tip"""
-    axes = tip - feet
+def _cones(points: Array, feet: Array, foot_mm: float, tips: Array, tip_mm: float) -> Array:
+    """(cones, n)  approximate distances of points (n, 3) from cones between balls at feet and at tips (cones, 3)"""
+    axes = tips - feet
     away = points - feet[:, None]
     shares = np.clip((away @ axes[:, :, None])[..., 0] / (axes[:, None] @ axes[:, :, None])[..., 0], 0.0, 1.0)
     away -= shares[..., None] * axes[:, None]
