@@ -21,7 +21,7 @@ _CORTEX_MM = 0.3
 _THICKENING = 0.06
 # Bone of each kind of site.
 BONE = {"femur": "femur", "tibia": "tibia", "spine": "tibia"}
-# Rounds of evening out the mesh; cones that stand for the hull of tip and feet.
+# Rounds of evening out the mesh; cones from foot to foot that stand for the hull of tips and feet.
 _ROUNDS = 3
 _CONES_A_SIDE = 8
 # Turns in which a tip is moved to where it belongs, and the step of the slopes that this takes.
@@ -31,9 +31,10 @@ _DRAWN_IN_MM = 0.3
 # Spikes on spines lean towards each other, by this part of their size and so many mm at most: on films of KL 4 spines
 # stand 2.7 mm nearer to each other than on those of KL 0 (Tiulpin et al. 2019).
 _LEANS, _MOST_LEANING_MM = 1.0, 1.5
-_BROADEST_MM = 2.5
-_INNER_FOOT_MM = 4.0
-_CREST = (2.2, 0.45)
+# On films of KL 4 they are ridges that fill the saddle between the spines (seen on 10 films; numbers: judgement).
+# Breadth grows with size up to the first; so far from a spine's top, in the saddle, is a foot; a crest runs forwards
+# and back by the third, where it is lower by the fourth, a millimetre of breadth.
+_BROADEST_MM, _INNER_FOOT_MM, _CREST_RUNS, _CREST_FALLS = 2.5, 4.0, 2.2, 0.45
 # At a margin, at the mean man's size; and how far its feet are from there, away from the joint.
 _SMALL_MM, _FOOT_MM = 0.38, 3.0
 
@@ -210,15 +211,12 @@ def _on_spine(direction: float, bare: Manifold, size_mm: float, deform: Deform) 
     near = points[np.linalg.norm(points[:, :2] - saddle, axis=1) < 2.0]
     inner = np.append(saddle, near[:, 2].max()) - below
     feet = np.vstack((feet[0], inner, feet[2], feet[1], feet[0]))
-    beside = (
-        broad_mm
-        * np.array([[0.0, -_CREST[0], -_CREST[1]], [0.0, 0.0, 0.0], [0.0, _CREST[0], -_CREST[1]]])[[0, 1, 2, 1, 0]]
-    )
+    crest = broad_mm * np.array([[0.0, way * _CREST_RUNS, -abs(way) * _CREST_FALLS] for way in (-1, 0, 1, 0, -1)])
     inward_mm = min(_LEANS * size_mm, _MOST_LEANING_MM)
 
     def shape(stands_mm: float, out: Array) -> Spike:
         tip = top + np.array([-inward_mm * direction, 0.0, stands_mm - tip_mm])
-        return Spike(feet, foot_mm, tip + beside, tip, tip_mm, size_mm, out)
+        return Spike(feet, foot_mm, tip + crest, tip, tip_mm, size_mm, out)
 
     return _standing_out(shape, np.array([0.0, 0.0, 1.0]), float(height.max()), size_mm, deform)
 
