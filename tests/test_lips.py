@@ -87,3 +87,15 @@ def test_two_lips_of_one_margin_are_one_mask():
     places = meshes["medial_tibia"].vertices[:, 1]
     assert places.min() < -10
     assert places.max() > 10
+
+
+@pytest.mark.parametrize(("side", "inwards"), [("medial", -1), ("lateral", 1)])
+def test_a_spine_grows_into_a_ridge_that_leans_towards_the_other(side, inwards):
+    grow, mean, form, _ = OF_BONE["tibia"]
+    bare = mesh_of(mean.outer).vertices
+    bare = bare[bare[:, 0] * inwards < -1]
+    top = bare[formed(bare, form)[:, 2].argmax()]
+    grown = mesh_of(grow(BUILD, (pssf.Osteophyte(site=f"{side}_spine", size_mm=2.0),)).outer).vertices
+    ridge = grown[(grown[:, 2] > top[2] + 0.5) & (grown[:, 0] * inwards < 0)]
+    assert np.ptp(ridge[:, 1]) > 5
+    assert 1 < ((ridge.mean(axis=0) - top)[0]) * inwards < 2
