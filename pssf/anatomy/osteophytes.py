@@ -32,9 +32,10 @@ _DRAWN_IN_MM = 0.3
 # stand 2.7 mm nearer to each other than on those of KL 0 (Tiulpin et al. 2019).
 _LEANS, _MOST_LEANING_MM = 1.0, 1.5
 # On films of KL 4 they are ridges that fill the saddle between the spines (seen on 10 films; numbers: judgement).
-# Breadth grows with size up to the first; so far from a spine's top, in the saddle, is a foot; a crest runs forwards
-# and back by the third, where it is lower by the fourth, a millimetre of breadth.
-_BROADEST_MM, _INNER_FOOT_MM, _CREST_RUNS, _CREST_FALLS = 2.5, 4.0, 2.2, 0.45
+# Breadth grows with size up to the first; one so tall that it would stand in the femur has less, the second over its
+# size. So far from a spine's top, in the saddle, is a foot; a crest runs forwards and back by the fourth, where it
+# is lower by the fifth, a millimetre of breadth.
+_BROADEST_MM, _TALL_MM2, _INNER_FOOT_MM, _CREST_RUNS, _CREST_FALLS = 2.5, 8.0, 4.0, 2.2, 0.45
 # At a margin, at the mean man's size; and how far its feet are from there, away from the joint.
 _SMALL_MM, _FOOT_MM = 0.38, 3.0
 
@@ -203,7 +204,7 @@ def _on_spine(direction: float, bare: Manifold, size_mm: float, deform: Deform) 
     side = points[points[:, 0] * direction > 1.0]
     height = deform(side)[:, 2]
     top = side[height.argmax()]
-    broad_mm = min(size_mm, _BROADEST_MM)
+    broad_mm = min(size_mm, _BROADEST_MM, _TALL_MM2 / size_mm)
     tip_mm, foot_mm = 0.35 + 0.35 * broad_mm, 1.2 + 0.6 * broad_mm
     below = np.array([0.0, 0.0, foot_mm + 0.6])
     feet = top - below + np.array([[0.0, -3.0, -0.6], [0.0, 0.0, 0.0], [0.0, 3.0, -0.6]])
