@@ -42,7 +42,7 @@ _SMALL_MM, _FOOT_MM = 0.38, 3.0
 
 @dataclass(frozen=True)
 class Spike:
-    """Of a spine: cones from feet in the bone to tips, the farthest of which stands out by the osteophyte's size.
+    """On a spine, or too small for a lip: cones from feet in the bone to tips, whose farthest stands out by its size.
 
     feet, tips  (k, 3)  centres of the balls there, and their radii; a cone goes from each to its own, and from places
                 between one and the next
