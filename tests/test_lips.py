@@ -99,3 +99,11 @@ def test_a_spine_grows_into_a_ridge_that_leans_towards_the_other(side, inwards):
     ridge = grown[(grown[:, 2] > top[2] + 0.5) & (grown[:, 0] * inwards < 0)]
     assert np.ptp(ridge[:, 1]) > 5
     assert 1 < ((ridge.mean(axis=0) - top)[0]) * inwards < 2
+
+
+def test_a_ridge_stands_out_by_its_size_where_a_form_turns_its_crest_up():
+    build = build_of(pssf.Knee(shape=(-1.9, 0.0, 2.6, 2.5, -2.9, 1.0, -1.0, -2.2, -2.2, 1.8, 2.8, 0.1)), TABLES)
+    grown = bones.grown_tibia(build, (pssf.Osteophyte(site="medial_spine", size_mm=2.0 * build.scale),)).outer
+    sides = (mesh_of(solid).vertices for solid in (build.mean_tibia.outer, grown))
+    bare, tall = (formed(side[side[:, 0] > 1], build.tibia)[:, 2].max() for side in sides)
+    assert tall - bare == pytest.approx(2.0, abs=1e-4)

@@ -46,17 +46,20 @@ class Spike:
 
     feet, tips  (k, 3)  centres of the balls there, and their radii; a cone goes from each to its own, and from places
                 between one and the next
-    tip         (3,)    the farthest one
     out         (3,)    unit vector in which it stands out
     """
 
     feet: Array
     foot_mm: float
     tips: Array
-    tip: Array
     tip_mm: float
     size_mm: float
     out: Array
+
+    @property
+    def tip(self) -> Array:
+        """(3,)  the farthest of its tips"""
+        return np.asarray(self.tips[(self.tips @ self.out).argmax()])
 
     @property
     def farthest(self) -> Array:
@@ -193,7 +196,7 @@ def _at_margin(table: Margin, direction: float, bare: Manifold, size_mm: float, 
 
     def shape(stands_mm: float, out: Array) -> Spike:
         tip = np.array([direction * (margin + stands_mm - tip_mm), 0.0, table.at_z])
-        return Spike(feet, foot_mm, np.tile(tip, (len(feet), 1)), tip, tip_mm, size_mm, out)
+        return Spike(feet, foot_mm, np.tile(tip, (len(feet), 1)), tip_mm, size_mm, out)
 
     way = np.array([direction, 0.0, 0.0])
     return _standing_out(shape, way, float((deform(band) @ way).max()), size_mm, deform)
@@ -217,7 +220,7 @@ def _on_spine(direction: float, bare: Manifold, size_mm: float, deform: Deform) 
 
     def shape(stands_mm: float, out: Array) -> Spike:
         tip = top + np.array([-inward_mm * direction, 0.0, stands_mm - tip_mm])
-        return Spike(feet, foot_mm, tip + crest, tip, tip_mm, size_mm, out)
+        return Spike(feet, foot_mm, tip + crest, tip_mm, size_mm, out)
 
     return _standing_out(shape, np.array([0.0, 0.0, 1.0]), float(height.max()), size_mm, deform)
 
