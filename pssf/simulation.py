@@ -1,12 +1,13 @@
 """simulate: a knee, or any scene, and a protocol -> a radiograph."""
 
 from collections.abc import Collection
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
 from importlib.metadata import version
 from typing import Any
 
-from .anatomy import BuiltKnee, BuiltPair, build, build_pair
+from .anatomy import BuiltKnee, BuiltPair, build, build_pair, make_texture
 from .core.checks import InputError, require_choice, require_seed, require_workers
 from .core.timer import Timer
 from .core.workers import one_blas_thread
@@ -49,7 +50,7 @@ def simulate(
     """
     _check(knee, protocol, seed, keep, engine, workers)
     clock = Timer()
-    subject = _built(knee, protocol)
+    subject = _built(knee, protocol, workers)
     # What a radiograph keeps is the beam as it was, not how it was found.
     protocol = subject.aimed(protocol) if isinstance(subject, BuiltKnee) else protocol
     technique = technique_of(protocol)
@@ -109,9 +110,12 @@ def _check_one(knee: object, protocol: Protocol) -> None:
         )
 
 
-def _built(knee: Subject, protocol: Protocol) -> BuiltKnee | BuiltPair | Scene:
+def _built(knee: Subject, protocol: Protocol, workers: int) -> BuiltKnee | BuiltPair | Scene:
     if isinstance(knee, Knee):
-        return build(knee, protocol)
+        with ThreadPoolExecutor(1) as aside:
+            if workers > 1 and protocol.texture != "none":
+                aside.submit(make_texture, knee)
+            return build(knee, protocol)
     return build_pair(*knee, protocol) if isinstance(knee, tuple) else knee
 
 

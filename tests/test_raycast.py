@@ -17,6 +17,7 @@ from pssf.model.protocol import Protocol, load_protocol
 from pssf.raycast import Audit, embree, scanline, trace
 from pssf.raycast.paths import total
 from pssf.raycast.sheets import BAND_ROWS, sheet_of
+from pssf.raycast.spread import across_edges
 
 ENGINES = ("embree", "scanline")
 few = settings(max_examples=12)
@@ -374,6 +375,28 @@ def test_rays_that_share_what_a_neighbour_met_are_as_exact_as_those_that_are_cas
     assert_clean(paths.audit)
 
 
+def test_rays_of_small_triangles_take_those_across_the_edges_of_their_neighbours(monkeypatch):
+    # Some three pixels each: hardly a ray lies inside the triangles of one cast five pixels away.
+    mesh, fine = ball(50.0, subdivisions=6), detector(rows=512, cols=512, pixel_mm=0.3)
+    exact = trace(alone(mesh), fine, engine="scanline", precision="float64").path_mm["water"]
+    counts = asked_of_embree(monkeypatch)
+    paths = trace(alone(mesh), fine, engine="embree", precision="float64")
+    assert sum(counts) < 0.3 * paths.audit.rays
+    assert_allclose(paths.path_mm["water"], exact, rtol=0, atol=1e-9)
+    assert_clean(paths.audit)
+
+
+@pytest.mark.parametrize("open_at", [None, 5])
+def test_across_each_edge_is_the_face_that_has_it_the_other_way(open_at):
+    faces = np.asarray(ball(1.0, subdivisions=2).faces, np.int32)
+    faces = faces if open_at is None else np.delete(faces, open_at, axis=0)
+    edges = {(face[k], face[(k + 1) % 3]): number for number, face in enumerate(faces.tolist()) for k in range(3)}
+    wanted = [[edges.get((face[(k + 1) % 3], face[k]), -1) for k in range(3)] for face in faces.tolist()]
+    across = across_edges(faces, int(faces.max()) + 1)
+    np.testing.assert_array_equal(across, wanted)
+    assert np.count_nonzero(across < 0) == (0 if open_at is None else 3)
+
+
 @pytest.mark.parametrize("count", [200, 3])
 def test_parallel_plates_are_exact_and_what_is_in_doubt_in_a_band_is_repaired_at_once(monkeypatch, count):
     # The diagonals of their faces run through the centres of pixels.
@@ -409,9 +432,10 @@ def test_an_unbalanced_ray_is_counted_and_repaired(monkeypatch):
             hit["primID"][np.arange(len(origins)) % 50 == 0] = -1
             return hit
 
-    expected = trace(alone(ball(30.0)), detector()).path_mm["water"]
+    fine = detector(rows=384, cols=320, pixel_mm=0.425)  # a few percent of whose rays are cast
+    expected = trace(alone(ball(30.0)), fine).path_mm["water"]
     monkeypatch.setattr(embree, "EmbreeScene", Forgetful)
-    paths = trace(alone(ball(30.0)), detector())
+    paths = trace(alone(ball(30.0)), fine)
     assert paths.audit.unbalanced > 10
     assert_clean(paths.audit)
     assert_allclose(paths.path_mm["water"], expected, rtol=0, atol=1e-5)

@@ -13,10 +13,11 @@ cartilage    cartilage and menisci                              tissues      all
 trabeculae   density of the spongy bone within                  solids       lofts, hulls, height fields, checks
 contours     projected outlines and the gap between them        truth        labels and landmarks
 landmarks    sixteen places on the contours, as on people's films
+ship         the mean bones as solids, put into the package
 """
 
-from .built import BuiltKnee, build
+from .built import BuiltKnee, build, make_texture
 from .pair import BuiltPair, build_pair
 from .trabeculae import BONES
 
-__all__ = ["BONES", "BuiltKnee", "BuiltPair", "build", "build_pair"]
+__all__ = ["BONES", "BuiltKnee", "BuiltPair", "build", "build_pair", "make_texture"]

@@ -28,7 +28,7 @@ from .pose import moved
 from .shells import check_nesting, nested
 from .solids import checked, mesh_of
 from .tissues import between
-from .trabeculae import BONES, Trabeculae, trabeculae
+from .trabeculae import BONES, Trabeculae, make_struts, trabeculae
 from .truth import labels, measured_jsw_mm, osteophyte_meshes
 from .turned_truth import turned_labels
 from .wear import attrition_mm, worn
@@ -140,6 +140,17 @@ def build(knee: Knee, protocol: Protocol | None = None) -> BuiltKnee:
         cysts=cysts,
         attrition=attrition,
         beam_range_deg=beam_range_deg(),
+    )
+
+
+def make_texture(knee: Knee) -> None:
+    """Make the struts of a knee's bones, which its rays alone need: in a thread of its own, while it is built."""
+    make_struts(
+        anatomy_tables().spongy,
+        seed=knee.texture_seed,
+        sclerosis=knee.subchondral_plate,
+        age_years=knee.age_years,
+        sex=knee.sex,
     )
 
 

@@ -10,8 +10,9 @@ from manifold3d import Manifold
 
 from ..core.checks import Array
 from ..data.bones import FemurShape, RoughZone, TibiaShape
+from ..data.records import encoded
 from ..data.shapes import ShapeTable
-from ..data.store import Arrays, Origin, kept
+from ..data.store import Arrays, Origin, kept, ship
 from ..geometry.freeform import displaced, with_displacements
 from ..geometry.mesh import Indices
 from .implicit import Field, lengths, project_to_surface
@@ -20,7 +21,15 @@ from .roughness import in_zones
 from .shape import BoneForm, knee_form
 from .solids import checked, mesh_of, solid_of, split_where
 
-_ORIGIN = Origin(sources=("core", "data", "geometry", "anatomy"), libraries=("manifold3d", "numpy", "scipy", "trimesh"))
+# What its solids are made by, beside its tables.
+SOURCES = (
+    *(f"anatomy/{name}.py" for name in ("femur", "implicit", "mean_bone", "noise", "remesh", "roughness", "shape")),
+    *("anatomy/solids.py", "anatomy/tibia.py", "geometry/freeform.py", "geometry/mesh.py"),
+)
+_LIBRARIES = ("manifold3d", "numpy", "scipy")
+# Places are whole numbers of this: as near as nobody needs it, small on the disk, and the same on machines that round
+# in other ways.
+_GRID_MM = 2.0**-20
 # Inner surfaces, whose edge trabeculae blur, are drawn with fewer triangles, within this.
 _INNER_MM = 0.03
 # Depths to which vertices of the outer surface are followed inwards, past the thickest cortex; steps from one to the
@@ -64,6 +73,7 @@ class MeanBone:
     tolerance_mm  how far middles of edges may be off the field
     form          how people's bones of this kind are formed, for which its triangles are small enough
     zones         where it is rough, likewise
+    tables        all that it is made from, as bytes
     """
 
     name: str
@@ -74,6 +84,7 @@ class MeanBone:
     tolerance_mm: float
     form: BoneForm
     zones: tuple[RoughZone, ...]
+    tables: bytes
 
     @property
     def outer(self) -> Manifold:
@@ -111,24 +122,37 @@ class MeanBone:
         """Its outer solid within another tolerance; made anew at every call."""
         return checked(mesh_bone(self.rough(), self.field, self.edge_mm, (tolerance_mm,))[0], self.name)
 
+    @property
+    def origin(self) -> Origin:
+        """What its solids are kept under."""
+        return Origin(sources=SOURCES, libraries=_LIBRARIES, facts=self.tables)
+
+    def ship(self) -> None:
+        """Make its solids and put them into the package, so that nobody waits for them."""
+        ship(self.name, self.origin, self.made())
+
     @cached_property
     def _parts(self) -> tuple[Manifold, Manifold, Array]:
         """Its outer solid; a coarser one, and (depths, n, 3) ways inwards of its vertices in their order."""
-        arrays = kept(self.name, _ORIGIN, self._made)
-        ways = arrays["ways"]
+        arrays = kept(self.name, self.origin, self.made)
+        ways = np.cumsum(arrays["steps"], axis=0) * _GRID_MM
         coarser = solid_of(ways[0], arrays["inner_faces"], self.name)
         # A solid has its vertices in an order of its own.
         number = np.empty(len(ways[0]), np.int64)
         number[np.lexsort(mesh_of(coarser).vertices.T)] = np.lexsort(ways[0].T)
-        return solid_of(arrays["points"], arrays["faces"], self.name), coarser, ways[:, number]
+        return solid_of(arrays["points"] * _GRID_MM, arrays["faces"], self.name), coarser, ways[:, number]
 
-    def _made(self) -> Arrays:
+    def made(self) -> Arrays:
+        """Its solids, made now: int32, places in `_GRID_MM`, of ways inwards the steps from one depth to the next."""
         solids = mesh_bone(self.rough(), self.field, self.edge_mm, (self.tolerance_mm, _INNER_MM))
         outer, coarser = (mesh_of(flexible(checked(solid, self.name), self.form, self.zones)) for solid in solids)
         ways = [coarser.vertices]
         for depth in _DEPTHS_MM[1:]:
             ways.append(project_to_surface(ways[-1], self.field, partial(_everywhere, depth), _STEPS))
-        return {"points": outer.vertices, "faces": outer.faces, "ways": np.array(ways), "inner_faces": coarser.faces}
+        steps = np.diff(_on_grid(np.array(ways)), axis=0, prepend=0)
+        places = {"points": _on_grid(outer.vertices), "steps": steps}
+        faces = {"faces": outer.faces, "inner_faces": coarser.faces}
+        return {name: values.astype(np.int32) for name, values in (places | faces).items()}
 
 
 def mean_bone(
@@ -152,7 +176,12 @@ def mean_bone(
         tolerance_mm=shape.tolerance_mm,
         form=knee_form(forms).bones[name],
         zones=shape.rough,
+        tables=encoded(shape, getattr(forms.lattices, name), forms.modes),
     )
+
+
+def _on_grid(places: Array) -> Indices:
+    return np.round(places / _GRID_MM).astype(np.int64)
 
 
 def _everywhere(depth_mm: float, points: Array) -> Array:

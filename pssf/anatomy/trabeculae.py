@@ -111,6 +111,11 @@ def trabeculae(
     )
 
 
+def make_struts(table: TrabecularBone, *, seed: int, sclerosis: float, age_years: float, sex: str) -> None:
+    """Make the lattice of a knee's bones now, as `trabeculae` has it, so that integrals find it made."""
+    lattice(int(seed), _grained(table, int(seed), sclerosis, age_years, sex))
+
+
 def _region(
     bone: str,
     table: TrabecularBone,

@@ -11,7 +11,7 @@ from ..core.checks import InputError
 
 ROOT = Path(__file__).resolve().parents[1]
 # What of the package is read by Python or by its modules; anything else there is not its own.
-SUFFIXES = (".py", ".toml", ".j2", ".html", ".js", ".css", ".svg")
+SUFFIXES = (".py", ".toml", ".j2", ".html", ".js", ".css", ".svg", ".npz")
 # What only tells of results: nobody's cohort is made anew for a sentence of a README.
 TELLING = frozenset({"data/readme.toml", "data/readmes.py", "io/readme.py"})
 

@@ -27,3 +27,8 @@ def record(kind: type[T], table: Any, what: str) -> T:
         raise ValueError(
             f"table {what}: {error}; allowed: {kind.__name__ if isinstance(kind, type) else kind}"
         ) from None
+
+
+def encoded(*values: Any) -> bytes:
+    """Records, or tuples of them, as bytes that are others where they differ."""
+    return msgspec.json.encode(values)

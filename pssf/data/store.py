@@ -1,14 +1,15 @@
-"""What takes seconds to make and depends on the package alone: arrays kept in the user's cache folder.
+"""What takes seconds to make and depends on the package alone: arrays that come with it, or in the user's cache folder.
 
 A kept file has a digest of what it was made by in its name, so that one made by other code, other tables or other
 versions of a library is not found, and made anew. PSSF_CACHE_DIR names another folder; "off" keeps nothing.
+What comes with the package is taken under all versions of libraries, so that it is the same on every machine.
 """
 
 import hashlib
 import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -20,13 +21,16 @@ import numpy as np
 from numpy.typing import NDArray
 from platformdirs import user_cache_path
 
-from .code import code_digest
+from .code import ROOT, code_digest
 
 Arrays = Mapping[str, NDArray[Any]]
 
 
 # Files kept of one thing, by different versions of what makes it.
 _VERSIONS = 4
+# Below the package: what comes with it.
+SHIPPED = Path("data", "kept")
+_UNREADABLE = (OSError, ValueError, BadZipFile, KeyError, EOFError)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,24 +39,28 @@ class Origin:
 
     sources    packages or modules of pssf, such as "anatomy" or "xray/spectrum.py", with their tables
     libraries  whose versions count
+    facts      what else counts, such as a record, as bytes
     """
 
     sources: tuple[str, ...]
-    libraries: tuple[str, ...]
+    libraries: tuple[str, ...] = ()
+    facts: bytes = b""
 
 
 def kept(name: str, origin: Origin, make: Callable[[], Arrays]) -> Arrays:
-    """The arrays that `make` gives, from the cache folder where they stand there.
+    """The arrays that `make` gives, from the package or from the cache folder where they stand there.
 
     name  of the file
     A folder that cannot be written, or a damaged file, costs the time of making them and nothing else.
     """
+    with suppress(*_UNREADABLE):
+        return _read(_shipped(name, origin))
     folder = _folder()
     if folder is None:
         return make()
     path = folder / f"{name}-{digest_of(origin)[:16]}.npz"
-    with suppress(OSError, ValueError, BadZipFile, KeyError, EOFError), np.load(path, allow_pickle=False) as arrays:
-        return dict(arrays)
+    with suppress(*_UNREADABLE):
+        return _read(path)
     arrays = make()
     with suppress(OSError):
         _write(path, arrays)
@@ -63,11 +71,22 @@ def kept(name: str, origin: Origin, make: Callable[[], Arrays]) -> Arrays:
     return arrays
 
 
+def ship(name: str, origin: Origin, arrays: Arrays) -> None:
+    """Put arrays into the package, instead of those that others before made."""
+    for stale in (ROOT / SHIPPED).glob(f"{name}-*.npz"):
+        stale.unlink()
+    _write(_shipped(name, origin), arrays)
+
+
 @cache
 def digest_of(origin: Origin) -> str:
     """Hash of the code, the tables and the versions of libraries that arrays are made by."""
-    made_by = [code_digest(origin.sources), [(name, version(name)) for name in origin.libraries]]
+    made_by = [code_digest(origin.sources), [(name, version(name)) for name in origin.libraries], origin.facts]
     return hashlib.sha256(repr(made_by).encode()).hexdigest()
+
+
+def _shipped(name: str, origin: Origin) -> Path:
+    return ROOT / SHIPPED / f"{name}-{digest_of(replace(origin, libraries=()))[:16]}.npz"
 
 
 def _folder() -> Path | None:
@@ -77,9 +96,14 @@ def _folder() -> Path | None:
     return Path(named) if named else user_cache_path("pssf", appauthor=False)
 
 
+def _read(path: Path) -> Arrays:
+    with np.load(path, allow_pickle=False) as arrays:
+        return dict(arrays)
+
+
 def _write(path: Path, arrays: Arrays) -> None:
     """Whole or not at all, whoever else writes the same."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as handle:
-        np.savez(handle, **arrays)  # type: ignore[arg-type]
+        np.savez_compressed(handle, **arrays)  # type: ignore[arg-type]
     os.replace(handle.name, path)

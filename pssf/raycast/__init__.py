@@ -13,6 +13,8 @@ rays       their lengths, and where they meet a box
 crossings  in order along each ray; integrals of a density between them
 scanline   engine: triangles projected and accumulated in float64
 embree     engine: rays cast hit by hit, audited, repaired by scanline
+casting    rays under way from hit to hit
+spread     what a ray met, taken from one beside it
 """
 
 import reprlib

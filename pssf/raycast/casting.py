@@ -21,10 +21,6 @@ SPACING = float(np.finfo(np.float32).eps)
 # sheet that matters: two sheets of one surface within 4e-5 mm (at 100 mm from its centre) are skipped together.
 STEP_SPACINGS = 3.0
 
-# Of so many rows and columns one is cast first. A ray between that lies strictly inside as many triangles of a ray cast
-# nearby as it has crossings has met those, and is not cast itself.
-GRID = 4
-
 # A triangle met again and again is given up and repaired.
 AGAIN_LIMIT = 8
 
@@ -70,7 +66,7 @@ class Progress(NamedTuple):
     met: Ints
 
 
-class _Spot(NamedTuple):
+class Spot(NamedTuple):
     """A pixel, and the way from the source to it, mm."""
 
     row: int
@@ -81,13 +77,16 @@ class _Spot(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def _spot(frame: Frame, row: int, col: int) -> _Spot:
-    return _Spot(row, col, frame.way.x + col * frame.pixel_mm, frame.way.y, frame.way.z - row * frame.pixel_mm)
+def spot_of(frame: Frame, row: int, col: int) -> Spot:
+    """A pixel as a ray's end."""
+    return Spot(row, col, frame.way.x + col * frame.pixel_mm, frame.way.y, frame.way.z - row * frame.pixel_mm)
 
 
 @njit(cache=True, nogil=True)
-def _load(triangles: Triangles, triangle: int, facets: Array, k: int) -> None:
-    """Put into row k of (n, 16): of each edge, row and column of its start and what it adds to them; the plane."""
+def load_facet(triangles: Triangles, triangle: int, facets: Array, k: int) -> None:
+    """Put a triangle into row k of facets (n, 16), px and mm: of each edge, row and column of its start and what it adds
+    to them; its plane.
+    """
     for corner in range(3):
         one, other = triangles.faces[triangle, corner], triangles.faces[triangle, (corner + 1) % 3]
         for axis in range(2):
@@ -99,8 +98,10 @@ def _load(triangles: Triangles, triangle: int, facets: Array, k: int) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _depth(spot: _Spot, facets: Array, k: int, after: float) -> float:
-    """Depth at which a ray meets triangle k of `_load`; 0 unless after a depth and strictly inside its projection."""
+def depth_within(spot: Spot, facets: Array, k: int, after: float) -> float:
+    """Depth (a share) at which a ray meets triangle k of facets (n, 16), px and mm; 0 unless after a depth and strictly
+    inside what is seen of it.
+    """
     scaled = facets[k, 15]  # > 0: seen from behind
     at = scaled / (facets[k, 12] * spot.x + facets[k, 13] * spot.y + facets[k, 14] * spot.z)
     if not at > after:
@@ -118,39 +119,10 @@ def _point(vectors: Floats, k: int) -> Point:
 
 
 @njit(cache=True, nogil=True)
-def _at(frame: Frame, centre: Point, spot: _Spot, depth: float) -> Point:
+def _at(frame: Frame, centre: Point, spot: Spot, depth: float) -> Point:
     """Where a ray is at a depth, around the centre of a surface."""
     x, y, z = frame.source.x - centre.x, frame.source.y - centre.y, frame.source.z - centre.z
     return Point(x + depth * spot.x, y + depth * spot.y, z + depth * spot.z)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def spread(triangles: Triangles, frame: Frame, listed: Crossings, progress: Progress, most: int) -> None:
-    """Give pixels the triangles of one cast nearby, where they lie strictly inside every one of them."""
-    rows, cols, starts, facets = listed.window.rows, listed.window.cols, listed.starts, np.empty((most, 16))
-    across = (cols + GRID - 1) // GRID
-    for n in range((rows + GRID - 1) // GRID * across):
-        top, left = n // across * GRID, n % across * GRID
-        anchor = top * cols + left
-        first, number = starts[anchor], starts[anchor + 1] - starts[anchor]
-        if number == 0 or progress.left[anchor] or progress.doubt[anchor]:
-            continue
-        for k in range(number):
-            _load(triangles, progress.met[first + k], facets, k)
-        for row in range(max(top - GRID + 1, 0), min(top + GRID, rows)):
-            for col in range(max(left - GRID + 1, 0), min(left + GRID, cols)):
-                pixel = row * cols + col
-                if progress.left[pixel] != number:
-                    continue
-                place, at, spot = starts[pixel], 0.0, _spot(frame, listed.window.row + row, listed.window.col + col)
-                for k in range(number):
-                    at = _depth(spot, facets, k, at)
-                    if at == 0.0:
-                        break
-                    listed.depth[place + k], listed.sign[place + k] = at, listed.sign[first + k]
-                    progress.met[place + k] = progress.met[first + k]
-                if at > 0.0:
-                    progress.left[pixel], progress.turns[pixel] = 0, progress.turns[anchor]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -170,15 +142,15 @@ def advance(
         if triangle < 0:
             continue
         row = pixel // listed.window.cols
-        spot = _spot(frame, listed.window.row + row, listed.window.col + pixel - row * listed.window.cols)
+        spot = spot_of(frame, listed.window.row + row, listed.window.col + pixel - row * listed.window.cols)
         if triangle == rays.triangles[k] and left[pixel] > 1:
             # Rounding put the new start before the triangle just left after all: go on from where Embree sees it.
             at, tries = rays.depths[k], rays.again[k] + 1
             start, off, far = _point(rays.origins, k), _point(rays.directions, k), hits[1][k]
             place = Point(start.x + far * off.x, start.y + far * off.y, start.z + far * off.z)
         else:
-            _load(triangles, triangle, facet, 0)
-            at, tries = _depth(spot, facet, 0, rays.depths[k]), 0
+            load_facet(triangles, triangle, facet, 0)
+            at, tries = depth_within(spot, facet, 0, rays.depths[k]), 0
             n, sign = listed.starts[pixel + 1] - left[pixel], 1 if facet[0, 15] > 0.0 else -1
             listed.depth[n], listed.sign[n], progress.met[n] = at, sign, triangle
             left[pixel], progress.turns[pixel], doubt[pixel] = left[pixel] - 1, progress.turns[pixel] + sign, at == 0.0

@@ -3,8 +3,9 @@
 Embree works in float32. Its answer is taken only for which triangle comes next; where the ray meets the plane of that
 triangle is computed in float64. How many crossings a ray has is counted beforehand in float64, from the outlines of the
 projected triangles; a ray without any is not cast, one that has them all asks no further, and one that lies inside as
-many triangles of a neighbour's has met those. The last crossing is looked for from behind: a ray that starts outside
-finds its triangle sooner than one that starts within. A pixel is handed to the scanline engine if
+many triangles of a neighbour's, or of those across their edges, has met these. The last crossing is looked for from
+behind: a ray that starts outside finds its triangle sooner than one that starts within. A pixel is handed to the
+scanline engine if
 
 - it does not lie strictly inside the projected triangle, in float64: the ray passes so near an edge that Embree took
   the neighbour, or both;
@@ -27,11 +28,12 @@ from numpy.typing import NDArray
 from ..core.checks import Array
 from ..geometry.topology import used
 from . import scanline
-from .casting import GRID, Extent, Ints, Progress, Rays, advance, spread
+from .casting import Extent, Ints, Progress, Rays, advance
 from .crossings import Crossings, Window, chords, room_for
 from .paths import Audit
 from .rays import ways_mm
 from .sheets import Point, Sheet, Triangles
+from .spread import GRID, Near, across_edges, spread, walk_on
 
 # A ray with more crossings than any mesh has is given up and repaired.
 HIT_LIMIT = 20_000
@@ -61,6 +63,7 @@ class Caster:
         self.extent = Extent(Point(*centre.tolist()), max(float(near), 0.0), float(far))
         planes, rows = whole.planes[kept], whole.rows[kept]
         self.triangles = Triangles(whole.faces[kept], whole.projected, planes, whole.near[kept], whole.far[kept], rows)
+        self.across = across_edges(self.triangles.faces, len(whole.projected))
         # Not "robust", which takes a fifth more time: what Embree misses is noticed by the count, and repaired.
         self.tree = EmbreeScene(_device(os.getpid()), robust=False)
         # embreex reads number by number, as Python does: from Python's own numbers and lists in a third of the time.
@@ -83,7 +86,11 @@ class Caster:
         on_grid = np.zeros(number.shape, np.bool_)
         on_grid[::GRID, ::GRID] = True
         self._cast(on_grid.reshape(-1), listed, progress)
-        spread(self.triangles, self.sheet.frame, listed, progress, int(number.max(initial=0)))
+        most = int(number.max(initial=0))
+        spread(self.triangles, self.sheet.frame, listed, progress, most)
+        near = Near(self.triangles, self.across, np.full(most, -1, np.int32), np.empty((most, 16)))
+        for way in (+1, -1):
+            walk_on(near, self.sheet.frame, listed, progress, way)
         self._cast(~on_grid.reshape(-1), listed, progress)
         bad = (progress.left > 0) | (turns != self.around) | doubt
         rays = int(np.count_nonzero(number))
