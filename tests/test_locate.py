@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace as replaced
 from phantoms import PIXEL_MM, SHAPE, TEMPLATE, phantom
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, zoom
 
 import pssf
 from pssf.core.checks import InputError
 from pssf.data.localisation import localisation
+from pssf.radiomics import aspect
+from pssf.radiomics.aspect import locate_film, with_square_pixels
 from pssf.radiomics.candidates import Candidates, Pair
 from pssf.radiomics.edges import Pyramid, edge_field
 from pssf.radiomics.locate import _chance, _side_of, _status, find_joint, locate
@@ -112,6 +115,62 @@ def test_a_simulated_joint_is_found_with_side_and_pitch_or_without(simulated):
     for joint in (given, alone):
         assert (joint.status, joint.side) == ("found", "right")
         assert np.hypot(joint.row - row, joint.col - col) * 1.2 < 2.5
+
+
+def squeezed(simulated, by):
+    """A crop of 256 columns about the joint whose rows were made fewer, its joint line, bone bright; and templates."""
+    whole, bare, templates = simulated
+    row, _ = whole.truth.medial_joint_line_px
+    rows = slice(int(row) - 60, int(row) + 60)
+    crops = [
+        zoom(density_of(pixels)[rows], (1 / by, 1.0), order=1, mode="nearest", grid_mode=True)
+        for pixels in (whole.pixels, bare)
+    ]
+    return *crops, (row - rows.start + 0.5) / by - 0.5, templates
+
+
+def test_a_joint_on_a_film_that_was_squeezed_is_found_on_higher_pixels(simulated):
+    whole, bare, row, templates = squeezed(simulated, 1.8)
+    col = simulated[0].truth.medial_joint_line_px[1]
+    strict = replaced(TABLE, thresholds=replaced(TABLE.thresholds, both=0.55))
+    assert locate(whole, templates, strict).status == "no knee"
+    joint = locate_film(whole, templates, strict)
+    assert (joint.status, joint.pixel_height) == ("found", 1.44)
+    assert np.hypot(joint.row - row, joint.col - col) * 1.2 < 3.0
+    assert joint.square_row == pytest.approx((joint.row + 0.5) * 1.44 - 0.5)
+    # A pitch that is known is of pixels that are square.
+    assert locate_film(whole, templates, strict, pixel_mm=1.2).pixel_height == 1.0
+    # Better than chance alone gives among so many looks.
+    above = replaced(strict, thresholds=replaced(strict.thresholds, stretched=0.9))
+    assert locate_film(whole, templates, above).status == "no knee"
+    assert locate_film(bare, templates, TABLE).status == "no knee"
+
+
+def test_of_looks_at_higher_and_wider_pixels_the_best_decides_even_if_it_refuses(monkeypatch):
+    film = np.zeros((100, 80))
+    known = joint_of(phantom(150, 165))
+    both = {100: 0.3, 83: 0.5, 120: 0.6, 144: 0.7}
+    statuses = {100: "no knee", 83: "found", 120: "found", 144: "found"}
+    monkeypatch.setattr(
+        aspect, "locate",
+        lambda seen, *_, **__: replace(
+            known, status=statuses[len(seen)], score=both[len(seen)], narrow=both[len(seen)], row=0.4 * len(seen)
+        ),
+    )  # fmt: skip
+    joint = locate_film(film, [TEMPLATE], TABLE)
+    assert (joint.status, joint.pixel_height, joint.both) == ("found", 1.44, 0.7)
+    assert joint.square_row == pytest.approx(0.4 * 144)
+    statuses[144] = "upside down"
+    assert locate_film(film, [TEMPLATE], TABLE).status == "no knee"
+
+
+def test_what_was_squeezed_has_its_own_proportions_on_square_pixels():
+    film = np.arange(60.0).reshape(10, 6)
+    assert with_square_pixels(film, 1.0) is film
+    square = with_square_pixels(film, 1.5)
+    assert square.shape == (15, 6)
+    # Rows rise by 6 each, by 4 on square pixels; at the ends the border is repeated.
+    np.testing.assert_allclose(np.diff(square[1:-1], axis=0), 4.0)
 
 
 def test_a_leg_without_bones_holds_no_knee_and_neither_does_noise(simulated):

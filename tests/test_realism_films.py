@@ -242,7 +242,7 @@ def records(source, count, grades=(0, 2)):
         made.append({
             **values, **noisy, "source": source, "file": f"{index}.png", "subject": f"{source}{index}", "side": "right",
             "grade": grades[index % len(grades)], "status": "found", "polarity": "bone bright", "pixel_mm": 0.3,
-            "binned": 1,
+            "binned": 1, "pixel_height": 1.0,
         })  # fmt: skip
     return [*made, {"source": source, "file": "x.png", "subject": "x", "grade": 0, "status": "no knee"}]
 

@@ -31,6 +31,7 @@ class Search(Record, frozen=True):
     least_seen: float
     candidates: int
     nearly: float
+    pixel_heights: Numbers
 
 
 class Chance(Record, frozen=True):
@@ -57,6 +58,7 @@ class Thresholds(Record, frozen=True):
     way       evidence for upside down that is chance, see `Located.way_evidence`
     apart_mm  how far above or below the wide match the narrow one may be
     scale     of a knee over the standard one
+    stretched as `both`, on a film whose pixels are not taken as square
     """
 
     both: float
@@ -64,6 +66,7 @@ class Thresholds(Record, frozen=True):
     way: float
     apart_mm: float
     scale: Pair
+    stretched: float
 
 
 class Localisation(Record, frozen=True):

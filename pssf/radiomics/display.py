@@ -17,6 +17,7 @@ from ..core.blocks import block_mean
 from ..core.checks import Array, InputError, require, require_whole
 from ..data.code import require_code
 from ..data.localisation import Localisation
+from .aspect import locate_film, with_square_pixels
 from .backends import default_backend
 from .families import FAMILIES
 from .features import extract
@@ -164,7 +165,7 @@ def _record(job: Job, joint: Located, region: Array | None) -> Record:
 def find_in_display(
     pixels: Array, templates: Sequence[Template], table: Localisation, side: str | None, pixel_mm: float | None
 ) -> Located:
-    """`locate` on a display; row, column and pitch are those of its own pixels.
+    """`locate_film` on a display; row, column and pitch are those of its own pixels.
 
     pixels    (rows, cols) share of white, 0 to 1, of either polarity
     pixel_mm  pitch; None where it is not known
@@ -172,7 +173,7 @@ def find_in_display(
     """
     step = 1 if pixel_mm is None else max(1, int(LINEAR_MM / pixel_mm))
     if step == 1:
-        return locate(pixels, templates, table, side=side, pixel_mm=pixel_mm)
+        return locate_film(pixels, templates, table, side=side, pixel_mm=pixel_mm)
     assert pixel_mm is not None
     joint = locate(block_mean(pixels, step), templates, table, side=side, pixel_mm=pixel_mm * step)
     values = {name: getattr(joint, name) for name in Located.__dataclass_fields__}
@@ -191,9 +192,9 @@ def cut_display(
     pixel_mm  pitch to bring it to
     returns   (region_px, region_px) of whose pixel region_px // 2 the joint line is the centre
     """
-    ratio = pixel_mm / joint.pixel_mm
+    pixels, ratio = with_square_pixels(pixels, joint.pixel_height), pixel_mm / joint.pixel_mm
     offsets = (np.arange(region_px) - region_px // 2) * ratio
-    rows, cols = joint.row + offsets, joint.col + offsets
+    rows, cols = joint.square_row + offsets, joint.col + offsets
     for places, length in ((rows, pixels.shape[0]), (cols, pixels.shape[1])):
         if places[0] < -0.5 or places[-1] > length - 0.5:
             return None

@@ -22,7 +22,7 @@ STATUSES = ("found", "no knee", "upside down", "wrong side", "wrong scale", "low
 class Located:
     """What the search gave; of the best match even where it is refused.
 
-    row, col     medial joint line, pixels
+    row, col     medial joint line, pixels of the film
     status       one of STATUSES
     score        correlation of edges with the whole joint's, -1 to 1
     narrow       the same of the medial compartment alone
@@ -36,6 +36,7 @@ class Located:
     pixel_from   given | plateau
     apart_mm     how far above or below the wide match the narrow one is, mm of the standard knee
     seen         share of the whole joint's patch within the film
+    pixel_height of the film's pixels over their width, which pixel_mm is
     """
 
     row: float
@@ -53,6 +54,12 @@ class Located:
     pixel_from: str
     apart_mm: float
     seen: float
+    pixel_height: float = 1.0
+
+    @property
+    def square_row(self) -> float:
+        """Row on `aspect.with_square_pixels`."""
+        return (self.row + 0.5) * self.pixel_height - 0.5
 
     @property
     def both(self) -> float:

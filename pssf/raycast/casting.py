@@ -84,8 +84,8 @@ def spot_of(frame: Frame, row: int, col: int) -> Spot:
 
 @njit(cache=True, nogil=True)
 def load_facet(triangles: Triangles, triangle: int, facets: Array, k: int) -> None:
-    """Put a triangle into row k of facets (n, 16), px and mm: of each edge, row and column of its start and what it adds
-    to them; its plane.
+    """Put a triangle into row k of facets (n, 16), px and mm: of each edge, row and column of its start and what it
+    adds to them; its plane.
     """
     for corner in range(3):
         one, other = triangles.faces[triangle, corner], triangles.faces[triangle, (corner + 1) % 3]

@@ -18,7 +18,7 @@ from ..data.code import code_digest, require_code
 from ..data.localisation import Localisation
 from ..data.looks import Looks
 from ..io.films import Film, read_film
-from ..radiomics.locate import locate
+from ..radiomics.aspect import locate_film, with_square_pixels
 from ..radiomics.patches import Template
 from ..radiomics.table import SAVE_SECONDS
 from .domains import Films
@@ -130,20 +130,21 @@ def measure_film(
     except InputError as error:
         return {**record, "status": "unreadable", "reason": str(error)}
     side, pixel_mm = film.side or image.side, film.pixel_mm or image.pixel_mm
-    joint = locate(image.pixels, templates, table, side=side, pixel_mm=pixel_mm)
+    joint = locate_film(image.pixels, templates, table, side=side, pixel_mm=pixel_mm)
     record |= {
         "status": joint.status, "side": joint.side, "polarity": joint.polarity, "score": joint.score,
         "row_px": joint.row, "col_px": joint.col, "pixel_mm": joint.pixel_mm, "pixel_from": joint.pixel_from,
-        "scale": joint.scale,
+        "scale": joint.scale, "pixel_height": joint.pixel_height,
     }  # fmt: skip
     if joint.status != "found":
         return record
-    bright = image.pixels if joint.polarity == "bone bright" else 1 - image.pixels
+    square = with_square_pixels(image.pixels, joint.pixel_height)
+    bright = square if joint.polarity == "bone bright" else 1 - square
     plateau_mm = _plateau_mm(templates) * joint.scale
     lateral = -1 if joint.side == "right" else 1
     middle = joint.col + lateral * _TO_MIDDLE * plateau_mm / joint.pixel_mm
     pitch_mm = joint.pixel_mm * PLATEAU_MM / plateau_mm
-    place = Place(row=joint.row, col=middle, side=joint.side, pitch_mm=pitch_mm)
+    place = Place(row=joint.square_row, col=middle, side=joint.side, pitch_mm=pitch_mm)
     binned = 1.0 if film.coarse_mm is None else max(1.0, film.coarse_mm / pitch_mm)
     return record | {"binned": binned} | measured(bright, place, joint.pixel_mm, binned)
 

@@ -9,6 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from ..core.checks import Array
+from ..radiomics.aspect import with_square_pixels
 from ..study.report.page import Picture
 from .blind import blind_test
 from .domains import ALL, told_apart, transferred
@@ -192,6 +193,7 @@ def _spread(records: Sequence[Record]) -> list[Record]:
 
 
 def _form(film: Array, record: Record) -> NDArray[np.uint8]:
+    film = with_square_pixels(film, float(record["pixel_height"]))
     bright = film if record["polarity"] == "bone bright" else 1 - film
     place = Place(
         row=record["joint_row_px"], col=record["joint_col_px"], side=record["side"], pitch_mm=record["pitch_mm"]

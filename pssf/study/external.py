@@ -159,8 +159,8 @@ def _pitch_and_region_mm(
         except InputError:
             continue  # it will be counted as refused
         if joint.status == "found":
-            rows, cols = image.pixels.shape
-            around = min(joint.row, joint.col, rows - 1 - joint.row, cols - 1 - joint.col)
+            rows, cols = image.pixels.shape[0] * joint.pixel_height, image.pixels.shape[1]
+            around = min(joint.square_row, joint.col, rows - 1 - joint.square_row, cols - 1 - joint.col)
             pitches.append(joint.pixel_mm)
             fields.append(2 * around * joint.pixel_mm)
     pixel_mm, region_mm = least_mm, largest_mm
