@@ -13,14 +13,14 @@ from manifold3d import Manifold
 
 from ..core.checks import Array
 from ..data.anatomy import AnatomyTables
-from ..data.bones import BoneShape, FemurShape, RoughZone, TibiaShape
+from ..data.bones import BoneShape, FemurShape, GrowthZone, RoughZone, TibiaShape
 from ..data.records import Rows
 from ..data.spongy import TrabecularBone
 from ..geometry.freeform import Lattice, displaced
 from ..model.knee import Knee
 from .femur import mean_femur
 from .mean_bone import MeanBone, Plates
-from .roughness import roughness
+from .roughness import growth, roughness
 from .shape import knee_form, lattices_of
 from .solids import SHAFT_POWER, ring
 from .tibia import mean_tibia, plateau_height
@@ -49,12 +49,15 @@ class Form:
     lean     (x, y) by which the shaft then leans, a millimetre away from the joint
     slope    by which it leans in x once it is upright from the side
     rough    where it is rough, and the seed of that
+    growth   where it has grown, and by how much, mm
     """
 
     lattice: Lattice
     end: int
     rough: tuple[RoughZone, ...] = ()
     seed: int = 0
+    growth: tuple[GrowthZone, ...] = ()
+    grown_mm: float = 0.0
     lean: tuple[float, float] = (0.0, 0.0)
     slope: float = 0.0
 
@@ -125,8 +128,14 @@ def build_of(knee: Knee, tables: AnatomyTables) -> Build:
     sex_scale = size.female_over_male if knee.sex == "female" else 1.0
     scale = sex_scale * knee.bone_scale * knee.stature_mm / getattr(size.stature_mm, knee.sex)
     lattices = lattices_of(knee.shape, knee_form(tables.forms))
-    femur = _form(lattices["femur"], +1, shape.femur, scale, knee.texture_seed)
-    tibia = _form(lattices["tibia"], -1, shape.tibia, scale, knee.texture_seed)
+    femur, tibia = (
+        replace(
+            _form(lattices[name], end, getattr(shape, name), scale, knee.texture_seed),
+            growth=getattr(shape.notch_growth, name),
+            grown_mm=knee.notch_growth_mm / scale,
+        )
+        for name, end in (("femur", +1), ("tibia", -1))
+    )
     # The tibia leans as this person's does; the femur as makes the angle between them the one of a straight leg. Of an
     # angle beyond that each has half.
     varus = float(np.rad2deg(np.arctan(tibia.slope)))
@@ -186,6 +195,7 @@ def formed(points: Array, form: Form) -> Array:
     # Where the lattice ends its displacements stay the same; a shaft goes straight on.
     places = displaced(points - beyond[:, None] * [0.0, 0.0, form.end], form.lattice)
     places += beyond[:, None] * [*form.lean, form.end] + roughness(points, form.rough, form.seed, form.end)
+    places += growth(points, form.growth, form.grown_mm)
     return places @ form.upright().T
 
 

@@ -127,22 +127,22 @@ def _nodes(lanes: Array, region: Region, struts: Struts) -> None:
         depth = max(below, 0.0)
         mean *= _left_in_rim(x, below, region)
         hard = region.hard_medial * (0.5 + 0.5 * medial) + region.hard_lateral * (0.5 - 0.5 * medial)
-        rise = region.plate * (1.0 + region.plate_medial * medial)
+        bearing = 1.0 - region.between * _bell((x - region.between_mm) * region.between_per_mm)
+        rise = bearing * region.plate * (1.0 + region.plate_medial * medial)
         plate = rise * _step(depth * region.plate_per_mm)
         swing = mean * (region.gain_shaft + (region.gain - region.gain_shaft) * fade)
         swing *= (1.0 + region.plate_struts * plate * fade) * (
             1.0 + region.struts * _bell(depth * region.struts_per_mm)
         )
-        mean *= 1.0 + (plate + hard * _bell(depth * region.hard_per_mm)) * fade
+        mean *= 1.0 + (plate + bearing * hard * _bell(depth * region.hard_per_mm)) * fade
         swing = min(swing, mean)
-        over = _over_scar(x, y, z, region)
         across = (u * region.scale + _aside(u, true_z, region)) / region.squat
         up = true_z * region.squat
         lanes[_FAR + _A + n] = across * struts.per_mm[0] + struts.shift[0] + _PERIODS
         lanes[_FAR + _B + n] = up * struts.per_mm[1] + struts.shift[1] + _PERIODS
         lanes[_FAR + _C + n] = true_y * struts.per_mm[2] + struts.shift[2] + _PERIODS + _ON_PLANE / 2
         lanes[_FAR + _SWING + n], lanes[_FAR + _REST + n] = swing, mean - swing
-        lanes[_FAR + _OVER + n] = over * region.scar_per_mm
+        lanes[_FAR + _OVER + n] = _over_scar(x, y, z, region) * region.scar_per_mm
         lanes[_FAR + _SCAR + n] = region.scar_bvtv * _bell((x - region.scar_x) * region.scar_wide_per_mm)
 
 

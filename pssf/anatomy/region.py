@@ -33,6 +33,9 @@ class Region(NamedTuple):
     plate_per_mm: float
     plate_struts: float
     plate_medial: float
+    between: float
+    between_mm: float
+    between_per_mm: float
     struts: float
     struts_per_mm: float
     hard_medial: float

@@ -1,10 +1,10 @@
-"""Roughness: ridges and pits of a bone where it bears no cartilage, which on films are its many faint lines."""
+"""Roughness: ridges and pits of a bone where it bears no cartilage, which on films are its many faint lines; growth."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.checks import Array
-from ..data.bones import RoughZone
+from ..data.bones import GrowthZone, RoughZone
 from .noise import noise
 
 # No place is moved by more standard deviations.
@@ -29,6 +29,18 @@ def roughness(points: Array, zones: tuple[RoughZone, ...], seed: int, end: int) 
     return moves
 
 
+def growth(points: Array, zones: tuple[GrowthZone, ...], grown_mm: float) -> Array:
+    """(n, 3)  by how much places of a bone are moved where it has grown, mm; nothing outside the zones
+
+    points  (n, 3)  of the mean man's bone, mm
+    """
+    moves = np.zeros_like(points)
+    for zone in zones if grown_mm else ():
+        within = np.maximum(1.0 - _from_middle(points, zone), 0.0)
+        moves += (grown_mm * within**2)[:, None] * np.array(zone.way)
+    return moves
+
+
 def in_zones(points: Array, zones: tuple[RoughZone, ...]) -> NDArray[np.bool_]:
     """(n,)  whether places of the mean man's bone may be moved
 
@@ -37,7 +49,7 @@ def in_zones(points: Array, zones: tuple[RoughZone, ...]) -> NDArray[np.bool_]:
     return np.any([_from_middle(points, zone) < 1 for zone in zones] or [np.zeros(len(points), bool)], axis=0)
 
 
-def _from_middle(points: Array, zone: RoughZone) -> Array:
+def _from_middle(points: Array, zone: RoughZone | GrowthZone) -> Array:
     """(n,)  squared way from a zone's middle over that to its edge"""
     x, y, z = (((points[:, axis] - zone.centre[axis]) / zone.half[axis]) ** 2 for axis in range(3))
     return np.asarray(x + y + z)

@@ -144,7 +144,7 @@ def _region(
     same |= {name: min(1.0, getattr(part, name) * contrast) for name in ("gain", "gain_shaft")}
     same |= _inverse_lengths(part)
     dips = [(x, 1 / half, rise) for x, half, rise in part.dips]
-    same["scar_bvtv"] *= scar.least + (1 - scar.least) * chance[1]
+    same["scar_bvtv"] *= scar.least + (1 - scar.least) * chance[1] ** 2
     return Region(
         **same,
         middle_mm=table.side.middle_mm,
@@ -172,7 +172,7 @@ def _region(
 
 
 def _inverse_lengths(part: SpongyBone) -> dict[str, float]:
-    halves = ("column", "margin", "rim", "scar", "struts")
+    halves = ("between", "column", "margin", "rim", "scar", "struts")
     lengths = {name: f"{name}_mm" for name in ("fade", "plate")} | {name: f"{name}_half_mm" for name in halves}
     return {f"{name}_per_mm": 1 / getattr(part, field) for name, field in lengths.items()}
 

@@ -60,6 +60,21 @@ class RoughZone(Record, frozen=True):
     lengths_mm: Pair
 
 
+class GrowthZone(Record, frozen=True):
+    """Where bone grows: an ellipsoid, and how places in its middle are moved, mm a millimetre of growth."""
+
+    centre: Triple
+    half: Triple
+    way: Triple
+
+
+class NotchGrowth(Record, frozen=True):
+    """What closes the notch: bone on its walls and roof, and over the eminence below."""
+
+    femur: tuple[GrowthZone, ...]
+    tibia: tuple[GrowthZone, ...]
+
+
 class FemurShape(Record, frozen=True):
     """Distal femur; z = 0 at the condyles' distal end."""
 
@@ -218,6 +233,7 @@ class BoneShape(Record, frozen=True):
 
     size: Size
     unevenness: Unevenness
+    notch_growth: NotchGrowth
     femur: FemurShape
     tibia: TibiaShape
     osteophytes: Margins

@@ -108,6 +108,13 @@ class Cysts(Record, frozen=True):
     diameter_mm: Pair
 
 
+class Notch(Record, frozen=True):
+    """Mean and deviation of what has grown into the notch by grade, and what it may be."""
+
+    growth_mm: Laws
+    bounds_mm: Pair
+
+
 class Subluxation(Record, frozen=True):
     """Of the tibia to lateral where the medial side narrows, mm: mean and deviation by grade, least and most."""
 
@@ -156,6 +163,7 @@ class SeverityGrades(_Shared, frozen=True):
     reader: Reader
     cysts: Cysts | None = None
     subluxation: Subluxation | None = None
+    notch: Notch | None = None
 
     @property
     def grades(self) -> tuple[int, ...]:
@@ -217,6 +225,8 @@ def _require_every_grade(table: SeverityGrades, name: str) -> None:
         lists["cysts.share"] = table.cysts.share
     if table.subluxation is not None:
         lists["subluxation.lateral_mm"] = table.subluxation.lateral_mm
+    if table.notch is not None:
+        lists["notch.growth_mm"] = table.notch.growth_mm
     for entry, values in lists.items():
         if len(values) != len(grades):
             raise InputError(f"grades {name}: {entry} has {len(values)} entries; allowed: {len(grades)}, as rest.wider")

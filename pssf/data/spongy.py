@@ -111,6 +111,9 @@ class SpongyBone(Record, frozen=True):
     plate_mm: float
     plate_struts: float
     plate_medial: float
+    between: float
+    between_mm: float
+    between_half_mm: float
     struts: float
     struts_half_mm: float
     fan: float

@@ -1,4 +1,4 @@
-"""advanced_fields: cysts and subluxation of knees with advanced osteoarthritis, beside what narrows and grows."""
+"""advanced_fields: cysts, subluxation and what grows into the notch, beside what narrows and grows at the margins."""
 
 from typing import Any
 
@@ -18,13 +18,17 @@ def advanced_fields(table: SeverityGrades, grade: int, narrowed: str, rng: np.ra
     narrowed  the side that narrows, medial or lateral
     rng       of a stream of its own
     """
-    of_cysts, of_subluxation = rng.spawn(2)
+    of_cysts, of_subluxation, of_notch = rng.spawn(3)
     cysts = () if table.cysts is None else _cysts(table.cysts, grade, narrowed, of_cysts)
     law, slipped = table.subluxation, 0.0
     if law is not None and narrowed == "medial":
         mean, sd = law.lateral_mm[grade]
         slipped = float(np.clip(mean + sd * of_subluxation.standard_normal(), *law.bounds_mm))
-    return {"cysts": cysts, "subluxation_mm": round(slipped, 4)}
+    grown = 0.0
+    if table.notch is not None:
+        mean, sd = table.notch.growth_mm[grade]
+        grown = float(np.clip(mean + sd * of_notch.standard_normal(), *table.notch.bounds_mm))
+    return {"cysts": cysts, "subluxation_mm": round(slipped, 4), "notch_growth_mm": round(grown, 4)}
 
 
 def _cysts(law: Cysts, grade: int, narrowed: str, rng: np.random.Generator) -> tuple[Cyst, ...]:

@@ -74,6 +74,7 @@ class Knee:
     cysts              at most MOST_CYSTS
     subchondral_plate  thickness of the plate relative to a healthy one
     varus_deg          angle between femoral and tibial shaft beyond the normal valgus of 5 deg; positive is varus
+    notch_growth_mm    of bone into the notch: on its walls and roof, and over the eminence
     subluxation_mm     of the tibia to lateral, as the femur stands on it; joint spaces stay what they are
     flexion_deg        of the femur about the medio-lateral axis
     rotation_deg       of the leg about its long axis; positive is internal
@@ -131,6 +132,7 @@ class Knee:
     grade_read: int | None = None
     cysts: tuple[Cyst, ...] = ()
     subluxation_mm: float = 0.0
+    notch_growth_mm: float = 0.0
 
     def __post_init__(self) -> None:
         check_fields("knee", self)

@@ -1,0 +1,73 @@
+"""Bone that grows into the notch: moved smoothly and without a fold, seen on films, and drawn by grade."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from pssf import InputError, Knee, build, draw_knee, load_protocol
+from pssf.anatomy.roughness import growth
+from pssf.data.anatomy import anatomy_tables
+from pssf.data.bones import GrowthZone
+
+ZONES = anatomy_tables().shape.notch_growth
+MOST_MM = 3.0
+HEIGHTS = ("lateral_spine", "medial_spine", "notch_top")
+
+
+def test_the_middle_of_a_zone_moves_by_all_its_edge_by_nothing_and_no_growth_is_none():
+    zone = GrowthZone(centre=(1.0, 2.0, 3.0), half=(4.0, 5.0, 6.0), way=(0.0, -1.0, 0.5))
+    points = np.array([[1.0, 2.0, 3.0], [5.0, 2.0, 3.0], [1.0, 2.0, 6.0], [9.0, 9.0, 9.0]])
+    moves = growth(points, (zone,), 2.0)
+    np.testing.assert_allclose(moves, np.outer([2.0, 0.0, 2.0 * 0.75**2, 0.0], zone.way), rtol=0, atol=1e-12)
+    assert not growth(points, (zone,), 0.0).any()
+
+
+@pytest.mark.parametrize("bone", ["femur", "tibia"])
+def test_bone_that_grows_by_the_most_a_knee_may_have_does_not_fold(bone):
+    zones = getattr(ZONES, bone)
+    axes = [np.arange(-25.0, 25.0, 1.0), np.arange(-25.0, 35.0, 1.0), np.arange(-15.0, 35.0, 1.0)]
+    places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    moved = (places.reshape(-1, 3) + growth(places.reshape(-1, 3), zones, MOST_MM)).reshape(places.shape)
+    slopes = np.stack([np.gradient(moved, axis=axis) for axis in range(3)], axis=-1)
+    assert np.linalg.det(slopes).min() > 0.2
+
+
+def heights(knee):
+    """Heights of spines and notch's top above the tibia's edges, mm on the film, and the knee's truth."""
+    protocol = load_protocol("fixed_flexion")
+    built = build(knee, protocol)
+    truth = built.truth(built.aimed(protocol))
+    rows = {name: place[0] for name, place in truth.landmarks_px.items()}
+    base = (rows["tibia_medial_edge"] + rows["tibia_lateral_edge"]) / 2
+    return np.array([(base - rows[name]) * protocol.pixel_mm for name in HEIGHTS]), truth
+
+
+def test_growth_raises_the_eminence_and_lowers_the_notch_and_joint_spaces_stay():
+    (before, healthy), (after, grown) = (heights(Knee(notch_growth_mm=mm, jsw_medial_mm=3.0)) for mm in (0.0, 2.0))
+    raised = after - before
+    assert (raised[:2] > 1.2).all()
+    assert (raised[:2] < 3.0).all()
+    assert -3.5 < raised[2] < -1.2
+    assert (grown.jsw_medial_mm, grown.jsw_lateral_mm) == (healthy.jsw_medial_mm, healthy.jsw_lateral_mm)
+
+
+def test_a_narrow_joint_of_a_worn_knee_with_spikes_has_room_for_it():
+    knee = draw_knee(grade=4, rng=np.random.default_rng(5), table="people")
+    build(dataclasses.replace(knee, notch_growth_mm=MOST_MM))
+
+
+def test_more_than_grows_is_refused():
+    with pytest.raises(InputError, match=r"notch_growth_mm = 3\.5"):
+        Knee(notch_growth_mm=3.5)
+
+
+def grown_mm(grade, seed, **options):
+    return draw_knee(grade=grade, rng=np.random.default_rng(seed), **options).notch_growth_mm
+
+
+def test_it_grows_with_the_grade_and_not_without():
+    by_grade = [np.mean([grown_mm(grade, seed, table="people") for seed in range(60)]) for grade in range(5)]
+    assert by_grade[0] == 0.0
+    assert np.all(np.diff(by_grade) > 0)
+    assert grown_mm(2, 0) == 0.0
