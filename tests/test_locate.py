@@ -130,9 +130,11 @@ def squeezed(simulated, by):
 
 
 def test_a_joint_on_a_film_that_was_squeezed_is_found_on_higher_pixels(simulated):
-    whole, bare, row, templates = squeezed(simulated, 1.8)
+    whole, bare, row, templates = squeezed(simulated, 1.44)
     col = simulated[0].truth.medial_joint_line_px[1]
-    strict = replaced(TABLE, thresholds=replaced(TABLE.thresholds, both=0.55))
+    square, tall = (locate(with_square_pixels(whole, height), templates, TABLE) for height in (1.0, 1.44))
+    assert square.both < tall.both - 0.05
+    strict = replaced(TABLE, thresholds=replaced(TABLE.thresholds, both=(square.both + tall.both) / 2))
     assert locate(whole, templates, strict).status == "no knee"
     joint = locate_film(whole, templates, strict)
     assert (joint.status, joint.pixel_height) == ("found", 1.44)

@@ -144,7 +144,7 @@ def _region(
     same |= {name: min(1.0, getattr(part, name) * contrast) for name in ("gain", "gain_shaft")}
     same |= _inverse_lengths(part)
     dips = [(x, 1 / half, rise) for x, half, rise in part.dips]
-    same["scar_bvtv"] *= scar.least + (1 - scar.least) * chance[1] ** 2
+    same["scar_bvtv"] *= scar.least + (1 - scar.least) * chance[1]
     return Region(
         **same,
         middle_mm=table.side.middle_mm,
