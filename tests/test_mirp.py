@@ -31,6 +31,9 @@ def regions() -> list[np.ndarray]:
         radiograph = pssf.simulate(knee, pssf.load_protocol(name), seed=grade, engine="scanline")
         row, col = (round(at) - SIZE // 2 for at in radiograph.truth.medial_joint_line_px)
         found.append(radiograph.pixels[row : row + SIZE, col : col + SIZE])
+    # Of one the edges of all bins are whole grey values, whatever chance gave its brightest pixel.
+    low, range_dn = found[0].min(), int(np.ptp(found[0]))
+    found[0] = np.minimum(found[0], low + range_dn // BINS * BINS)
     return found
 
 
