@@ -8,6 +8,7 @@ from msgspec import structs
 
 from pssf.anatomy.femur import mean_femur
 from pssf.anatomy.mean_bone import SOURCES, Plates
+from pssf.anatomy.solids import mesh_of
 from pssf.anatomy.tibia import mean_tibia
 from pssf.data import code, store
 from pssf.data.anatomy import anatomy_tables
@@ -140,9 +141,17 @@ def test_the_mean_bones_of_the_package_are_those_that_its_code_makes(folder, mea
         np.testing.assert_allclose(kept[key], values, rtol=0, atol=0 if "faces" in key else 1)
 
 
-def test_a_mean_bone_of_other_tables_is_made_and_kept(folder):
+def test_a_mean_bone_of_other_tables_is_made_and_kept_bit_for_bit(folder, monkeypatch):
     shape = structs.replace(anatomy_tables().shape.femur, edge_mm=4.0, tolerance_mm=0.3)
-    bone = mean_femur(shape, anatomy_tables().forms)
-    assert bone.outer.num_tri() > 1000
+    solids = []
+    for named in ("off", str(folder), str(folder)):
+        monkeypatch.setenv("PSSF_CACHE_DIR", named)
+        mean_femur.cache_clear()
+        bone = mean_femur(shape, anatomy_tables().forms)
+        solids.append([mesh_of(solid) for solid in (bone.outer, bone.inner(1.0, Plates(1.0, 1.0, 10.0)))])
+    for other in solids[1:]:
+        for one, two in zip(solids[0], other, strict=True):
+            np.testing.assert_array_equal(one.vertices, two.vertices)
+            np.testing.assert_array_equal(one.faces, two.faces)
     assert [path.name.split("-")[0] for path in folder.iterdir()] == ["femur"]
     mean_femur.cache_clear()
