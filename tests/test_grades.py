@@ -67,6 +67,24 @@ def test_parameters_overlap_and_go_with_one_another(people):
     assert np.corrcoef(medial, lateral)[0, 1] == pytest.approx(0.58, abs=4 * 0.66 / np.sqrt(COUNT))
 
 
+def test_no_single_parameter_but_osteophytes_gives_doubtful_or_mild_away(people):
+    numbers = [name for name, value in vars(people[0][0]).items() if isinstance(value, float)]
+    assert {"subchondral_plate", "notch_growth_mm", "varus_deg", "subluxation_mm", "bmi"} <= set(numbers)
+    for name in numbers:
+        healthy, doubtful, mild = (np.array([getattr(knee, name) for knee in people[grade]]) for grade in range(3))
+        for grade, other in ((1, doubtful), (2, mild)):
+            auc = mannwhitneyu(healthy, other).statistic / COUNT**2
+            assert abs(auc - 0.5) < 0.25, (name, grade)
+
+
+def test_what_severity_moves_goes_together_within_a_grade(people):
+    narrowed_medially = [knee for knee in people[4] if knee.jsw_medial_mm < knee.jsw_lateral_mm]
+    names = ("subchondral_plate", "varus_deg", "notch_growth_mm", "subluxation_mm")
+    together = np.corrcoef([[getattr(knee, name) for knee in narrowed_medially] for name in names])
+    # Each follows severity with 0.45: any two go together with 0.2, less where values are cut off; 6 pairs of 280 knees.
+    assert together[np.triu_indices(4, 1)].mean() > 0.2 - 4 / np.sqrt(6 * 280)
+
+
 @pytest.mark.parametrize("kappa", [0.4, 0.75, 1.0])
 def test_a_reader_is_off_by_one_at_most_and_as_often_as_kappa_says(kappa):
     rng = np.random.default_rng(3)

@@ -31,7 +31,7 @@ class Fabellae(Record, frozen=True):
 
 
 class Side(Record, frozen=True):
-    """Share of knees that narrow medially, and correlation of severity with what narrows and grows."""
+    """Share of knees that narrow medially, and correlation of severity with what narrows, grows, hardens and slips."""
 
     medial: float
     shape_with: float
@@ -154,7 +154,7 @@ class RangeGrades(_Shared, frozen=True):
 
 
 class SeverityGrades(_Shared, frozen=True):
-    """Grades by a latent severity that all parameters follow in part."""
+    """Grades by a latent severity, which spaces, osteophytes, plate, alignment, growth and slip follow in part."""
 
     side: Side
     spaces: Spaces

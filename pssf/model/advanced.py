@@ -12,10 +12,13 @@ _PLACES = (-0.7, 0.0, 0.7)
 _AROUND = 0.09
 
 
-def advanced_fields(table: SeverityGrades, grade: int, narrowed: str, rng: np.random.Generator) -> dict[str, Any]:
+def advanced_fields(
+    table: SeverityGrades, grade: int, narrowed: str, severity: float, rng: np.random.Generator
+) -> dict[str, Any]:
     """Fields of a knee of a grade beyond `severity_fields`.
 
     narrowed  the side that narrows, medial or lateral
+    severity  of the knee within its grade, in deviations
     rng       of a stream of its own
     """
     of_cysts, of_subluxation, of_notch = rng.spawn(3)
@@ -23,12 +26,19 @@ def advanced_fields(table: SeverityGrades, grade: int, narrowed: str, rng: np.ra
     law, slipped = table.subluxation, 0.0
     if law is not None and narrowed == "medial":
         mean, sd = law.lateral_mm[grade]
-        slipped = float(np.clip(mean + sd * of_subluxation.standard_normal(), *law.bounds_mm))
+        score = in_part(severity, table.side.shape_with, of_subluxation.standard_normal())
+        slipped = float(np.clip(mean + sd * score, *law.bounds_mm))
     grown = 0.0
     if table.notch is not None:
         mean, sd = table.notch.growth_mm[grade]
-        grown = float(np.clip(mean + sd * of_notch.standard_normal(), *table.notch.bounds_mm))
+        score = in_part(severity, table.side.shape_with, of_notch.standard_normal())
+        grown = float(np.clip(mean + sd * score, *table.notch.bounds_mm))
     return {"cysts": cysts, "subluxation_mm": round(slipped, 4), "notch_growth_mm": round(grown, 4)}
+
+
+def in_part(severity: float, correlation: float, chance: float) -> float:
+    """A standard score that goes with severity so much, and else is chance."""
+    return float(correlation * severity + np.sqrt(1 - correlation**2) * chance)
 
 
 def _cysts(law: Cysts, grade: int, narrowed: str, rng: np.random.Generator) -> tuple[Cyst, ...]:

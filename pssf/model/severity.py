@@ -8,7 +8,8 @@ from scipy.optimize import brentq
 
 from ..core.checks import Array
 from ..data.grades import Around, Margins, SeverityGrades
-from .advanced import advanced_fields
+from ..data.records import Pair
+from .advanced import advanced_fields, in_part
 from .knee import Osteophyte
 
 # No value of a normal law is farther from its mean.
@@ -29,7 +30,8 @@ def severity_fields(
     spaces = _spaces_mm(table, grade, sex, narrowed, severity, rng)
     rest = table.rest
     towards = 1.0 if narrowed == "medial" else -1.0
-    plate, varus_deg, age = (_law(law[grade], rng) for law in (rest.plate, rest.varus_deg, rest.age_years))
+    plate, varus_deg = (_with(severity, table, law[grade], rng) for law in (rest.plate, rest.varus_deg))
+    age = _law(rest.age_years[grade], rng)
     return {
         "jsw_as": "read",
         f"jsw_{narrowed}_mm": spaces[0],
@@ -40,7 +42,7 @@ def severity_fields(
         "bone_scale": round(float(np.clip(bone_scale * rest.wider[grade], 0.85, 1.15)), 4),
         "osteophytes": _osteophytes(table, grade, narrowed, severity, rng),
         "grade_read": read_grade(grade, table.reader.kappa, len(table.grades), rng),
-        **advanced_fields(table, grade, narrowed, rng.spawn(1)[0]),
+        **advanced_fields(table, grade, narrowed, severity, rng.spawn(1)[0]),
     }
 
 
@@ -53,7 +55,7 @@ def _spaces_mm(
     together = table.spaces.correlation
     scores = [one, together * one + np.sqrt(1 - together**2) * other]
     with_severity = table.side.shape_with if grade >= 2 else 0.0
-    scores[0] = -with_severity * severity + np.sqrt(1 - with_severity**2) * scores[0]
+    scores[0] = in_part(-severity, with_severity, scores[0])
     # Centred, so that the mean of a half of men and a half of women is that of the table.
     more = table.spaces.men_more_mm * (0.5 if sex == "male" else -0.5)
     within = []
@@ -141,7 +143,12 @@ def _kappa(reading: Array) -> float:
     return (float(np.trace(joint)) - by_chance) / (1 - by_chance)
 
 
-def _law(law: tuple[float, float], rng: np.random.Generator) -> float:
+def _with(severity: float, table: SeverityGrades, law: Pair, rng: np.random.Generator) -> float:
+    """A value of a law, the higher the more severe, in part."""
+    return law[0] + law[1] * _cut(in_part(severity, table.side.shape_with, rng.standard_normal()))
+
+
+def _law(law: Pair, rng: np.random.Generator) -> float:
     return law[0] + law[1] * _cut(rng.standard_normal())
 
 
