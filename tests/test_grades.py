@@ -81,7 +81,7 @@ def test_what_severity_moves_goes_together_within_a_grade(people):
     narrowed_medially = [knee for knee in people[4] if knee.jsw_medial_mm < knee.jsw_lateral_mm]
     names = ("subchondral_plate", "varus_deg", "notch_growth_mm", "subluxation_mm")
     together = np.corrcoef([[getattr(knee, name) for knee in narrowed_medially] for name in names])
-    # Each follows severity with 0.45: any two go together with 0.2, less where values are cut off; 6 pairs of 280 knees.
+    # Each follows severity with 0.45: two go together with 0.2, less where values are cut off; 6 pairs of 280 knees.
     assert together[np.triu_indices(4, 1)].mean() > 0.2 - 4 / np.sqrt(6 * 280)
 
 
