@@ -1,7 +1,7 @@
 """The rules of the house that a program can keep, each with a planted violation that it must see."""
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from fnmatch import fnmatch
 from pathlib import Path
 
@@ -151,6 +151,20 @@ def one_way(sources: dict[str, str]) -> Iterator[str]:
             other = target.split(".")[0]
             if other and (other not in order or order.index(other) > order.index(room)):
                 yield f"{name} imports {target}, which is to its right"
+
+
+def ghosts(
+    sources: dict[str, str],
+    doors: Iterable[str] = DOORS,
+    formulas: Iterable[str] = FORMULAS,
+    disk: Iterable[str] = DISK,
+) -> Iterator[str]:
+    """What lists of this house and the front page name, and which no longer is."""
+    rooms = {path.split("/")[0].removesuffix(".py") for path in sources}
+    yield from (f"front page: {name}" for name in listed_order(sources["__init__.py"]) if name not in rooms)
+    yield from (f"DOORS: {door}" for door in doors if not any(fnmatch(path, door) for path in sources))
+    yield from (f"FORMULAS: {start}" for start in formulas if not any(path.startswith(start) for path in sources))
+    yield from (f"DISK: {room}" for room in disk if not any(path.startswith(f"{room}/") for path in sources))
 
 
 def long_modules(sources: dict[str, str]) -> Iterator[str]:
@@ -433,6 +447,7 @@ HOUSE = {
 }
 RULES = {
     one_way: {"core/checks.py": "from ..model import knee\n", "model/knee.py": ""},
+    ghosts: {"core/a.py": ""},
     long_modules: {"core/a.py": "x = 1\n" * 301},
     long_functions: {"core/a.py": "def f():\n" + "    x = 1\n" * 41},
     many_arguments: {"core/a.py": "def f(a, b, c, d, e, f, g, h):\n    pass\n"},
@@ -562,3 +577,18 @@ def test_what_users_call_is_taken_from_the_front_page():
 def test_an_unknown_room_a_cycle_and_a_look_to_the_right_are_each_seen(path, text, why):
     others = {"core/b.py": "from . import a\n", "model/knee.py": ""}
     assert any(why in line for line in one_way({"__init__.py": SOURCES["__init__.py"], **others, path: text}))
+
+
+@pytest.mark.parametrize(
+    ("page", "lists", "why"),
+    [
+        ("\nspirit  of no room\n", {}, "front page: spirit"),
+        ("", {"doors": [*DOORS, "anatomy/spirit.py"]}, "DOORS: anatomy/spirit.py"),
+        ("", {"doors": [*DOORS, "spirit/*"]}, "DOORS: spirit/*"),
+        ("", {"formulas": [*FORMULAS, "realism/spirit"]}, "FORMULAS: realism/spirit"),
+        ("", {"disk": [*DISK, "spirit"]}, "DISK: spirit"),
+    ],
+)
+def test_a_name_that_is_listed_and_no_longer_is_is_seen(page, lists, why):
+    front = SOURCES["__init__.py"].replace("\ncli ", f"{page.rstrip()}\ncli ", 1)
+    assert list(ghosts({**SOURCES, "__init__.py": front}, **lists)) == [why]
