@@ -65,7 +65,7 @@ def laplacian_smooth(
     """A solid settled on a field, its vertices spread evenly over it, free of the slivers that CSG leaves at creases.
 
     near  which vertices may move at all: (n, 3) -> (n,) bool; all of them if None
-    tips  points (3,) of the field's surface that a coarse mesh would cut off
+    tips  points (3,) of the field's surface, mm, that a coarse mesh would cut off
     """
     mesh = mesh_of(solid)
     all_places, all_faces = np.array(mesh.vertices), np.asarray(mesh.faces)
