@@ -82,6 +82,8 @@ PRIVATE_WORDS = {
     "left_out": "ablation", "again": "retest", "Clock": "Timer", "Meter": "Timer", "Pace": "Timer",
     "Prune": "DropRedundant",
 }  # fmt: skip
+# Plain English for a value: what lies behind, what is taken once more, what is left out, onto which something is laid.
+PLAIN_AS_VALUES = ("again", "behind", "left_out", "onto")
 ARRAYS = (
     *("Array", "NDArray", "Block", "Faces", "Floats", "Frequencies", "Image", "Indices", "Ints", "Map", "Masks"),
     *("Signs", "Triples"),
@@ -473,10 +475,15 @@ def say_nothing(sources: dict[str, str]) -> Iterator[str]:
 
 
 def private_words(sources: dict[str, str]) -> Iterator[str]:
-    """Modules, functions and classes by a word of our own, where the field has one."""
+    """Modules, functions, classes, arguments and variables by a word of our own, where the field has one."""
     for path, text in sources.items():
-        defined = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.FunctionDef | ast.ClassDef)]
-        for name in (Path(path).stem, *(node.name for node in defined)):
+        nodes = list(ast.walk(ast.parse(text)))
+        values = [node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)]
+        values += [node.attr for node in nodes if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store)]
+        values += [node.arg for node in nodes if isinstance(node, ast.arg)]
+        defined = [node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)]
+        barred = [name for name in values if name.strip("_") not in PLAIN_AS_VALUES]
+        for name in (Path(path).stem, *defined, *barred):
             if name.strip("_") in PRIVATE_WORDS:
                 yield f"{path}: {name}, which is {PRIVATE_WORDS[name.strip('_')]}"
 
@@ -541,6 +548,11 @@ def test_the_rule_sees_a_planted_violation(rule):
         (say_nothing, "with a as told:\n    pass\n"),
         (say_nothing, "f(found=1)\n"),
         (private_words, "class Stance:\n    pass\n"),
+        (private_words, "def f(amid):\n    pass\n"),
+        (private_words, "def f(*, evened=None):\n    pass\n"),
+        (private_words, "def f():\n    for amid in ():\n        pass\n"),
+        (private_words, "class A:\n    halved: int\n"),
+        (private_words, "def again():\n    pass\n"),
         (refuse_without_value, "raise ValueError('no')\n"),
         (refuse_without_value, "raise ValueError(f'no')\n"),
         (refuse_without_value, "raise ValueError('of two ' f'pieces')\n"),
