@@ -1,5 +1,7 @@
 import csv
 import dataclasses
+import subprocess
+import sys
 from itertools import pairwise
 from types import SimpleNamespace
 
@@ -204,7 +206,23 @@ def test_an_unknown_table_is_refused(tmp_path):
 @pytest.mark.slow
 def test_stages_are_measured_in_processes_of_their_own():
     rows = stages.stage_rows(2)
-    assert [row["run"] for row in rows if row["engine"] == "embree"] == ["cold", "first", "second"]
+    runs = {row["run"]: row for row in rows if row["engine"] == "embree"}
+    assert list(runs) == ["cold", "first", "second"]
+    # SpekPy's spectrum is made by the cold run alone.
+    assert runs["cold"]["spectrum"] > 10 * runs["first"]["spectrum"]
+
+
+def test_a_cold_run_finds_nothing_kept_and_keeps_bytecode(tmp_path, monkeypatch):
+    for name in ("NUMBA_CACHE_DIR", "PSSF_CACHE_DIR", "PYTHONPYCACHEPREFIX"):
+        monkeypatch.setenv(name, "elsewhere")
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
+    code = (
+        "import sys, numba\nfrom pssf.data.store import _folder\n"
+        "print(sys.dont_write_bytecode, sys.pycache_prefix, numba.config.CACHE_DIR, _folder(), sep='\\n')"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, env=stages._environment(tmp_path), capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", *(str(tmp_path / name) for name in ("bytecode", "numba", "pssf"))]
 
 
 def test_the_chain_tells_seconds_share_and_error_of_every_stage(monkeypatch, small):

@@ -1,7 +1,7 @@
 """The rules of the house that a program can keep, each with a planted violation that it must see."""
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from fnmatch import fnmatch
 from pathlib import Path
 
@@ -71,7 +71,7 @@ UNITS = {
 }  # fmt: skip
 UNITS_IN_NAMES = ("mm", "mm2", "mm3", "px", "kev", "kev2", "kv", "mgy", "deg", "dn")
 # Elements of arrays that need no unit: numbers of things, and whether.
-WHOLE = ("int", "bool", "Any", "Faces", "Ints", "Signs")
+WHOLE = ("int", "bool", "Any", "Faces", "Indices", "Ints", "Masks", "Signs")
 SAYS_NOTHING = ("found", "told")
 # What nobody of the field would look for, and what stands in its place.
 PRIVATE_WORDS = {
@@ -82,7 +82,19 @@ PRIVATE_WORDS = {
     "left_out": "ablation", "again": "retest", "Clock": "Timer", "Meter": "Timer", "Pace": "Timer",
     "Prune": "DropRedundant",
 }  # fmt: skip
-ARRAYS = ("Array", "NDArray", "Map", "Block", "Faces", "Floats", "Ints", "Signs", "Frequencies")
+# Plain English for a value: what lies behind, what is taken once more, what is left out, onto which something is laid.
+PLAIN_AS_VALUES = ("again", "behind", "left_out", "onto")
+ARRAYS = (
+    *("Array", "NDArray", "Block", "Faces", "Floats", "Frequencies", "Image", "Indices", "Ints", "Map", "Masks"),
+    *("Signs", "Triples"),
+)
+# Whose docstrings are still to give a shape or a unit; who gives them is taken out.
+UNSAID = {
+    "study/learn/frozen.py:films_of: images",
+    "study/learn/network.py:learnt: training",
+    "study/learn/network.py:learnt: validation",
+    "study/statistics/fitting.py:fit_quietly: weight",
+}
 
 
 def listed_order(front_page: str) -> list[str]:
@@ -151,6 +163,22 @@ def one_way(sources: dict[str, str]) -> Iterator[str]:
             other = target.split(".")[0]
             if other and (other not in order or order.index(other) > order.index(room)):
                 yield f"{name} imports {target}, which is to its right"
+
+
+def ghosts(
+    sources: dict[str, str],
+    doors: Iterable[str] = DOORS,
+    formulas: Iterable[str] = FORMULAS,
+    disk: Iterable[str] = DISK,
+    unsaid: Iterable[str] = UNSAID,
+) -> Iterator[str]:
+    """What lists of this house and the front page name, and which no longer is."""
+    rooms = {path.split("/")[0].removesuffix(".py") for path in sources}
+    yield from (f"front page: {name}" for name in listed_order(sources["__init__.py"]) if name not in rooms)
+    yield from (f"DOORS: {door}" for door in doors if not any(fnmatch(path, door) for path in sources))
+    yield from (f"FORMULAS: {start}" for start in formulas if not any(path.startswith(start) for path in sources))
+    yield from (f"DISK: {room}" for room in disk if not any(path.startswith(f"{room}/") for path in sources))
+    yield from (f"UNSAID: {argument}" for argument in _unsaid(sources, unsaid))
 
 
 def long_modules(sources: dict[str, str]) -> Iterator[str]:
@@ -355,11 +383,25 @@ def read_behind_the_door(sources: dict[str, str]) -> Iterator[str]:
 
 
 def refuse_without_value(sources: dict[str, str]) -> Iterator[str]:
+    """Errors whose text is the same whatever was given, and has no name = value.
+
+    What is not seen: a text from elsewhere (a variable, a function, pieces joined by + or %), and whether what an
+    f-string has put into it is the value that is refused.
+    """
     for path, text in sources.items():
         for node in ast.walk(ast.parse(text)):
-            refuses = isinstance(node, ast.Call) and getattr(node.func, "id", "") in ERRORS and node.args
-            if refuses and isinstance(node.args[0], ast.Constant) and " = " not in node.args[0].value:
-                yield f"{path}:{node.lineno}: {node.args[0].value!r}"
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") in ERRORS and node.args:
+                said = _same_text(node.args[0])
+                if said is not None and " = " not in said:
+                    yield f"{path}:{node.lineno}: {said!r}"
+
+
+def _same_text(node: ast.expr) -> str | None:
+    """What a text always is, of an f-string too; None where something is put into it."""
+    parts = node.values if isinstance(node, ast.JoinedStr) else [node]
+    if all(isinstance(part, ast.Constant) for part in parts):
+        return "".join(str(part.value) for part in parts)
+    return None
 
 
 def _array_arguments(sources: dict[str, str]) -> Iterator[tuple[str, str, str, list[str]]]:
@@ -370,10 +412,28 @@ def _array_arguments(sources: dict[str, str]) -> Iterator[tuple[str, str, str, l
             for function in methods:
                 if isinstance(function, ast.FunctionDef) and not function.name.startswith("_"):
                     notes = (ast.get_docstring(function) or "") + "\n" + (ast.get_docstring(node) or "")
-                    for argument in (*function.args.args, *function.args.kwonlyargs):
-                        kind = ast.unparse(argument.annotation) if argument.annotation else ""
-                        if kind.split("[")[0] in ARRAYS:
+                    for argument in _arguments(function):
+                        if argument.annotation and _holds_arrays(argument.annotation):
+                            kind = ast.unparse(argument.annotation)
                             yield f"{path}:{function.name}", argument.arg, kind, _naming(argument.arg, notes)
+
+
+def _arguments(function: ast.FunctionDef) -> list[ast.arg]:
+    args = function.args
+    starred = [one for one in (args.vararg, args.kwarg) if one is not None]
+    return [*args.posonlyargs, *args.args, *args.kwonlyargs, *starred]
+
+
+def _holds_arrays(annotation: ast.expr) -> bool:
+    """Whether a type is an array's, or of what may be one or holds some; functions of arrays are none."""
+    if isinstance(annotation, ast.Constant) and isinstance(annotation.value, str):
+        return _holds_arrays(ast.parse(annotation.value, mode="eval").body)
+    if isinstance(annotation, ast.Subscript):
+        name = ast.unparse(annotation.value)
+        return name in ARRAYS or ("Callable" not in name and _holds_arrays(annotation.slice))
+    if isinstance(annotation, ast.Name):
+        return annotation.id in ARRAYS
+    return any(_holds_arrays(part) for part in ast.iter_child_nodes(annotation) if isinstance(part, ast.expr))
 
 
 def _naming(name: str, notes: str) -> list[str]:
@@ -381,18 +441,25 @@ def _naming(name: str, notes: str) -> list[str]:
     return [line for line, words in lines if {word.strip("`*:.") for word in words} & {name, name.removesuffix("_mm")}]
 
 
-def arrays_without_shape(sources: dict[str, str]) -> Iterator[str]:
+def _unsaid(sources: dict[str, str], unsaid: Iterable[str]) -> Iterator[str]:
+    """Who was let off to say what an array is, and says it, or is no longer."""
+    yield from set(unsaid) - {*arrays_without_shape(sources, ()), *arrays_without_unit(sources, ())}
+
+
+def arrays_without_shape(sources: dict[str, str], unsaid: Iterable[str] = UNSAID) -> Iterator[str]:
     """Array arguments of public functions whose docstring does not give a shape beside their name."""
     for where, name, _, lines in _array_arguments(sources):
-        if not any("(" in line and ")" in line for line in lines):
+        if f"{where}: {name}" not in unsaid and not any("(" in line and ")" in line for line in lines):
             yield f"{where}: {name}"
 
 
-def arrays_without_unit(sources: dict[str, str]) -> Iterator[str]:
+def arrays_without_unit(sources: dict[str, str], unsaid: Iterable[str] = UNSAID) -> Iterator[str]:
     """Array arguments of numbers that are not whole, whose unit neither their name has nor the docstring beside it."""
     for where, name, kind, lines in _array_arguments(sources):
         shaped = " ".join(line for line in lines if "(" in line).replace(",", " ").replace(";", " ").split()
         whole = any(word in kind for word in WHOLE) and "float" not in kind
+        if f"{where}: {name}" in unsaid:
+            continue
         named = any(name.endswith(f"_{unit}") for unit in UNITS_IN_NAMES)
         if not whole and not named and not UNITS & {word.strip("`*:.()") for word in shaped}:
             yield f"{where}: {name}"
@@ -408,10 +475,15 @@ def say_nothing(sources: dict[str, str]) -> Iterator[str]:
 
 
 def private_words(sources: dict[str, str]) -> Iterator[str]:
-    """Modules, functions and classes by a word of our own, where the field has one."""
+    """Modules, functions, classes, arguments and variables by a word of our own, where the field has one."""
     for path, text in sources.items():
-        defined = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.FunctionDef | ast.ClassDef)]
-        for name in (Path(path).stem, *(node.name for node in defined)):
+        nodes = list(ast.walk(ast.parse(text)))
+        values = [node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)]
+        values += [node.attr for node in nodes if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store)]
+        values += [node.arg for node in nodes if isinstance(node, ast.arg)]
+        defined = [node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)]
+        barred = [name for name in values if name.strip("_") not in PLAIN_AS_VALUES]
+        for name in (Path(path).stem, *defined, *barred):
             if name.strip("_") in PRIVATE_WORDS:
                 yield f"{path}: {name}, which is {PRIVATE_WORDS[name.strip('_')]}"
 
@@ -433,6 +505,7 @@ HOUSE = {
 }
 RULES = {
     one_way: {"core/checks.py": "from ..model import knee\n", "model/knee.py": ""},
+    ghosts: {"core/a.py": ""},
     long_modules: {"core/a.py": "x = 1\n" * 301},
     long_functions: {"core/a.py": "def f():\n" + "    x = 1\n" * 41},
     many_arguments: {"core/a.py": "def f(a, b, c, d, e, f, g, h):\n    pass\n"},
@@ -475,7 +548,20 @@ def test_the_rule_sees_a_planted_violation(rule):
         (say_nothing, "with a as told:\n    pass\n"),
         (say_nothing, "f(found=1)\n"),
         (private_words, "class Stance:\n    pass\n"),
+        (private_words, "def f(amid):\n    pass\n"),
+        (private_words, "def f(*, evened=None):\n    pass\n"),
+        (private_words, "def f():\n    for amid in ():\n        pass\n"),
+        (private_words, "class A:\n    halved: int\n"),
+        (private_words, "def again():\n    pass\n"),
         (refuse_without_value, "raise ValueError('no')\n"),
+        (refuse_without_value, "raise ValueError(f'no')\n"),
+        (refuse_without_value, "raise ValueError('of two ' f'pieces')\n"),
+        (arrays_without_shape, "def f(a: Array | None = None):\n    pass\n"),
+        (arrays_without_shape, "def f(a: list[Array]):\n    pass\n"),
+        (arrays_without_shape, "def f(a: 'Mapping[str, tuple[NDArray[np.float32], int]]'):\n    pass\n"),
+        (arrays_without_shape, "def f(*, a: Rows | Array):\n    pass\n"),
+        (arrays_without_shape, "def f(*a: Array):\n    pass\n"),
+        (arrays_without_unit, 'def f(a: Array | None = None):\n    """a  (n,)  of a line"""\n'),
     ],
 )
 def test_the_rule_sees_a_violation_in_other_words(rule, text):
@@ -562,3 +648,31 @@ def test_what_users_call_is_taken_from_the_front_page():
 def test_an_unknown_room_a_cycle_and_a_look_to_the_right_are_each_seen(path, text, why):
     others = {"core/b.py": "from . import a\n", "model/knee.py": ""}
     assert any(why in line for line in one_way({"__init__.py": SOURCES["__init__.py"], **others, path: text}))
+
+
+@pytest.mark.parametrize(
+    ("page", "lists", "why"),
+    [
+        ("\nspirit  of no room\n", {}, "front page: spirit"),
+        ("", {"doors": [*DOORS, "anatomy/spirit.py"]}, "DOORS: anatomy/spirit.py"),
+        ("", {"doors": [*DOORS, "spirit/*"]}, "DOORS: spirit/*"),
+        ("", {"formulas": [*FORMULAS, "realism/spirit"]}, "FORMULAS: realism/spirit"),
+        ("", {"disk": [*DISK, "spirit"]}, "DISK: spirit"),
+        ("", {"unsaid": [*UNSAID, "raycast/spirit.py:f: a"]}, "UNSAID: raycast/spirit.py:f: a"),
+    ],
+)
+def test_a_name_that_is_listed_and_no_longer_is_is_seen(page, lists, why):
+    front = SOURCES["__init__.py"].replace("\ncli ", f"{page.rstrip()}\ncli ", 1)
+    assert list(ghosts({**SOURCES, "__init__.py": front}, **lists)) == [why]
+
+
+@pytest.mark.parametrize(
+    "text", ["raise ValueError(f'a = {a}')\n", "raise ValueError('no' f' {a}')\n", "raise ValueError('a = 1')\n"]
+)
+def test_an_error_that_gives_a_value_is_let_pass(text):
+    assert not list(refuse_without_value({"core/a.py": text}))
+
+
+@pytest.mark.parametrize("kind", ["Callable[[Array], Array]", "Callable[[Array], Array] | None", "list[int]"])
+def test_a_function_of_arrays_is_no_array(kind):
+    assert not list(arrays_without_shape({"core/a.py": f"def f(a: {kind}):\n    pass\n"}))

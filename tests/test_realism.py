@@ -12,10 +12,9 @@ from test_cli import run as pssf_command
 
 import pssf
 from pssf.core.execution import Execution
-from pssf.data.anatomy import anatomy_tables
 from pssf.data.localisation import localisation
 from pssf.io.films import list_films
-from pssf.realism import films, run
+from pssf.realism import contours, films, run
 
 
 def picture(path, seed, gap_mm, side="right", inverted=False):
@@ -78,11 +77,6 @@ def test_a_folder_of_no_films_and_a_name_that_is_taken_are_refused(tmp_path):
 def test_all_that_is_given_is_measured_once_and_the_page_tells_it(phantoms_for_knees, tmp_path, monkeypatch):
     given = clinic(tmp_path / "clinic")
     settings = {"films": given, "knees": 6, "grades": "paper", "seed": 1}
-    knees = run.draw_knees(run.draw_laws("paper"), 6, 1, side="right", jsw_as="read")
-    by = run.defining_protocol(knees[0])
-    takings = [(knee, pssf.load_protocol("reference")) for knee in knees]
-    sample = run.contours.drawn_landmarks(takings, anatomy_tables(), by)
-    monkeypatch.setattr(run.contours, "drawn_landmarks", lambda *given: sample)
     first = run.measure(tmp_path / "out", Execution(), **settings)
     assert [line.split(":")[0] for line in first.lines] == ["Contours", "Films"]
     assert all(path.exists() for path in first.paths)
@@ -95,6 +89,7 @@ def test_all_that_is_given_is_measured_once_and_the_page_tells_it(phantoms_for_k
     page = first.page.read_text()
     assert "data:image/png;base64" in page
     monkeypatch.setattr(films, "measure_film", lambda *given, **more: pytest.fail("measured again"))
+    monkeypatch.setattr(contours, "_landmarks_of", lambda *given, **more: pytest.fail("assembled again"))
     again = run.measure(tmp_path / "out", Execution(), **settings)
     assert again.page.read_text() == page
 

@@ -1,10 +1,10 @@
 """The stages of simulate, and the nodes of the spectrum, measured."""
 
+import json
 import os
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
-from multiprocessing import get_context
+import subprocess
+import sys
+from pathlib import Path
 from time import perf_counter
 
 import numpy as np
@@ -51,32 +51,38 @@ def spectrum_rows(tolerances: tuple[float, ...] = (1e-1, 1e-2, 3e-3, 1e-3, 5e-4,
 def stage_rows(workers: int) -> list[Row]:
     """One row an engine and run: seconds of each stage of simulate, full knee, protocol reference; peak memory in MB.
 
-    Each engine has processes of its own. A "cold" run, the first after installation, compiles; the "first" of a process
-    loads libraries and compiled code; the "second" is what one more radiograph costs.
+    Each engine has processes of its own. A "cold" run is the first after an installation: compiled code, bytecode and
+    what the package keeps (spectra) are sought in an empty folder, and made. The "first" of another process, with that
+    folder, loads libraries and what is kept; the "second" is what one more radiograph costs. Bytecode is written even
+    where the environment says otherwise (PYTHONDONTWRITEBYTECODE), since each process would compile all that it loads.
     """
     rows = []
     for engine in ("embree", "scanline"):
-        with empty_folder() as folder, _environment(NUMBA_CACHE_DIR=str(folder)):
-            rows += _in_a_new_process(engine, workers, ("cold",))
-        rows += _in_a_new_process(engine, workers, ("first", "second"))
+        with empty_folder() as folder:
+            rows += _in_a_new_process(engine, workers, ("cold",), folder)
+            rows += _in_a_new_process(engine, workers, ("first", "second"), folder)
     return rows
 
 
-@contextmanager
-def _environment(**variables: str) -> Iterator[None]:
-    """Environment variables for processes that are started within."""
-    before = dict(os.environ)
-    os.environ.update(variables)
-    try:
-        yield
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
+def _environment(folder: Path) -> dict[str, str]:
+    """The environment, but all that outlives a process is kept in a folder."""
+    kept = {"NUMBA_CACHE_DIR": "numba", "PSSF_CACHE_DIR": "pssf", "PYTHONPYCACHEPREFIX": "bytecode"}
+    others = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    return others | {name: str(folder / below) for name, below in kept.items()}
 
 
-def _in_a_new_process(engine: str, workers: int, runs: tuple[str, ...]) -> list[Row]:
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        return pool.submit(_timed_runs, engine, workers, runs).result()
+def _in_a_new_process(engine: str, workers: int, runs: tuple[str, ...], folder: Path) -> list[Row]:
+    # Pools pass options of this process on, such as not to write bytecode.
+    code = f"from {__name__} import print_runs; print_runs({engine!r}, {workers}, {runs!r})"
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, env=_environment(folder), stdout=subprocess.PIPE, text=True, check=True)
+    rows: list[Row] = json.loads(done.stdout)
+    return rows
+
+
+def print_runs(engine: str, workers: int, runs: tuple[str, ...]) -> None:
+    """Write rows of so many runs in this process to its output, as JSON."""
+    print(json.dumps(_timed_runs(engine, workers, runs)))
 
 
 def _timed_runs(engine: str, workers: int, runs: tuple[str, ...]) -> list[Row]:

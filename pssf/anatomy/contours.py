@@ -69,8 +69,8 @@ def measure_gap(
 ) -> Gap:
     """The joint space of a compartment as a detector at `view` sees it.
 
-    femur, tibia  vertices (n, 3) and edges (m, 2); or, taken for the tibia's contour, a line: (k, 2) row and column, in
-                  the order of its columns
+    femur, tibia  vertices (n, 3) mm and edges (m, 2); or, taken for the tibia's contour, a line: (k, 2) row and column,
+                  in the order of its columns
     side_x        +1 for the compartment at x > 0, -1 for the other
     half_ml_mm    half the medio-lateral width of the tibial plateau
     lean_deg      of the leg about y: rows and columns are told as if it had none

@@ -65,7 +65,7 @@ def laplacian_smooth(
     """A solid settled on a field, its vertices spread evenly over it, free of the slivers that CSG leaves at creases.
 
     near  which vertices may move at all: (n, 3) -> (n,) bool; all of them if None
-    tips  points (3,) of the field's surface that a coarse mesh would cut off
+    tips  points (3,) of the field's surface, mm, that a coarse mesh would cut off
     """
     mesh = mesh_of(solid)
     all_places, all_faces = np.array(mesh.vertices), np.asarray(mesh.faces)
@@ -76,10 +76,10 @@ def laplacian_smooth(
     used, numbers = np.unique(all_faces[touched], return_inverse=True)
     places, free = all_places[used], may_move[used]
     faces: Indices = numbers.reshape(-1, 3).astype(np.int64)
-    amid = neighbour_means(faces, len(places))[free]
+    neighbour_mean_matrix = neighbour_means(faces, len(places))[free]
     places[free] = project_to_surface(places[free], field, None, 5)
     for _ in range(rounds):
-        places[free] = project_to_surface((places[free] + amid @ places) / 2, field, None, 2)
+        places[free] = project_to_surface((places[free] + neighbour_mean_matrix @ places) / 2, field, None, 2)
     places, faces = _fix_inverted_faces(places, faces, with_border[used], field)
     for tip in tips:
         places, faces = _add_tip(places, faces, field, tip)
@@ -87,7 +87,7 @@ def laplacian_smooth(
     added = np.arange(len(places) - len(used)) + len(all_places)
     number = np.concatenate((used, added))
     faces = np.vstack((all_faces[~touched], number[faces]))
-    return solid_of(np.vstack((all_places, places[len(used) :])), faces, "evened")
+    return solid_of(np.vstack((all_places, places[len(used) :])), faces, "smoothed")
 
 
 def neighbour_means(faces: Indices, count: int) -> csr_array:
@@ -103,7 +103,7 @@ def neighbour_means(faces: Indices, count: int) -> csr_array:
 def _add_tip(places: Array, faces: Indices, field: Field, tip: Array) -> tuple[Array, Indices]:
     """Places and faces with a tip of the field's surface, where they cut it off.
 
-    Edges about it are split_edges, then the triangle below it gets a vertex there.
+    Edges about it are split, then the triangle below it gets a vertex there.
     """
     below, away = _below(places, faces, tip)
     if away >= _CUT_MM:
@@ -152,7 +152,7 @@ def _fix_inverted_faces(places: Array, faces: Indices, free: NDArray[np.bool_], 
     best, faces, fewest, used = _without_slivers(places, faces, free, field)
     if not len(fewest):
         return best, faces
-    amid = neighbour_means(faces, len(places))
+    neighbour_mean_matrix = neighbour_means(faces, len(places))
     for rings in range(1, 1 + _STARTS):
         laid, folded = best.copy(), fewest
         for turn in range(_TURNS):
@@ -161,7 +161,7 @@ def _fix_inverted_faces(places: Array, faces: Indices, free: NDArray[np.bool_], 
             around = np.zeros(len(places), np.bool_)
             around[folded] = True
             around = free & dilate_rings(around, faces, rings + turn)
-            laid[around] = _spread(laid, around, amid[around], field)
+            laid[around] = _spread(laid, around, neighbour_mean_matrix[around], field)
             suspect = used[around[used].any(axis=1)]  # the others have been found to face outwards, and stay
             folded = suspect[_face_inwards(laid[suspect], field)]
             if len(folded) < len(fewest):
@@ -181,7 +181,7 @@ def _without_slivers(
     if not len(folded):
         return places, faces, folded, used
     faces, folded = _flipped(places, faces, folded, field)
-    # A corner of three triangles is amid their other corners, where none of the three can be folded.
+    # A corner of three triangles is moved to the middle of their other corners, where none of the three can be folded.
     lonely = [corner for corner in np.unique(folded) if free[corner] and (faces == corner).sum() == 3]
     places = places.copy()
     for corner in lonely:
@@ -228,11 +228,11 @@ def _flipped(places: Array, faces: Indices, folded: Indices, field: Field) -> tu
     return all_faces, folded[~mended]
 
 
-def _spread(places: Array, around: NDArray[np.bool_], amid: csr_array, field: Field) -> Array:
+def _spread(places: Array, around: NDArray[np.bool_], neighbour_mean_matrix: csr_array, field: Field) -> Array:
     """Those of the places that are around a fold, evenly spread over the field's surface"""
     laid = places.copy()
     for _ in range(_FLATTENINGS):
-        laid[around] = project_to_surface(amid @ laid, field, None, 1)
+        laid[around] = project_to_surface(neighbour_mean_matrix @ laid, field, None, 1)
     return project_to_surface(laid[around], field, None, 5)
 
 

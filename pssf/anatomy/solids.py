@@ -227,7 +227,10 @@ def column(
 
 
 def thickness(table: Rows | Array, factor: float = 1.0) -> Callable[[Array], Array]:
-    """Cortical thickness (mm) as a function of height (mm), from rows of height and thickness."""
+    """Cortical thickness (mm) as a function of height (mm).
+
+    table  (n, 2)  height and thickness there, mm
+    """
     rows = np.asarray(table, dtype=np.float64)
     rows = rows[np.argsort(rows[:, 0])]
     return lambda z_mm: np.interp(z_mm, rows[:, 0], rows[:, 1]) * factor

@@ -23,7 +23,7 @@ _LEAF = 0.99
 def linear(signal: Image) -> Image:
     """(rows, cols)  log signal, large structures evened out, edges a little sharper
 
-    signal  (rows, cols)  at least 1
+    signal  (rows, cols)  DN above the offset, at least 1
     """
     density = -np.log(signal)
     step = max(1, max(signal.shape) // 128)
@@ -38,7 +38,7 @@ def linear(signal: Image) -> Image:
 def processed(signal: Image, pixel_mm: float, look: Processed) -> Image:
     """(rows, cols)  as a flat panel's software shows it (Vuylsteke and Schoeters 1994)
 
-    signal    (rows, cols)  at least 1
+    signal    (rows, cols)  DN above the offset, at least 1
     pixel_mm  pitch
     """
     limb, dimmest = _limb(signal, look)
@@ -58,7 +58,7 @@ def processed(signal: Image, pixel_mm: float, look: Processed) -> Image:
 def film(signal: Image, look: Film) -> Image:
     """(rows, cols)  as a screen and film show it, on a viewing box
 
-    signal  (rows, cols)  at least 1
+    signal  (rows, cols)  DN above the offset, at least 1
     """
     limb, _ = _limb(signal, look)
     (median,) = _quantiles(signal, limb, (0.5,))

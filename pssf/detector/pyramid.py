@@ -13,7 +13,7 @@ _LEAST = 4
 def split(image: Image, most: int = 32) -> tuple[list[Image], Image]:
     """Details from fine to coarse, each layer half as large as the one before, and the rest.
 
-    image  (rows, cols)
+    image  (rows, cols)  in any unit
     most   layers
     """
     details, rest = list[Image](), np.asarray(image, np.float32)
@@ -25,7 +25,11 @@ def split(image: Image, most: int = 32) -> tuple[list[Image], Image]:
 
 
 def join(details: list[Image], rest: Image) -> Image:
-    """(rows, cols)  the image that `split` took apart, or another of changed details"""
+    """(rows, cols)  the image that `split` took apart, or another of changed details
+
+    details  (rows, cols) each, from fine to coarse, in the image's own unit
+    rest     (rows, cols)  in the same unit
+    """
     for layer in reversed(details):
         rest = _larger(rest, layer.shape) + layer
     return rest

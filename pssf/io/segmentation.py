@@ -24,8 +24,8 @@ _OSTEOPHYTE, _CYST = "_osteophyte", "_cyst"
 def write(radiograph: Radiograph, description: str, masks: Masks, path: Path) -> None:
     """Write masks as a Segmentation that refers to the For Processing object of their radiograph.
 
-    description   JSON of all the radiograph was made from, which its UIDs are made of
-    masks  name -> (rows, cols) bool
+    description  JSON of all the radiograph was made from, which its UIDs are made of
+    masks        name -> (rows, cols) bool
     """
     uids, tables = dicom.uids_of(radiograph, description), dicom_tables()
     code = partial(dicom.code, tables=tables)

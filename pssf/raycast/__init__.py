@@ -228,7 +228,7 @@ def _band(scene: Scene, view: View, layers: list[_Layer], path_mm: Mapping[str, 
             integral = integrals(whole, frame, density)
         except InputError as error:
             raise InputError(f"{', '.join(names)}: density of {material}: {error}") from None
-        _add(sums[material], integral, whole.window[0] - first, whole.window[1], +1)
+        _add(sums[material], integral, whole.window.row - first, whole.window.col, +1)
     if scene.ambient in sums:
         add_box(frame, scene.bounds_mm, first, sums[scene.ambient])
     for material in touched & sums.keys():

@@ -65,7 +65,10 @@ class _Along(NamedTuple):
     surface: NDArray[np.int64]
 
     def picked(self, which: slice | NDArray[np.int64]) -> "_Along":
-        """Those crossings alone, in that order."""
+        """Those crossings alone, in that order.
+
+        which  (k,)  numbers of crossings, or a slice of them
+        """
         return _Along(self.ray[which], self.at_mm[which], self.sign[which], self.surface[which])
 
 

@@ -15,7 +15,10 @@ _TIBIAL = 9
 
 
 def draw(panels: list[tuple[int, tuple[Array, Array], tuple[Array, Array]]]) -> bytes:
-    """PNG of one panel a grade: the grade, then means and SDs (16, 2) of drawn knees and of people, in shares."""
+    """PNG of one panel a grade.
+
+    panels  the grade, then means and SDs (16, 2) of drawn knees and of people, shares of the plateau's width
+    """
     figure = Figure(figsize=(6.2 * len(panels), 3.2), layout="constrained")
     for axis, (grade, drawn, people) in zip(np.atleast_1d(figure.subplots(1, len(panels))), panels, strict=True):
         for name, colour, (mean, sd) in (("people", _PEOPLE, people), ("drawn knees", _DRAWN, drawn)):

@@ -17,17 +17,20 @@ from ..core.checks import Array, InputError
 from ..core.parallel import ordered_map
 from ..data.anatomy import AnatomyTables
 from ..data.landmarks import GradeContours, LandmarkReference
-from ..data.records import Pair
+from ..data.records import Pair, encoded
 from ..geometry.view import view_of
 from ..model.knee import Knee
 from ..model.protocol import Protocol
 from ..study.statistics.metrics import auc_with_interval
 from . import contour_figure
+from .kept import Arrived, KeptRows
 
 Row = dict[str, Any]
 # A mean is inside within half a standard deviation of people's, a spread from 0.7 to 1.4 of theirs.
 MEAN_WITHIN_SD, SPREAD_WITHIN = 0.5, (0.7, 1.4)
 EDGES = tuple(name for name in CONTOUR_LANDMARKS if name.endswith("_edge"))
+# Of a table of landmarks, one knee a row.
+_COLUMNS = tuple(f"{name}_{axis}_mm" for name in CONTOUR_LANDMARKS for axis in "xy")
 _TIBIA, _FEMUR = slice(0, 9), slice(9, 16)
 # Least gaps are sought at these shares of the femur's width from its edge.
 _GAP_SHARES = np.linspace(0.1, 0.3, 81)
@@ -84,15 +87,32 @@ def takings_of(knees: Sequence[Knee], draw: Callable[..., Protocol], seed: int) 
 
 
 def drawn_landmarks(
-    takings: Sequence[tuple[Knee, Protocol]], tables: AnatomyTables, defined_under: Protocol, workers: int = 1
+    takings: Sequence[tuple[Knee, Protocol]],
+    tables: AnatomyTables,
+    defined_under: Protocol,
+    workers: int = 1,
+    kept: KeptRows | None = None,
 ) -> LandmarkSample:
     """Landmarks of right knees, each under a protocol of its own.
 
     tables         that bones are made from
     defined_under  the protocol of `defining_protocol`
+    kept           where those of an earlier run are taken from, and these put; None: all are made
     """
     shared = {"tables": tables, "defined_under": defined_under}
-    places = ordered_map(_landmarks_of, takings, shared=shared, workers=workers)
+    if kept is None:
+        places = ordered_map(_landmarks_of, takings, shared=shared, workers=workers)
+    else:
+
+        def make(missing: list[int], arrived: Arrived) -> None:
+            def made(nth: int, places_mm: Array) -> None:
+                arrived(nth, dict(zip(_COLUMNS, places_mm.ravel().tolist(), strict=True)))
+
+            some = [takings[number] for number in missing]
+            ordered_map(_landmarks_of, some, shared=shared, workers=workers, arrived=made)
+
+        rows = kept.completed([encoded(*taking, defined_under) for taking in takings], make)
+        places = [np.array([row[name] for name in _COLUMNS]).reshape(-1, 2) for row in rows]
     return LandmarkSample(places_mm=np.array(places), grades=np.array([knee.grade for knee, _ in takings]))
 
 

@@ -7,16 +7,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from ..anatomy.joint import defining_protocol
 from ..cohort import Plan, make_cohort, plan_cohort
 from ..core.checks import Array, InputError, require_whole
 from ..core.execution import Execution
 from ..data.anatomy import AnatomyTables, anatomy_tables
+from ..data.code import code_digest
 from ..data.landmarks import LandmarkReference, landmark_reference
 from ..data.localisation import Localisation, localisation
 from ..data.looks import Looks, looks
+from ..data.records import encoded
 from ..experiment import standard_templates
 from ..io import results
 from ..io.atomic import folder
@@ -35,6 +36,7 @@ from .cohort_landmarks import cohort_landmarks
 from .films import FilmTables, Record, Source, measure_films
 from .films_section import SIMULATED, films_section
 from .forms import compare_forms
+from .kept import CODE, KeptPart, KeptRows, facts_of_bones, key_of, known_rows, save_rows
 from .page import Row, Section, Table, render
 
 # Tables that the READMEs show, by what must be given for them.
@@ -53,6 +55,8 @@ _CONTOURS = (
 )
 # Of the chance that looks and sizes of pixels are drawn by, beside the cohort's own.
 _LOOKS, _PITCHES = 301, 302
+# Of drawn knees: so many as their spread is told by.
+_MOST_BONES = 50
 _BONES = (
     "Bones without osteophytes are laid onto one another by a similarity (rotation, translation, size), and distances "
     "taken from surface to surface, both ways, at people's size; the flat cut of the shafts is left out. Spread is "
@@ -88,7 +92,7 @@ def measure(
     grades: str = "people",
     seed: int = 0,
 ) -> Realism:
-    """Measure simulated knees beside what is given, into a folder; goes on where an earlier run stopped.
+    """Measure simulated knees beside what is given, into a folder; goes on where an earlier run stopped, see `kept`.
 
     films         folder of real films, or of folders of them, one a source; see `io.films.list_films`
     bones_folder  of real bones; see `io.bones.read_bones`
@@ -116,12 +120,13 @@ def measure(
             drawn = draw_knees(laws, knees, seed, side="right", jsw_as="read")
             by = defining_protocol(drawn[0])
             takings = contours.takings_of(drawn, partial(draw_exposure, seen_under, side="right"), seed)
-            sample = contours.drawn_landmarks(takings, tables, by, execution.workers)
+            kept = KeptRows(path=out / "contours_knees.csv", code=code_digest(CODE))
+            sample = contours.drawn_landmarks(takings, tables, by, execution.workers, kept)
         else:
             sample = cohort_landmarks(cohort, seen_under.name)
     sections = [_contours(sample, landmark_reference())]
     if given is not None:
-        sections.append(_bones(given, laws, tables, knees, seed, execution))
+        sections.append(_bones(out, given, laws, tables, min(knees, _MOST_BONES), seed, execution))
     sections += of_films
     facts: dict[str, Any] = {"protocol": seen_under.name, "knees": knees, "grades": grades, "seed": seed}
     facts |= {} if cohort is None else {"cohort of the contours": cohort.name, "its radiographs": len(sample.grades)}
@@ -178,27 +183,32 @@ def _contours(sample: contours.LandmarkSample, people: LandmarkReference) -> Sec
 
 
 def _bones(
-    given: bones.Bones, laws: DrawLaws, tables: AnatomyTables, knees: int, seed: int, execution: Execution
+    out: Path, given: bones.Bones, laws: DrawLaws, tables: AnatomyTables, knees: int, seed: int, execution: Execution
 ) -> Section:
-    with execution.timer.stage("bones", "knees", knees):
-        drawn = bones.drawn_bones(laws, tables, min(knees, 50), seed)
+    def make() -> tuple[tuple[list[Row], list[Row]], bytes]:
+        drawn = bones.drawn_bones(laws, tables, knees, seed)
         built = bones.built_bones(Knee(), tables)
         compared = bones.compare(given, built, drawn, execution.workers)
-        forms = compare_forms(given, built, drawn, execution.workers)
-    line = "; ".join(f"{row['bone']} {row['what']} {row['rms_mm']:.2f} mm" for row in compared.rows)
+        return (compared.rows, compare_forms(given, built, drawn, execution.workers)), compared.figure
+
+    with execution.timer.stage("bones", "knees", knees):
+        key = key_of(code_digest(CODE), facts_of_bones(given), encoded(laws, knees, seed))
+        part = KeptPart(folder=out, name="bones", tables=("bones", "bones_forms"), key=key)
+        (rows, forms), figure = part.completed(make)
+    line = "; ".join(f"{row['bone']} {row['what']} {row['rms_mm']:.2f} mm" for row in rows)
     return Section(
         name="Bones",
         line=line,
         text=_BONES,
         tables=(
-            Table(name="bones", rows=compared.rows, caption="Distances, mm."),
+            Table(name="bones", rows=rows, caption="Distances, mm."),
             Table(name="bones_forms", rows=forms, caption="Measures of form, at one size.", shown=30),
         ),
         figures=(Picture(
-            name="bones", png=compared.figure, alt="Built mean bones coloured by distance",
+            name="bones", png=figure, alt="Built mean bones coloured by distance",
             caption="The built mean bones; their colour is the distance from the mean of the given ones.",
         ),),
-        facts={"rows": compared.rows},
+        facts={"rows": rows},
     )  # fmt: skip
 
 
@@ -217,7 +227,8 @@ def _measured(
     source: Source, out: Path, templates: Sequence[Template], table: Localisation, execution: Execution
 ) -> list[Record]:
     path = out / f"films_{source.name}.csv"
-    return measure_films(source, templates, table, execution, known=_known(path), save=partial(_save, path))
+    known = known_rows(path, "sha256", _TEXT)
+    return measure_films(source, templates, table, execution, known=known, save=partial(save_rows, path))
 
 
 def _as_large(simulated: Source, records: Mapping[str, Sequence[Record]], seed: int) -> Source:
@@ -262,17 +273,6 @@ def _simulated(where: Path, plan: Plan, known: Looks, execution: Execution) -> S
     return Source(name=SIMULATED, folder=where, films=tuple(films))
 
 
-def _save(path: Path, records: Sequence[Record]) -> None:
-    results.save_table(path, pd.DataFrame(list(records)))
-
-
-def _known(path: Path) -> dict[str, Record]:
-    table = results.load_table(path, _TEXT)
-    if table is None or not {"sha256", "key"} <= set(table):
-        return {}
-    return {str(row["sha256"]): row for row in table.to_dict("records")}
-
-
 def _read(sources: Mapping[str, Source], name: str, file: str) -> Array:
     source = sources[name]
     look = next(film.look for film in source.films if film.file == file)
@@ -284,7 +284,7 @@ def _write(out: Path, sections: Sequence[Section], facts: dict[str, Any]) -> Rea
     for section in sections:
         for table in section.tables:
             paths.append(out / f"{table.name}.csv")
-            results.save_table(paths[-1], pd.DataFrame(list(table.rows)))
+            save_rows(paths[-1], table.rows)
         for figure in section.figures:
             paths.append(out / "pictures" / f"{figure.name}.png")
             results.save_bytes(paths[-1], figure.png)

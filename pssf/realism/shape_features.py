@@ -107,7 +107,6 @@ def _shape(outline: Outline, share: Array, femur: Array, tibia: Array) -> Featur
     broad = np.diff(outline.femur_sides, axis=1).max() / (right - left)
     return {
         "notch_depth": top - base,
-        # None where the middle is traced lower than both condyles.
         "notch_width": float(half[-1] - half[0]) if len(half) else 0.0,
         "notch_at": float(notch_at),
         "condyles_differ": lowest["medial"] - lowest["lateral"],

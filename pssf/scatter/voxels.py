@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..core.checks import Array, InputError, require
 from ..geometry.scene import Scene, require_traceable
 from ..geometry.view import View
+from ..raycast.crossings import Window
 from ..raycast.scanline import crossings
 from ..raycast.sheets import BAND_ROWS, sheet_of
 
@@ -101,7 +102,7 @@ def _filled(scene: Scene, origin: Array, size: Array, number: NDArray[np.int64])
             top, bottom = max(first, sheet.rows[0]), min(stop, sheet.rows[1])
             if top < bottom and surface.inside != surface.outside:
                 crossed = crossings(sheet, top, bottom)
-                window = np.array([top - first, *crossed.window[1:]])
+                window = crossed.window._replace(row=top - first)
                 inside, outside = (counts[names.index(name)] for name in (surface.inside, surface.outside))
                 _count(_Crossed(crossed.starts, crossed.depth, crossed.sign), window, scale, number[1], inside, outside)
         index[first:stop] = counts.argmax(axis=0)
@@ -111,7 +112,7 @@ def _filled(scene: Scene, origin: Array, size: Array, number: NDArray[np.int64])
 @njit(cache=True, nogil=True)
 def _count(
     crossed: _Crossed,
-    window: NDArray[np.int64],
+    window: Window,
     scale: float,
     voxels: int,
     inside: NDArray[np.int8],
@@ -120,7 +121,7 @@ def _count(
     """Add one to `inside` (rows, x, y) and take one from `outside` where a voxel's centre is within a surface."""
     starts, depth, sign = crossed
     for pixel in range(len(starts) - 1):
-        row, col = window[0] + pixel // window[3], window[1] + pixel % window[3]
+        row, col = window.row + pixel // window.cols, window.col + pixel % window.cols
         for k in range(starts[pixel], starts[pixel + 1]):
             # All centres behind a crossing: one more when it enters, one less when it leaves.
             first = max(math.ceil(voxels - 0.5 - (1.0 - depth[k]) * scale), 0)

@@ -1,0 +1,146 @@
+"""What a run of the meter goes on from: rows of knees, and a part that is made whole."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import pssf
+from pssf.core.execution import Execution
+from pssf.data.anatomy import anatomy_tables
+from pssf.geometry.mesh import Mesh
+from pssf.realism import bones, contours, run
+from pssf.realism.kept import KeptPart, KeptRows, facts_of_bones, key_of
+
+ROWS = [{"bone": "femur", "bones": 2, "rms_mm": 0.1 + 0.2, "scale": ""}, {"bone": "tibia", "bones": 3, "rms_mm": 1e-17}]
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """The knees that landmarks are sought of, and how many may be before the run breaks off."""
+    seen, whole = [], contours._landmarks_of
+    seen_of = {"seen": seen, "most": 100}
+
+    def landmarks_of(taking, **more):
+        if len(seen) == seen_of["most"]:
+            raise KeyboardInterrupt
+        seen.append(taking)
+        return whole(taking, **more)
+
+    monkeypatch.setattr(contours, "_landmarks_of", landmarks_of)
+    return seen_of
+
+
+def tables_of(folder):
+    return {path.name: path.read_bytes() for path in sorted(folder.glob("*.csv"))}
+
+
+def measure(out, **more):
+    return run.measure(out, Execution(), **{"knees": 10, "seed": 4} | more)
+
+
+def test_contours_go_on_where_a_run_broke_off_and_are_those_of_a_run_that_did_not(counted, tmp_path):
+    counted["most"] = 3
+    with pytest.raises(KeyboardInterrupt):
+        measure(tmp_path / "broken")
+    assert len(pd.read_csv(tmp_path / "broken" / "contours_knees.csv")) == 3
+    counted["most"] = 100
+    measure(tmp_path / "broken")
+    assert len(counted["seen"]) == 10
+    measure(tmp_path / "broken")
+    assert len(counted["seen"]) == 10
+    measure(tmp_path / "whole")
+    assert len(counted["seen"]) == 20
+    assert tables_of(tmp_path / "broken") == tables_of(tmp_path / "whole")
+    pages = [(tmp_path / name / "realism.html").read_text() for name in ("broken", "whole")]
+    assert pages[0] == pages[1]
+
+
+def test_kept_contours_are_those_that_are_made_bit_for_bit(counted, tmp_path):
+    protocol = pssf.load_protocol("reference")
+    knees = run.draw_knees(run.draw_laws("people"), 2, 4, side="right", jsw_as="read")
+    given = [(knee, protocol) for knee in knees], anatomy_tables(), run.defining_protocol(knees[0])
+    kept = KeptRows(path=tmp_path / "knees.csv", code={"a": "b"})
+    made, first, again = (contours.drawn_landmarks(*given, 1, where) for where in (None, kept, kept))
+    assert len(counted["seen"]) == 4
+    for sample in (first, again):
+        np.testing.assert_array_equal(sample.places_mm, made.places_mm)
+        np.testing.assert_array_equal(sample.grades, made.grades)
+
+
+def test_rows_of_other_code_or_facts_are_made_anew_and_the_others_stay(tmp_path):
+    made = []
+
+    def make(missing, arrived):
+        for nth, number in enumerate(missing):
+            made.append(number)
+            arrived(nth, {"x": number / 3})
+
+    kept = KeptRows(path=tmp_path / "rows.csv", code={"anatomy": "1"})
+    assert [row["x"] for row in kept.completed([b"one", b"two"], make)] == [0.0, 1 / 3]
+    assert [row["x"] for row in kept.completed([b"two", b"three", b"one"], make)] == [1 / 3, 1 / 3, 0.0]
+    assert made == [0, 1, 1]
+    other = KeptRows(path=tmp_path / "rows.csv", code={"anatomy": "2"})
+    other.completed([b"one"], make)
+    assert made == [0, 1, 1, 0]
+
+
+def test_a_damaged_table_of_knees_is_refused_by_name(tmp_path):
+    (tmp_path / "rows.csv").write_bytes(b"key,x\na,b\n")
+    with pytest.raises(pssf.InputError, match=r"rows\.csv: damaged"):
+        KeptRows(path=tmp_path / "rows.csv", code={}).completed([b"one"], lambda missing, arrived: None)
+
+
+def part(folder, key):
+    return KeptPart(folder=folder, name="bones", tables=("bones", "bones_forms"), key=key)
+
+
+def test_a_part_is_made_once_and_anew_for_another_key_or_where_a_file_is_gone_or_changed(tmp_path):
+    made = []
+
+    def make():
+        made.append(1)
+        return (ROWS, ROWS[:1]), b"a picture"
+
+    first = part(tmp_path, "k").completed(make)
+    assert first == ([[ROWS[0], ROWS[1] | {"scale": ""}], ROWS[:1]], b"a picture")
+    assert part(tmp_path, "k").completed(make) == first
+    assert len(made) == 1
+    (tmp_path / "bones.csv").write_text("bone\nfemur\n")
+    assert part(tmp_path, "k").completed(make) == first
+    (tmp_path / "pictures" / "bones.png").unlink()
+    assert part(tmp_path, "k").completed(make) == first
+    (tmp_path / "bones_kept.json").write_text("torn")
+    assert part(tmp_path, "k").completed(make) == first
+    assert part(tmp_path, "other").completed(make) == first
+    assert len(made) == 5
+
+
+def test_a_key_is_another_for_other_code_other_facts_and_other_bones():
+    mesh = Mesh(np.arange(9.0).reshape(3, 3), np.array([[0, 1, 2]]))
+    moved = Mesh(mesh.vertices + 1e-12, mesh.faces)
+    given = [{"femur": [mesh]}, {"femur": [moved]}, {"tibia": [mesh]}, {"femur": [mesh, mesh]}]
+    keys = [key_of({"a": "1"}, facts_of_bones(one)) for one in given]
+    keys += [key_of({"a": "2"}, facts_of_bones(given[0])), key_of({"a": "1"}, b"12"), key_of({"a": "1"}, b"1", b"2")]
+    assert len(set(keys)) == len(keys)
+    assert key_of({"a": "1"}, facts_of_bones({"femur": [mesh]})) == keys[0]
+
+
+def test_bones_are_measured_once_and_anew_for_another_seed(tmp_path, monkeypatch):
+    mesh = bones.built_bones(pssf.Knee(), anatomy_tables())["patella"]
+    for number in range(2):
+        (tmp_path / "given" / "patella").mkdir(parents=True, exist_ok=True)
+        larger = Mesh(mesh.vertices * (1.0, 1.0, 1.0 + 0.1 * number), mesh.faces)
+        larger.as_trimesh().export(tmp_path / "given" / "patella" / f"{number}.stl")
+    seen, whole = [], bones.compare
+    monkeypatch.setattr(bones, "compare", lambda *given: seen.append(1) or whole(*given))
+    settings = {"bones_folder": tmp_path / "given"}
+    first = measure(tmp_path / "out", **settings)
+    page, tables = first.page.read_text(), tables_of(tmp_path / "out")
+    again = measure(tmp_path / "out", **settings)
+    assert len(seen) == 1
+    assert again.page.read_text() == page
+    assert tables_of(tmp_path / "out") == tables
+    assert again.rows == first.rows
+    assert {"built mean from given mean", "drawn about built mean"} < {row["what"] for row in first.rows["bones"]}
+    measure(tmp_path / "out", **settings, seed=5)
+    assert len(seen) == 2
