@@ -88,13 +88,6 @@ ARRAYS = (
     *("Array", "NDArray", "Block", "Faces", "Floats", "Frequencies", "Image", "Indices", "Ints", "Map", "Masks"),
     *("Signs", "Triples"),
 )
-# Whose docstrings are still to give a shape or a unit; who gives them is taken out.
-UNSAID = {
-    "study/learn/frozen.py:films_of: images",
-    "study/learn/network.py:learnt: training",
-    "study/learn/network.py:learnt: validation",
-    "study/statistics/fitting.py:fit_quietly: weight",
-}
 
 
 def listed_order(front_page: str) -> list[str]:
@@ -170,7 +163,6 @@ def ghosts(
     doors: Iterable[str] = DOORS,
     formulas: Iterable[str] = FORMULAS,
     disk: Iterable[str] = DISK,
-    unsaid: Iterable[str] = UNSAID,
 ) -> Iterator[str]:
     """What lists of this house and the front page name, and which no longer is."""
     rooms = {path.split("/")[0].removesuffix(".py") for path in sources}
@@ -178,7 +170,6 @@ def ghosts(
     yield from (f"DOORS: {door}" for door in doors if not any(fnmatch(path, door) for path in sources))
     yield from (f"FORMULAS: {start}" for start in formulas if not any(path.startswith(start) for path in sources))
     yield from (f"DISK: {room}" for room in disk if not any(path.startswith(f"{room}/") for path in sources))
-    yield from (f"UNSAID: {argument}" for argument in _unsaid(sources, unsaid))
 
 
 def long_modules(sources: dict[str, str]) -> Iterator[str]:
@@ -441,25 +432,18 @@ def _naming(name: str, notes: str) -> list[str]:
     return [line for line, words in lines if {word.strip("`*:.") for word in words} & {name, name.removesuffix("_mm")}]
 
 
-def _unsaid(sources: dict[str, str], unsaid: Iterable[str]) -> Iterator[str]:
-    """Who was let off to say what an array is, and says it, or is no longer."""
-    yield from set(unsaid) - {*arrays_without_shape(sources, ()), *arrays_without_unit(sources, ())}
-
-
-def arrays_without_shape(sources: dict[str, str], unsaid: Iterable[str] = UNSAID) -> Iterator[str]:
+def arrays_without_shape(sources: dict[str, str]) -> Iterator[str]:
     """Array arguments of public functions whose docstring does not give a shape beside their name."""
     for where, name, _, lines in _array_arguments(sources):
-        if f"{where}: {name}" not in unsaid and not any("(" in line and ")" in line for line in lines):
+        if not any("(" in line and ")" in line for line in lines):
             yield f"{where}: {name}"
 
 
-def arrays_without_unit(sources: dict[str, str], unsaid: Iterable[str] = UNSAID) -> Iterator[str]:
+def arrays_without_unit(sources: dict[str, str]) -> Iterator[str]:
     """Array arguments of numbers that are not whole, whose unit neither their name has nor the docstring beside it."""
     for where, name, kind, lines in _array_arguments(sources):
         shaped = " ".join(line for line in lines if "(" in line).replace(",", " ").replace(";", " ").split()
         whole = any(word in kind for word in WHOLE) and "float" not in kind
-        if f"{where}: {name}" in unsaid:
-            continue
         named = any(name.endswith(f"_{unit}") for unit in UNITS_IN_NAMES)
         if not whole and not named and not UNITS & {word.strip("`*:.()") for word in shaped}:
             yield f"{where}: {name}"
@@ -658,7 +642,6 @@ def test_an_unknown_room_a_cycle_and_a_look_to_the_right_are_each_seen(path, tex
         ("", {"doors": [*DOORS, "spirit/*"]}, "DOORS: spirit/*"),
         ("", {"formulas": [*FORMULAS, "realism/spirit"]}, "FORMULAS: realism/spirit"),
         ("", {"disk": [*DISK, "spirit"]}, "DISK: spirit"),
-        ("", {"unsaid": [*UNSAID, "raycast/spirit.py:f: a"]}, "UNSAID: raycast/spirit.py:f: a"),
     ],
 )
 def test_a_name_that_is_listed_and_no_longer_is_is_seen(page, lists, why):

@@ -54,7 +54,7 @@ def films_of(
     """Films of radiographs with a region found.
 
     parameters  of `statistics.parameters.parameters_of`
-    images      see Films
+    images      radiograph -> (size, size) of `network.seen`, dimensionless; None: no network
     """
     known = {}
     for protocol in protocols_of(usable, settings.reference):

@@ -45,8 +45,8 @@ def learnt(
 
     Adam on the logarithmic loss with classes weighted alike; of 40 epochs the one that the validation images like best.
 
-    training, validation  images (rows, size, size) of `seen`, class index (rows,); without validation images the last
-                          epoch stands
+    training, validation  images (rows, size, size) of `seen`, dimensionless, class index (rows,); without validation
+                          images the last epoch stands
     """
     import torch
 

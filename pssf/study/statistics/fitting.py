@@ -15,7 +15,7 @@ def fit_quietly(model: Any, X: Array, y: NDArray[np.int64], weight: Array | None
 
     X       (rows, features) each in its own unit
     y       (rows,) class index
-    weight  (rows,); None: all alike
+    weight  (rows,) dimensionless; None: all alike
     """
     with warnings.catch_warnings():
         # Where Newton's search along a line ends early, the library goes on with L-BFGS by itself, and says so.
