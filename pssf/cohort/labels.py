@@ -27,9 +27,12 @@ _SIDE = {"right": 1, "left": 2}
 def write_labels(cohort: str | Path, out: str | Path) -> list[Path]:
     """Labels of all radiographs of a cohort, and pictures for eyes sorted by grade.
 
-    readings.csv       a row a radiograph, columns as the Osteoarthritis Initiative names them: ID, SIDE (1 right, 2
-                       left), XRKL and the OARSI grades (`oarsi`), mJSW and JSW150 to JSW900 (mm);
-                       then depths of attrition (mm), femorotibial angle, slope and patellar height (`axes`)
+    readings.csv       a row a radiograph, columns as the Osteoarthritis Initiative names them in its readings of knee
+                       radiographs (kxr_sq_bu, kxr_qjsw_duryea; there with a visit before them, V00MCMJSW): ID, SIDE
+                       (1 right, 2 left), XRKL and the OARSI grades (`oarsi`), MCMJSW (least medial space), JSW150 to
+                       JSW300 (medial) and LJSW700 to LJSW900 (lateral), mm; by names of our own, since it has none for
+                       them: XRKL_READ, where a reader is drawn, the least lateral space (jsw_lateral_mm), depths of
+                       attrition (mm), femorotibial angle, slope and patellar height (`axes`)
     landmarks/*.pts    the sixteen contour landmarks
     coco.json          the same as COCO keypoints
     images/GRADE/*.png 8 bit, for eyes, as torchvision's ImageFolder and others read them
@@ -80,16 +83,16 @@ def _reading(name: str, subject: str, radiograph: Radiograph, by: _Readers) -> d
     knee, truth = radiograph.knee, radiograph.truth
     assert knee is not None
     assert truth is not None
-    spaces = {f"JSW{round(1000 * at)}": round(space, 4) for at, space in truth.jsw_at_mm.items()}
+    spaces = {f"{'JSW' if at < 0.5 else 'LJSW'}{round(1000 * at)}": round(mm, 4) for at, mm in truth.jsw_at_mm.items()}
     return {
         "ID": subject,
         "SIDE": _SIDE[knee.side],
         "radiograph": name,
         **({} if knee.grade_read is None else {"XRKL_READ": knee.grade_read}),
         **oarsi(knee, truth.attrition_mm, by.cuts, by.spongy),
-        "mJSW": round(truth.jsw_medial_mm, 4),
-        "lJSW": round(truth.jsw_lateral_mm, 4),
+        "MCMJSW": round(truth.jsw_medial_mm, 4),
         **spaces,
+        "jsw_lateral_mm": round(truth.jsw_lateral_mm, 4),
         **{f"attrition_{side}_mm": depth for side, depth in truth.attrition_mm.items()},
         **axes(knee, by.femur),
     }
