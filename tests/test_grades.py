@@ -43,7 +43,7 @@ def test_a_grade_is_what_kellgren_and_lawrence_say(people):
 
 
 def test_the_space_alone_tells_grades_apart_no_better_than_in_people(people):
-    # What least gaps on films are of the spaces, middles of what people.toml says; what bones and takings add is left out.
+    # What least gaps on films are of spaces, middles of what people.toml says; what bones and takings add is left out.
     least = {
         grade: [min(1.05 * knee.jsw_medial_mm + 0.45, 0.92 * knee.jsw_lateral_mm + 0.85) for knee in knees]
         for grade, knees in people.items()
