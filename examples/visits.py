@@ -1,4 +1,4 @@
-"""One person's knee at three visits: joint space, osteophytes and plate go on, all else is the same knee."""
+"""One knee at three visits, each taken anew: joint space, osteophytes and plate go on, the rest is the same knee."""
 
 import dataclasses
 from pathlib import Path
@@ -22,12 +22,15 @@ def run(out: Path, pixels: int = 1024) -> list[Path]:
         # One seed, one course: each time is a visit of it.
         knee = pssf.progress(first, years, np.random.default_rng(8))
         change = pssf.true_change(first, knee)
-        radiograph = pssf.simulate(knee, protocol, seed=visit)
-        magnified = protocol.sdd_mm / protocol.sod_mm / protocol.pixel_mm
+        taking = pssf.draw_exposure(protocol, rng=np.random.default_rng([8, visit]), side=knee.side)
+        radiograph = pssf.simulate(knee, taking, seed=visit)
+        magnified = taking.sdd_mm / taking.sod_mm / taking.pixel_mm
         (row, col), (tall, wide) = radiograph.truth.landmarks_px["joint_centre"], (mm * magnified for mm in HALF_MM)
         part = np.s_[round(row - tall) : round(row + tall), round(col - wide) : round(col + wide)]
         told = f"year {years:g}: KL {knee.grade}, medial {change['jsw_medial_mm']:+.1f} mm"
-        shown.append(panel(pssf.present(radiograph.pixels, look="processed")[part], ROWS, COLS, told))
+        within = {"pixel_mm": taking.pixel_mm, "field_mm": (taking.field_width_mm, taking.field_height_mm)}
+        plain = pssf.present(radiograph.pixels, look="processed", **within)
+        shown.append(panel(plain[part], ROWS, COLS, told))
     return [side_by_side(shown, out / "visits.png")]
 
 

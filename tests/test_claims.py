@@ -18,7 +18,7 @@ def radiographs(rise, seed=3, subjects=90):
     return pd.DataFrame({"subject": np.arange(subjects), "grade": grade, "protocol": "reference", **values})
 
 
-def told(rise, score_step=0.0, *, tested=30, p_holm=0.01, texture=(0.8, 0.7)):
+def told(rise, score_step=0.0, *, tested=30, p_holm=0.01, texture=(0.8, 0.7), icc=(0.92, 0.97)):
     table = radiographs(rise)
     rng = np.random.default_rng(4)
     middle = table["grade"] * score_step + 0.3 * rng.standard_normal(len(table))
@@ -51,8 +51,8 @@ def told(rise, score_step=0.0, *, tested=30, p_holm=0.01, texture=(0.8, 0.7)):
         for metric in ("auc", "balanced_accuracy", "macro_f1")
     ])  # fmt: skip
     reliability = pd.DataFrame({
-        "feature": ["a", "b"], "across": "all protocols",
-        "ICC(2,1)": [0.95, 0.5], "ICC(2,1) low": [0.92, 0.3], "ICC(2,1) high": [0.97, 0.7],
+        "feature": ["a", "b"], "across": "all protocols", "subjects": tested,
+        "ICC(2,1)": [np.mean(icc), 0.5], "ICC(2,1) low": [icc[0], 0.3], "ICC(2,1) high": [icc[1], 0.7],
     })  # fmt: skip
     tables = {"subjects": subjects, "scores": scores, "differences": differences, "reliability": reliability}
     found = claims(table, predictions, importances, offered, tables, SETTINGS)
@@ -77,11 +77,30 @@ def test_an_interval_without_width_decides_nothing():
 
 
 def test_too_few_tested_subjects_decide_nothing():
-    starts = ("Within a protocol", "Logistic regression is strong", "Another protocol", "The most important")
+    starts = (
+        *("Within a protocol", "Logistic regression is strong", "Another protocol", "The most important"),
+        "A subset of features is stable",
+    )
     for tested, expected in ((LEAST_TESTED, {"holds", "does not hold"}), (LEAST_TESTED - 1, {"not decidable"})):
         found = told(rise=1.0, tested=tested)
         decided = {one for start in starts for one in verdicts(found, start)}
         assert decided == expected
+
+
+@pytest.mark.parametrize(
+    ("icc", "expected"),
+    [
+        ((0.92, 0.97), "holds"),
+        ((0.88, 0.97), "not decidable"),
+        ((0.80, 0.89), "does not hold"),
+        ((1.0, 1.0), "not decidable"),
+    ],
+    ids=["above", "across", "below", "no width"],
+)
+def test_features_are_stable_by_the_interval_of_the_one_that_is_most(icc, expected):
+    row = told(rise=1.0, icc=icc).set_index("claim").loc["A subset of features is stable"]
+    assert (row["verdict"], row["bound"]) == (expected, 0.9)
+    assert (row["low"], row["high"]) == icc
 
 
 def test_a_difference_that_is_gone_after_holm_decides_nothing():

@@ -87,6 +87,8 @@ def test_meshes_writes_what_is_asked_for(tmp_path):
             ("study", "--preset", "quik"),
             "pssf: preset = 'quik'; allowed: quick, paper, people, benchmark-1 (did you mean 'quick'?)",
         ),
+        (("study", "--strengths", "0,much"), "pssf: strengths = '0,much'; allowed: numbers with commas"),
+        (("study", "--strengths", "0.3,0.6"), "pssf: strengths = 0.3, 0.6; allowed: 0 among them, each once"),
         (("study", "--films", "nowhere"), "pssf: folder nowhere: films = none; allowed: "),
         (("realism", "--films", "a", "--knees", "20", "--films=b"), "pssf: --films: given 2 times; allowed: once"),
         (("study", "--films", ".", "--films-protocol", "low"), "pssf: films-protocol = 'low'; allowed: reference, "),

@@ -1,5 +1,7 @@
 """Confounders by design: cohorts in which a feature follows the confounder, and nothing else that tells grades."""
 
+import dataclasses
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -54,7 +56,7 @@ def test_what_no_image_shows_is_not_gained_by(table):
 
 
 @pytest.mark.parametrize("confounder", list(learn.CONFOUNDERS))
-@pytest.mark.parametrize("strength", learn.STRENGTHS)
+@pytest.mark.parametrize("strength", SETTINGS.strengths)
 def test_a_tie_is_as_strong_as_asked_of_as_many_subjects_and_keeps_the_split(confounder, strength):
     tie = learn.tied(cohort(), confounder, strength, SETTINGS, 2)
     none = learn.tied(cohort(), confounder, 0.0, SETTINGS, 2)
@@ -65,6 +67,15 @@ def test_a_tie_is_as_strong_as_asked_of_as_many_subjects_and_keeps_the_split(con
     subjects = [set(part["subject"]) for part in (tie.training, tie.validation, tie.test)]
     assert not subjects[0] & subjects[1]
     assert not (subjects[0] | subjects[1]) & subjects[2]
+
+
+def test_strengths_are_those_asked_for_and_more_of_the_subjects_serve_weaker_ones():
+    weaker = dataclasses.replace(SETTINGS, strengths=(0.0, 0.5), repeats=2)
+    splits = learn.confound(cohort(), NAMES, ["bmi"], weaker, Execution())
+    assert sorted(set(splits["strength"])) == [0.0, 0.5]
+    assert set(statistics.confounding(splits)["strength"]) == {0.0, 0.5}
+    usual = learn.tied(cohort(), "bmi", 0.0, SETTINGS, 0)
+    assert splits["trained"].min() > usual.training["subject"].nunique()
 
 
 @pytest.mark.parametrize("strength", [0.0, 0.6])

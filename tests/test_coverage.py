@@ -1,8 +1,9 @@
 """How often the study's intervals hold the truth, over cohorts that are each split, trained and tested anew.
 
 Two grades of Gaussian features a known distance apart, and logistic regression: the AUC and the balanced accuracy of a
-linear model on endless subjects are a formula, and their mean over fresh training sets of the size of a split's is the
-truth. What is asked of the intervals is 95 %; misses are binomial, and bounds at four standard deviations.
+linear model on endless subjects are a formula, and so is its mean F1 on tests of the size of a split's, on which that
+depends; their mean over fresh training sets of the size of a split's is the truth. What is asked of the intervals is
+95 %; misses are binomial, and bounds at four standard deviations.
 """
 
 from dataclasses import dataclass
@@ -10,21 +11,21 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.stats import norm
+from scipy.stats import binom, norm
 from sklearn.linear_model import LogisticRegression
 
 from pssf.study.learn.split import split_subjects
 from pssf.study.predictions import ARM
 from pssf.study.statistics.claims import LEAST_TESTED
 from pssf.study.statistics.intervals import differences, intervals, share_tested
-from pssf.study.statistics.metrics import percentiles, weighted_scores
+from pssf.study.statistics.metrics import percentiles, score, weighted_scores
 from pssf.study.statistics.scores import score_splits
 from pssf.study.statistics.subjects import draws
 
 FEATURES, SPLITS = 5, 20
 # Model -> the features that it sees; the JSW's arm stands for a model that knows less.
 SEEN = {"lr": slice(0, FEATURES), "jsw": slice(0, 2)}
-MEASURES = ("auc", "balanced_accuracy")
+MEASURES = ("auc", "balanced_accuracy", "macro_f1")
 
 
 @dataclass(frozen=True)
@@ -41,21 +42,32 @@ class Population:
     def step(self) -> np.ndarray:
         return self.apart / np.sqrt(2) * np.eye(FEATURES)[[0, 2]].sum(axis=0)
 
-    def performance(self, model: LogisticRegression, seen: slice) -> tuple[float, float]:
-        """AUC and balanced accuracy on endless subjects."""
+    def performance(self, model: LogisticRegression, seen: slice, tested: int) -> tuple[float, float, float]:
+        """AUC and balanced accuracy on endless subjects, and mean macro F1 on so many of each grade."""
         weight, step = model.coef_[0], self.step()[seen]
         length = np.linalg.norm(weight)
         zero, one = model.intercept_[0] / length, (model.intercept_[0] + weight @ step) / length
-        return norm.cdf((one - zero) / np.sqrt(2)), (norm.cdf(-zero) + norm.cdf(one)) / 2
+        right = norm.cdf(-zero), norm.cdf(one)
+        return norm.cdf((one - zero) / np.sqrt(2)), np.mean(right), mean_f1(right, tested)
 
-    def truth(self, trained: int) -> dict[str, np.ndarray]:
-        """Model -> mean performance of those that have learnt from so many subjects."""
+    def truth(self, trained: int, tested: int) -> dict[str, np.ndarray]:
+        """Model -> mean performance of those that have learnt from so many subjects, on so many of each grade."""
         rng, found = np.random.default_rng(1), {name: [] for name in SEEN}
         for _ in range(600):
             values, grade = self.cohort(trained, rng)
             for name, seen in SEEN.items():
-                found[name].append(self.performance(fit(values[:, seen], grade), seen))
+                found[name].append(self.performance(fit(values[:, seen], grade), seen, tested))
         return {name: np.mean(values, axis=0) for name, values in found.items()}
+
+
+def mean_f1(right: tuple[float, float], tested: int) -> float:
+    """Mean macro F1 of tests of so many subjects of each grade, called right with these probabilities."""
+    counts = np.arange(tested + 1)
+    zeros, ones = counts[:, None], counts[None, :]
+    probability = binom.pmf(zeros, tested, right[0]) * binom.pmf(ones, tested, right[1])
+    # 2 right / (true + called), of either grade.
+    f1 = zeros / (2 * tested + zeros - ones) + ones / (2 * tested + ones - zeros)
+    return float((probability * f1).sum())
 
 
 def fit(values: np.ndarray, grade: np.ndarray) -> LogisticRegression:
@@ -89,8 +101,8 @@ def bootstrap(predictions: pd.DataFrame, grade: np.ndarray, seed: int) -> tuple[
 def missed(apart: float, per_grade: int, cohorts: int) -> pd.Series:
     """How many cohorts have an interval that misses the truth, by measure; how many have one of no width."""
     population, rows = Population(apart), []
-    trained = len(split_subjects(range(2 * per_grade), np.arange(2 * per_grade) % 2, seed=0).training)
-    truth = population.truth(trained)
+    split = split_subjects(range(2 * per_grade), np.arange(2 * per_grade) % 2, seed=0)
+    truth = population.truth(len(split.training), len(split.test) // 2)
     for seed in range(cohorts):
         values, grade = population.cohort(2 * per_grade, np.random.default_rng([5, seed]))
         predictions, listed = studied(values, grade, seed)
@@ -119,6 +131,18 @@ FEWEST = 20
 def test_the_fewest_subjects_that_decide_anything_are_tested_here():
     numbers = np.arange(2 * FEWEST)
     assert len(split_subjects(numbers, numbers % 2, seed=0).test) == LEAST_TESTED
+
+
+def test_the_mean_f1_of_small_tests_is_that_of_tests_drawn():
+    rng, right, drawn = np.random.default_rng(2), (0.8, 0.6), []
+    truth = np.repeat([0, 1], 3)
+    for _ in range(4000):
+        called = np.where(rng.random(6) < np.repeat(right, 3), truth, 1 - truth)
+        drawn.append(score(truth, np.eye(2)[called])["macro_f1"])
+    assert mean_f1(right, 3) == pytest.approx(np.mean(drawn), abs=4 * np.std(drawn) / np.sqrt(4000))
+    # That of endless ones, which is more, is what tests come to as they grow.
+    endless = np.mean([2 * a / (2 * a + (1 - b) + (1 - a)) for a, b in (right, right[::-1])])
+    assert mean_f1(right, 3) < endless == pytest.approx(mean_f1(right, 400), abs=1e-3)
 
 
 def test_intervals_hold_the_truth_where_models_are_trained_anew():

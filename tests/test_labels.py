@@ -11,12 +11,29 @@ from pssf import InputError
 from pssf.cohort import make_cohort, plan_cohort, write_labels
 from pssf.io.labels import read_pts
 
+# Of the Osteoarthritis Initiative's readings of knee radiographs, without the visit before them.
+OF_GRADES = [
+    "XRKL",
+    *("XROSFM", "XROSFL", "XROSTM", "XROSTL", "XRJSM", "XRJSL", "XRSCFM", "XRSCFL", "XRSCTM", "XRSCTL"),
+    *("XRCYFM", "XRCYFL", "XRCYTM", "XRCYTL", "XRATTM", "XRATTL"),
+]
+OF_SPACES = [
+    "MCMJSW",
+    *("JSW150", "JSW175", "JSW200", "JSW225", "JSW250", "JSW275", "JSW300"),
+    *("LJSW700", "LJSW725", "LJSW750", "LJSW775", "LJSW800", "LJSW825", "LJSW850", "LJSW875", "LJSW900"),
+]
+OURS = [
+    *("jsw_lateral_mm", "inter_margin_mm", "attrition_medial_mm", "attrition_lateral_mm"),
+    *("femorotibial_deg", "tibial_slope_deg", "insall_salvati"),
+]
 
-@pytest.fixture
-def made(small_protocols, tmp_path):
+
+@pytest.fixture(scope="module")
+def made(small_protocols, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("made") / "cohort"
     drawn = {"knees": [1, 1], "protocols": small_protocols[:1], "grades": "people"}
-    make_cohort(plan_cohort("quick", seed=5, overrides=drawn), tmp_path / "cohort")
-    return tmp_path / "cohort"
+    make_cohort(plan_cohort("quick", seed=5, overrides=drawn), folder)
+    return folder
 
 
 def test_labels_of_a_cohort_are_read_back_as_the_field_reads_them(made, tmp_path):
@@ -47,7 +64,22 @@ def test_labels_of_a_cohort_are_read_back_as_the_field_reads_them(made, tmp_path
         assert float(reading["attrition_medial_mm"]) == float(made_row["truth_attrition_medial_mm"])
         assert int(reading["XRATTM"]) == sum(truth.attrition_mm["medial"] >= cut for cut in (0.25, 1.0, 2.0))
         assert float(reading["femorotibial_deg"]) == pytest.approx(175 + float(made_row["varus_deg"]), abs=1e-3)
+        assert list(reading) == ["ID", "SIDE", "radiograph", "XRKL_READ", *OF_GRADES, *OF_SPACES, *OURS]
         assert float(reading["JSW225"]) == pytest.approx(truth.jsw_at_mm[0.225], abs=1e-4)
+        assert float(reading["LJSW850"]) == pytest.approx(truth.jsw_at_mm[0.850], abs=1e-4)
+        assert float(reading["MCMJSW"]) == pytest.approx(truth.jsw_medial_mm, abs=1e-4)
+        assert float(reading["jsw_lateral_mm"]) == pytest.approx(truth.jsw_lateral_mm, abs=1e-4)
+
+
+def test_margins_are_as_far_apart_as_on_the_built_knee_under_the_radiographs_own_protocol(made, tmp_path):
+    write_labels(made, tmp_path)
+    apart_mm = []
+    for reading in csv.DictReader((tmp_path / "readings.csv").open()):
+        radiograph = pssf.load(made / "images" / f"{reading['radiograph']}.tif")
+        built = pssf.build(radiograph.knee, radiograph.protocol)
+        apart_mm.append(built.inter_margin_mm(radiograph.protocol))
+        assert float(reading["inter_margin_mm"]) == pytest.approx(apart_mm[-1], abs=1e-4)
+    assert len({round(value, 3) for value in apart_mm}) == len(apart_mm)
 
 
 def test_labels_of_what_is_no_cohort_are_refused(tmp_path):

@@ -9,8 +9,10 @@ from numpy.testing import assert_allclose
 from scipy.stats import binom
 
 from pssf.core.execution import Execution
+from pssf.data.code import code_digest
 from pssf.study import Designed, StudySettings
 from pssf.study.learn import ladder
+from pssf.study.learn.each_split import CODE
 from pssf.study.learn.split import split_subjects
 from pssf.study.measuring import Run
 from pssf.study.questions import ask
@@ -99,6 +101,24 @@ def test_a_smaller_share_of_subjects_is_part_of_a_larger_one_and_the_tested_stay
     for one, two, all_of in zip(small, large, whole, strict=True):
         assert set(one) < set(two) < set(all_of)
     assert len(small[0]) == pytest.approx(0.3 * len(whole[0]), abs=1)
+
+
+def test_of_several_shares_the_growth_is_that_of_a_split_in_the_subjects_learnt_from(monkeypatch):
+    monkeypatch.setattr(ladder, "climb_split", lambda job, **shared: [{"seconds": 3.0 * job.share**1.4}])
+    known, execution = cohort(0, texture=1.0, subjects=24), Execution()
+    for stage, shares in (("ladder", (1.0,)), ("learning curves", (0.2, 0.4, 0.8))):
+        ladder.climb(known, NAMES, SETTINGS, execution, shares=shares, stage=stage)
+    assert execution.timer.stages["learning curves"].growth == pytest.approx(1.4)
+    assert execution.timer.stages["ladder"].growth is None
+
+
+def test_what_was_learnt_says_how_long_its_split_took():
+    known = cohort(0, texture=1.0, subjects=60)
+    shared = {"known": known, "rungs": ladder.rungs_of(known, NAMES), "settings": SETTINGS, "code": code_digest(CODE)}
+    rows = ladder.climb_split(ladder.Job(0, 0.5), **shared)
+    (seconds,) = {row["seconds"] for row in rows}
+    assert 0 < seconds < 60
+    assert "seconds" not in climbed(known)
 
 
 def test_without_joint_spaces_only_features_are_asked():

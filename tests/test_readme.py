@@ -9,6 +9,7 @@ import trimesh
 
 import pssf
 from pssf.accuracy import BY_NAME, TABLES, measure
+from pssf.cli.measure import realism as realism_command
 from pssf.core.checks import InputError
 from pssf.data.readmes import readmes
 from pssf.io import readme
@@ -94,6 +95,24 @@ def test_rows_of_an_earlier_run_have_its_day(tmp_path):
     open_one = readme.open_checkout(checkout(tmp_path, "label_errors", "sizes"), ["knees"], knees=7)
     written = open_one.take({"knees": ROWS}, measured_with=report)
     assert "\n*2023-11-1" in written[0].read_text()
+
+
+@pytest.mark.parametrize(
+    ("given", "command"),
+    [
+        ({"cohort": Path("runs/mine")}, "pssf realism --cohort mine --protocol fixed_flexion"),
+        ({"knees": 40}, "pssf realism --protocol fixed_flexion --knees 40"),
+    ],
+    ids=["cohort", "drawn"],
+)
+def test_a_caption_of_contours_says_whose_they_are(given, command, tmp_path, monkeypatch):
+    rows = {name: [] for name in realism.SHOWN["contours"]}
+    rows["contours_outside"] = [{"grade": 0, "knees": 50, "outside": 3, "of": 28}]
+    done = realism.Realism(page=tmp_path / "realism.html", lines=(), paths=(), rows=rows)
+    monkeypatch.setattr(realism, "measure", lambda *folders, **options: done)
+    folder = checkout(tmp_path, *realism.SHOWN["contours"])
+    realism_command(out=tmp_path / "out", workers=1, protocol="fixed_flexion", readme=folder, **given)
+    assert f"`uv run {command}`" in (folder / "meshes" / "README.md").read_text().split("<!-- /table -->")[0]
 
 
 def test_pictures_that_a_readme_shows_are_copied_and_others_are_not(tmp_path):

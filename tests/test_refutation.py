@@ -20,7 +20,8 @@ NAMES = [
     *("firstorder_linear_Mean", "firstorder_linear_Energy", "glcm_Contrast", "glcm_JointEntropy"),
     *("glcm_DifferenceAverage", "glcm_Id", "glszm_a", "glszm_b", "glrlm_a", "shape2D_a"),
 ]
-SETTINGS = StudySettings(models=("lr",), selections=("l1",), repeats=8, replicates=400)
+# Of logistic regression one claim is, and of any other model another one.
+SETTINGS = StudySettings(models=("lr", "xgb"), selections=("l1",), repeats=8, replicates=400)
 # The stability of features does not depend on labels: this one is refuted by features without a knee's part.
 OF_NO_LABEL = "A subset of features is stable"
 
@@ -59,9 +60,9 @@ def held(cohorts: int) -> pd.Series:
 
 
 def test_hardly_a_claim_holds_on_random_labels():
-    # Each measure holds by chance in 2.5 %, up to two measures a claim: of 36 claims in cohorts 1.8 at most.
+    # Each measure holds by chance in 2.5 %, two to four measures a claim, of which most go together.
     found = held(3)
-    assert len(found) == 12
+    assert len(found) == 13
     assert found.sum() <= binom.ppf(0.999, 3 * len(found), 0.05)
     assert (found < 3).all()
 

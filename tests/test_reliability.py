@@ -93,6 +93,12 @@ def test_a_missing_value_costs_its_knee_for_that_feature_alone():
     assert np.isfinite(found.loc["c", "ICC(2,1)"])
 
 
+def test_both_knees_of_a_subject_are_one_subject():
+    table = table_of(draw(12, 2, of_condition=0.1, noise=0.2, seed=4), ["reference", "other"])
+    row = reliability(table.assign(subject=table["knee"] // 2), ["a"], "reference").iloc[0]
+    assert (row["knees"], row["subjects"]) == (12, 6)
+
+
 def test_a_knee_without_one_protocol_is_left_out():
     table = table_of(draw(5, 2, of_condition=0, noise=0.2, seed=0), ["reference", "other"])
     values, subjects = grid(table[table["radiograph"] != "2_other"], ["a"], "protocol", ["reference", "other"])

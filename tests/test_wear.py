@@ -23,9 +23,15 @@ def built():
     return pssf.build(WORN, FIXED_FLEXION)
 
 
-def test_bone_on_bone_is_built_without_overlap_and_with_its_spaces(built):
-    assert (built.bones["femur"].outer ^ built.bones["tibia"].outer).volume() < 1e-6
-    assert_allclose(built.measured_jsw_mm(FIXED_FLEXION), (0.1, 4.0), atol=1e-3)
+@pytest.mark.parametrize("jsw_medial_mm", [0.1, 0.0])
+def test_bone_on_bone_is_built_without_overlap_and_with_its_spaces(built, jsw_medial_mm):
+    if jsw_medial_mm != WORN.jsw_medial_mm:
+        built = pssf.build(dataclasses.replace(WORN, jsw_medial_mm=jsw_medial_mm), FIXED_FLEXION)
+    femur, tibia = (built.bones[name].outer for name in ("femur", "tibia"))
+    assert (femur ^ tibia).volume() < 1e-6
+    # In contact: a femur that is lower by no more than what worn bones keep between them stands in the tibia.
+    assert (femur.translate((0.0, 0.0, -0.03)) ^ tibia).volume() > 1e-3
+    assert_allclose(built.measured_jsw_mm(FIXED_FLEXION), (jsw_medial_mm, 4.0), atol=1e-3)
     assert str(pssf.check(built.scene)) == "no faults"
 
 

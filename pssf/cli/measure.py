@@ -94,7 +94,7 @@ def realism(
     require_extra()
     given = {"contours": True, "bones": bones is not None, "films": films is not None}
     shown = [name for part, names in SHOWN.items() if given[part] for name in names]
-    checkout = open_checkout(readme, shown, protocol=protocol, knees=knees)
+    checkout = open_checkout(readme, shown, protocol=protocol, knees=knees, sample=_sample(cohort, protocol, knees))
     execution = Execution(workers=workers, bar=bar)
     measured = measure(
         out,
@@ -111,6 +111,12 @@ def realism(
     for line in measured.lines:
         print(line)
     print(f"page      {measured.page}")
+
+
+def _sample(cohort: Path | None, protocol: str, knees: int) -> str:
+    """Options that say whose contours are seen: a cohort's, of which the folder's name is told, or drawn knees'."""
+    under = f"--protocol {protocol}"
+    return f"{under} --knees {knees}" if cohort is None else f"--cohort {cohort.resolve().name} {under}"
 
 
 def grades(

@@ -106,6 +106,19 @@ def cohort_overrides(knees: str, bilateral: int, protocols: str, grades: str) ->
     return given
 
 
+def numbers_of(name: str, listed: str) -> tuple[float, ...]:
+    """The numbers of an option that lists them with commas.
+
+    raises  InputError for what is none
+    """
+    from ..core.checks import InputError
+
+    try:
+        return tuple(float(number) for number in listed.split(","))
+    except ValueError:
+        raise InputError(f"{name} = {listed!r}; allowed: numbers with commas") from None
+
+
 @dataclass(frozen=True)
 class KneeChoice:
     """Which knee is wanted: of a file, or drawn by grade and seed; with other values in some fields; or a scene."""

@@ -17,6 +17,7 @@ from .options import (
     Scheduler,
     Seed,
     cohort_overrides,
+    numbers_of,
 )
 
 
@@ -77,6 +78,13 @@ def study(
     difference: Annotated[
         float, typer.Option(help="Difference of AUC that the power to show it, and the subjects needed, are given for.")
     ] = 0.05,
+    strengths: Annotated[
+        str,
+        typer.Option(
+            help="How strongly age, BMI and site are tied to grade, for what confounders do: from 0 to 0.95, with "
+            "commas, 0 among them."
+        ),
+    ] = "0,0.3,0.6,0.9",
     until: Annotated[str, typer.Option(help="report, or features: stop when they are measured.")] = "report",
     readme: Readme = None,
 ) -> None:
@@ -96,7 +104,7 @@ def study(
     wanted = {"families": families, "selections": selections, "models": models}
     settings: dict[str, Any] = {name: tuple(listed.split(",")) for name, listed in wanted.items() if listed}
     settings |= {"backend": backend} if backend else {}
-    settings["difference"] = difference
+    settings |= {"difference": difference, "strengths": numbers_of("strengths", strengths)}
     overrides = cohort_overrides(knees, bilateral, protocols, grades)
     own = None
     if films is not None:

@@ -25,6 +25,7 @@ class StudySettings:
     selections     of SELECTIONS
     models         of MODELS
     difference     of AUC that the power to show it is given for
+    strengths      of the tie of a confounder to grade: 0, which the others are held against, to 0.95
     reference      protocol of the within-protocol scenario, and that ICCs are paired with
     backend        what measures the features, of radiomics.backends.BACKENDS
     raises         InputError for a value out of range
@@ -41,6 +42,7 @@ class StudySettings:
     selections: tuple[str, ...] = tuple(SELECTIONS)
     models: tuple[str, ...] = tuple(MODELS)
     difference: float = 0.05
+    strengths: tuple[float, ...] = (0.0, 0.3, 0.6, 0.9)
     reference: str = "reference"
     backend: str = field(default_factory=default_backend)
 
@@ -54,6 +56,10 @@ class StudySettings:
         require_whole("most_features", self.most_features, 1, 100, "features")
         require_whole("replicates", self.replicates, 100, 100_000, "samples")
         require("difference", self.difference, 0.001, 0.5, "(of AUC)")
+        for strength in self.strengths:
+            require("strengths", strength, 0, 0.95, "(of a tie)")
+        if 0 not in self.strengths or len(set(self.strengths)) < len(self.strengths):
+            raise InputError(f"strengths = {', '.join(map(str, self.strengths))}; allowed: 0 among them, each once")
         for name, allowed in (("families", FAMILIES), ("selections", SELECTIONS), ("models", MODELS)):
             given = getattr(self, name)
             if not given:

@@ -25,7 +25,6 @@ from .models import tune
 from .selection import preparation
 from .split import seed_of_split, split_subjects
 
-STRENGTHS = (0.0, 0.3, 0.6, 0.9)
 CONFOUNDERS = {"age_years": "age", "bmi": "BMI", "site": "site (protocol)"}
 CLASSES = TASKS["0 vs 2"]
 _FEWEST = 4  # subjects of a grade to learn from
@@ -78,7 +77,7 @@ def confound_split(
     require_code(code)
     rows = []
     for confounder in confounders:
-        for strength in STRENGTHS:
+        for strength in settings.strengths:
             tie = tied(known, confounder, strength, settings, repeat)
             if tie is not None:
                 label = {"repeat": repeat, "confounder": confounder, "strength": strength}
@@ -102,7 +101,7 @@ def tied(known: pd.DataFrame, confounder: str, strength: float, settings: StudyS
     of_reference = [pool[pool["protocol"] == settings.reference] for pool in pools]
     middle = float(of_reference[0][confounder].median())
     leveled = [pool.assign(c=pool[confounder], high=pool[confounder] > middle) for pool in of_reference]
-    training, validation = (_thinned(pool, strength, rng) for pool in leveled[:2])
+    training, validation = (_thinned(pool, strength, max(settings.strengths), rng) for pool in leveled[:2])
     if training["grade"].nunique() < 2 or training.groupby("grade")["subject"].nunique().min() < _FEWEST:
         return None
     return Tie(training, validation, leveled[2])
@@ -113,8 +112,11 @@ def _matched(part: pd.DataFrame) -> NDArray[np.bool_]:
     return np.asarray(part["high"].to_numpy(bool) == (part["grade"] == CLASSES[1][0]).to_numpy())
 
 
-def _thinned(pool: pd.DataFrame, strength: float, rng: np.random.Generator) -> pd.DataFrame:
-    """Of each grade so many subjects, of whom (1 + strength)/2 are on the side that it is tied to."""
+def _thinned(pool: pd.DataFrame, strength: float, strongest: float, rng: np.random.Generator) -> pd.DataFrame:
+    """Of each grade so many subjects, of whom (1 + strength)/2 are on the side that it is tied to.
+
+    strongest  for which there must be enough of them too
+    """
     subjects = pool.drop_duplicates("subject")
     cells = {
         key: rng.permutation(part["subject"].to_numpy())
@@ -123,7 +125,7 @@ def _thinned(pool: pd.DataFrame, strength: float, rng: np.random.Generator) -> p
     grades = sum(CLASSES, ())
     counts = [len(cells.get((grade, side), ())) for grade in grades for side in (True, False)]
     # As many whatever the strength, up to the strongest.
-    most = int(min(counts) * 2 / (1 + max(STRENGTHS)))
+    most = int(min(counts) * 2 / (1 + strongest))
     kept: list[Any] = []
     for grade in grades:
         on_side = round(most * (1 + strength) / 2)

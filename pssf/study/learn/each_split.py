@@ -8,15 +8,14 @@ from ...core.parallel import ordered_map
 from ...data.code import code_digest
 
 Job = TypeVar("Job")
+Given = TypeVar("Given")
 
 CODE = ("core", "radiomics", "study")  # what the outcome of a split depends on
 
-Rows = list[dict[str, Any]]
-
 
 def each_split(
-    function: Callable[..., Rows], jobs: Sequence[Job], shared: Mapping[str, Any], execution: Execution, stage: str
-) -> list[Rows]:
+    function: Callable[..., Given], jobs: Sequence[Job], shared: Mapping[str, Any], execution: Execution, stage: str
+) -> list[Given]:
     """What a function gives for each job, in their order; whoever runs it, by the code that is here.
 
     function  of a job, of what is shared and of `code`, of `code_digest`, by name; one that processes can import

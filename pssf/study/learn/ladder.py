@@ -7,6 +7,7 @@ asked for what they add.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -148,6 +149,9 @@ def climb(
 ) -> pd.DataFrame:
     """AUC of every rung on every split, learnt from shares of the subjects that a split learns from.
 
+    Of more than one share the stage gets as its growth the exponent of the seconds of a split in the subjects learnt
+    from.
+
     known    of `known_of`
     names    of the features
     shares   of training and validation subjects of each grade, at least two; the smaller are among the larger, and
@@ -161,6 +165,10 @@ def climb(
     chosen = {name: rung for name, rung in rungs_of(known, names).items() if name in rungs}
     shared = {"known": known, "rungs": chosen, "settings": settings}
     tables = each_split(climb_split, jobs, shared, execution, stage)
+    timed = np.array([(job.share, rows[0]["seconds"]) for job, rows in zip(jobs, tables, strict=True) if rows])
+    if len(timed) and np.ptp(timed[:, 0]) > 0:
+        learnt, seconds = np.log(timed).T
+        execution.timer.stages[stage].growth = float(np.polyfit(learnt, seconds, 1)[0])
     rows = [row | {"share": job.share} for job, of_job in zip(jobs, tables, strict=True) for row in of_job]
     return pd.DataFrame(rows, columns=[*_COLUMNS, "share"])
 
@@ -168,12 +176,13 @@ def climb(
 def climb_split(
     job: Job, *, known: pd.DataFrame, rungs: Mapping[str, Rung], settings: StudySettings, code: Mapping[str, str]
 ) -> list[dict[str, Any]]:
-    """Rows of `climb` of one job.
+    """Rows of `climb` of one job, and in each the seconds of work that all of them took.
 
     code    of `code_digest` where the run started
     raises  InputError where the code is another here, or for too few subjects of a grade
     """
     require_code(code)
+    began = process_time()
     split = split_subjects(known["subject"], known["grade"], seed=settings.seed, repeat=job.repeat)
     learnt = thinned(split, known, job, settings.seed)
     seed = seed_of_split(settings.seed, job.repeat)
@@ -187,7 +196,8 @@ def climb_split(
         if training["grade"].nunique() == test["grade"].nunique() == 2:
             for name, value in _scores(training, validation, test, rungs, settings, seed, (first, grade)):
                 rows.append({**label, "rung": name, "auc": value})
-    return rows
+    seconds = process_time() - began
+    return [row | {"seconds": seconds} for row in rows]
 
 
 def thinned(split: Split, known: pd.DataFrame, job: Job, seed: int) -> list[list[Any]]:

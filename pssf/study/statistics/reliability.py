@@ -14,7 +14,8 @@ from .icc_by_subject import icc_intervals_by_weights, knee_weights
 ICC_FORMS = ("ICC(2,1)", "ICC(3,1)")
 THRESHOLD = 0.90  # "excellent" in Koo & Li 2016, and what the paper counts
 _BANDS = ((0.90, "excellent"), (0.75, "good"), (0.50, "moderate"))
-_COLUMNS = ["feature", "across", "knees", *(f"{form}{end}" for form in ICC_FORMS for end in ("", " low", " high"))]
+_COLUMNS = ["feature", "across", "knees", "subjects"]
+_COLUMNS += [f"{form}{end}" for form in ICC_FORMS for end in ("", " low", " high")]
 _COLUMNS += ["class", "share_knee", "share_condition", "share_residual"]
 _UNKNOWN = ((float("nan"),) * 2,) * 2
 REPEATS = {"noise": "repeated noise", "perturbation": "small perturbations"}
@@ -97,8 +98,8 @@ def reliability(
     protocols drawn from a population, of which two or three say next to nothing.
 
     table    one row a radiograph: knee, subject, protocol, features; knees that lack a protocol are left out
-    returns  a row a feature and set: feature, across, knees, each form with its interval, class (of Koo & Li 2016, by
-             the lower bound of ICC(2,1)), share_knee, share_condition, share_residual
+    returns  a row a feature and set: feature, across, knees, their subjects, each form with its interval, class (of
+             Koo & Li 2016, by the lower bound of ICC(2,1)), share_knee, share_condition, share_residual
     """
     protocols = protocols_of(table, reference)
     sets = [protocols] if len(protocols) == 2 else [protocols, *([a, b] for a, b in combinations(protocols, 2))]
@@ -107,8 +108,7 @@ def reliability(
         if len(chosen) >= 2 and reference in chosen:
             label = "all protocols" if chosen == protocols else f"{chosen[0]} and {chosen[1]}"
             values, subjects = grid(table, names, "protocol", chosen)
-            weights = knee_weights(subjects, replicates=replicates, seed=seed)
-            rows += _rows(values, names, label, weights)
+            rows += _rows(values, names, label, subjects, replicates=replicates, seed=seed)
     return pd.DataFrame(rows, columns=_COLUMNS)
 
 
@@ -134,7 +134,7 @@ def repeatability(
         turns = ["first", *sorted(set(part["turn"].astype(str)))]
         if len(turns) > 1 and len(first):
             values, subjects = grid(both, names, "turn", turns)
-            rows += _rows(values, names, label, knee_weights(subjects, replicates=replicates, seed=seed))
+            rows += _rows(values, names, label, subjects, replicates=replicates, seed=seed)
     return pd.DataFrame(rows, columns=_COLUMNS)
 
 
@@ -162,8 +162,10 @@ def protocols_of(table: pd.DataFrame, reference: str) -> list[str]:
     return sorted(table["protocol"].unique(), key=lambda name: name != reference)
 
 
-def _rows(values: Array, names: list[str], label: str, weights: Array) -> list[dict[str, object]]:
-    rows = []
+def _rows(
+    values: Array, names: list[str], label: str, subjects: NDArray[np.int64], *, replicates: int, seed: int
+) -> list[dict[str, object]]:
+    weights, rows = knee_weights(subjects, replicates=replicates, seed=seed), []
     for index, name in enumerate(names):
         whole = np.isfinite(values[:, :, index]).all(axis=1)
         one = values[whole, :, index]
@@ -171,6 +173,7 @@ def _rows(values: Array, names: list[str], label: str, weights: Array) -> list[d
         if np.isfinite(forms[0]):
             bounds = icc_intervals_by_weights(one, weights[:, whole])
         row: dict[str, object] = {"feature": name, "across": label, "knees": len(one)}
+        row["subjects"] = len(set(subjects[whole].tolist()))
         for form, value, (low, high) in zip(ICC_FORMS, forms, bounds, strict=True):
             row |= {form: value, f"{form} low": low, f"{form} high": high}
         row["class"] = _band(bounds[0][0])
