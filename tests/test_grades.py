@@ -67,6 +67,22 @@ def test_parameters_overlap_and_go_with_one_another(people):
     assert np.corrcoef(medial, lateral)[0, 1] == pytest.approx(0.58, abs=4 * 0.66 / np.sqrt(COUNT))
 
 
+def test_osteophytes_come_medially_before_laterally_and_on_the_tibia_before_the_femur(people):
+    for grade in (2, 3, 4):
+        sites = [{one.site for one in definite(knee)} for knee in people[grade]]
+        share = {margin: np.mean([margin in of_one for of_one in sites]) for margin in MARGINS}
+        for bone in ("tibia", "femur"):
+            assert share[f"medial_{bone}"] > share[f"lateral_{bone}"]
+        # Two standard errors of the difference of shares.
+        for side in ("medial", "lateral"):
+            assert share[f"{side}_tibia"] > share[f"{side}_femur"] - 2 * np.sqrt(0.5 / COUNT)
+
+
+def test_lips_curve_to_either_way(people):
+    curves = np.array([one.curve_deg for knee in people[4] for one in definite(knee)])
+    assert 0.1 < np.mean(curves < 0) < 0.9
+
+
 def test_no_single_parameter_but_osteophytes_gives_doubtful_or_mild_away(people):
     numbers = [name for name, value in vars(people[0][0]).items() if isinstance(value, float)]
     assert {"subchondral_plate", "notch_growth_mm", "varus_deg", "subluxation_mm", "bmi"} <= set(numbers)

@@ -127,14 +127,14 @@ def _nodes(lanes: Array, region: Region, struts: Struts) -> None:
         depth = max(below, 0.0)
         mean *= _left_in_rim(x, below, region)
         hard = region.hard_medial * (0.5 + 0.5 * medial) + region.hard_lateral * (0.5 - 0.5 * medial)
-        bearing = 1.0 - region.between * _bell((x - region.between_mm) * region.between_per_mm)
-        rise = bearing * region.plate * (1.0 + region.plate_medial * medial)
+        rise = region.plate * (1.0 + region.plate_medial * medial)
+        rise *= 1.0 - region.between * _bell((x - region.between_mm) * region.between_per_mm)
         plate = rise * _step(depth * region.plate_per_mm)
         swing = mean * (region.gain_shaft + (region.gain - region.gain_shaft) * fade)
         swing *= (1.0 + region.plate_struts * plate * fade) * (
             1.0 + region.struts * _bell(depth * region.struts_per_mm)
         )
-        mean *= 1.0 + (plate + bearing * hard * _bell(depth * region.hard_per_mm)) * fade
+        mean *= 1.0 + (plate + hard * _bell(depth * region.hard_per_mm)) * fade
         swing = min(swing, mean)
         across = (u * region.scale + _aside(u, true_z, region)) / region.squat
         up = true_z * region.squat

@@ -66,6 +66,7 @@ class Margins(Record, frozen=True):
     """Latent OARSI grades of osteophytes, by KL grade and site, and the sizes that each stands for, mm.
 
     spine, spine_other  share of knees whose spine of the narrowed side is spiked, by KL grade; the other's over that
+    curve_deg           site -> mean and deviation of how far its lips curve towards the joint
     """
 
     level: Numbers
@@ -79,7 +80,7 @@ class Margins(Record, frozen=True):
     spine_other: float
     spine_mm: Pair
     around: Around
-    curve_deg: dict[str, float]
+    curve_deg: dict[str, Pair]
 
 
 class Rest(Record, frozen=True):

@@ -84,9 +84,13 @@ def _osteophytes(
     placed = [(site, mm, 0.0) for site, mm in sites.items()]
     placed += [one for site, mm in sites.items() if site in oarsi for one in _around(law.around, site, mm, rng)]
     return tuple(
-        Osteophyte(site=site, size_mm=round(mm, 4), place=place, curve_deg=law.curve_deg.get(site, 0.0))
+        Osteophyte(site=site, size_mm=round(mm, 4), place=place, curve_deg=_curve_deg(law, site, rng))
         for site, mm, place in placed
     )
+
+
+def _curve_deg(law: Margins, site: str, rng: np.random.Generator) -> float:
+    return round(_law(law.curve_deg[site], rng), 3) if site in law.curve_deg else 0.0
 
 
 def _around(law: Around, site: str, size_mm: float, rng: np.random.Generator) -> list[tuple[str, float, float]]:
