@@ -138,11 +138,12 @@ def test_a_thicker_subchondral_plate_takes_its_volume_from_trabecular_bone():
     assert_allclose(sclerotic.outer.volume(), normal.outer.volume(), rtol=1e-12)
 
 
-def test_sclerosis_is_of_the_medial_side_and_a_share_of_it_of_the_lateral():
-    knee = pssf.Knee(subchondral_plate=1.5)
+@pytest.mark.parametrize(("spaces", "way"), [((5.0, 5.0), 1), ((4.5, 4.0), 1), ((2.0, 5.0), 1), ((5.0, 2.0), -1)])
+def test_sclerosis_is_of_the_side_that_narrows_and_a_share_of_it_of_the_other(spaces, way):
+    knee = pssf.Knee(jsw_medial_mm=spaces[0], jsw_lateral_mm=spaces[1], subchondral_plate=1.5)
     plates, healthy = build_of(knee, TABLES).plates, build_of(pssf.Knee(), TABLES).plates
-    far = plates.at(np.array([[400.0, 0.0, 0.0], [-400.0, 0.0, 0.0], [0.0, 0.0, 0.0]])) / healthy.medial
-    share = TABLES.spongy.sclerosis.lateral_share
+    far = plates.at(np.array([[way * 400.0, 0.0, 0.0], [way * -400.0, 0.0, 0.0], [0.0, 0.0, 0.0]])) / healthy.medial
+    share = TABLES.spongy.sclerosis.other_side
     assert 0 < share < 1
     assert_allclose(far, [1.5, 1 + 0.5 * share, 1 + 0.25 * (1 + share)], atol=1e-3)
     assert healthy.medial == healthy.lateral

@@ -15,7 +15,7 @@ def test_a_healthy_knee_has_no_grade_above_0():
     assert len(oarsi(pssf.Knee(), {})) == 4 + 2 + 4 + 4
 
 
-@pytest.mark.parametrize(("size_mm", "grade"), [(0.5, 0), (0.8, 1), (2.1, 1), (2.2, 2), (5.0, 3)])
+@pytest.mark.parametrize(("size_mm", "grade"), [(0.5, 0), (0.8, 1), (1.9, 1), (2.0, 2), (5.0, 3)])
 def test_an_osteophyte_is_graded_at_its_own_margin(size_mm, grade):
     readings = oarsi(pssf.Knee(osteophytes=(pssf.Osteophyte(site="lateral_tibia", size_mm=size_mm),)), {})
     assert readings.pop("XROSTL") == grade
@@ -34,6 +34,12 @@ def test_sclerosis_is_read_medially_before_laterally():
     assert readings["XRSCTM"] == 3
     assert readings["XRSCTM"] > readings["XRSCTL"]
     assert readings["XRKL"] == 2
+
+
+def test_sclerosis_is_read_laterally_where_that_side_narrows():
+    readings = oarsi(pssf.Knee(subchondral_plate=2.2, jsw_medial_mm=5.0, jsw_lateral_mm=1.0), {})
+    assert readings["XRSCTL"] == 3
+    assert readings["XRSCTM"] < 3
 
 
 @pytest.mark.parametrize(("depth_mm", "grade"), [(0.0, 0), (0.24, 0), (0.3, 1), (1.0, 2), (3.9, 3)])

@@ -2,10 +2,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+from manifold3d import Manifold
 from numpy.testing import assert_allclose
 
 import pssf
 from pssf import anatomy, raycast
+from pssf.anatomy.truth import _by_site
 from pssf.geometry.view import magnification, view_of
 
 REFERENCE = pssf.load_protocol("reference")
@@ -62,6 +64,14 @@ def test_the_mask_of_an_osteophyte_reaches_beyond_the_edge_by_its_size(grown):
         assert 10 < mask.sum() < 1000
         assert (bone[mask]).all()
     assert not (masks["medial_tibia_osteophyte"] & masks["lateral_spine_osteophyte"]).any()
+
+
+def test_what_grew_together_of_two_sites_is_parted_between_their_tips_and_of_one_site_is_not():
+    box, far = Manifold.cube((10.0, 2.0, 2.0)), Manifold.cube((3.0, 2.0, 2.0)).translate((30.0, 0.0, 0.0))
+    tips = np.array([[1.0, 1.0, 1.0], [4.0, 1.0, 1.0], [8.0, 1.0, 1.0], [40.0, 1.0, 1.0]])
+    sites = ["medial_spine", "medial_spine", "lateral_spine", "medial_tibia"]
+    volumes = {site: part.volume() for site, part in _by_site(box + far, sites, tips).items()}
+    assert volumes == pytest.approx({"medial_spine": 4 * 6.0, "lateral_spine": 4 * 4.0, "medial_tibia": 12.0})
 
 
 def test_masks_of_a_left_knee_mirror_those_of_a_right_one(grown):

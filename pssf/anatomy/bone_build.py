@@ -156,10 +156,12 @@ def build_of(knee: Knee, tables: AnatomyTables) -> Build:
 
 
 def _plates(knee: Knee, scale: float, spongy: TrabecularBone) -> Plates:
-    """Sclerosis is of the side that bears the load; the other has the share of it that its spongy bone has."""
+    """Sclerosis is of the side that bears the load; the other has a share of it."""
     healthy = knee.cortex_scale / scale
-    lateral = 1 + spongy.sclerosis.lateral_share * (knee.subchondral_plate - 1)
-    return Plates(healthy * knee.subchondral_plate, healthy * lateral, spongy.side.middle_mm)
+    excess, share = knee.subchondral_plate - 1, spongy.sclerosis.other_side
+    thick, other = healthy * (1 + excess), healthy * (1 + share * excess)
+    medial, lateral = (thick, other) if knee.sclerotic_side == "medial" else (other, thick)
+    return Plates(medial, lateral, spongy.side.middle_mm)
 
 
 def _form(lattice: Lattice, end: int, shape: FemurShape | TibiaShape, scale: float, seed: int) -> Form:

@@ -222,7 +222,7 @@ def _bones(knee: Knee, assembly: KneeAssembly) -> dict[str, _Placed]:
         fabella, in_femur = small_bones.fabella(knee, build, femur.outer)
         parts["fabella"] = (fabella, _after(in_femur, pose.femur()), still)
     placed = {name: _Placed(_placed(part, at), _after(inner, at)) for name, (part, at, inner) in parts.items()}
-    plate_mm = build.shape.tibia.plate_mm * build.plates.medial * build.scale
+    plate_mm = build.shape.tibia.plate_mm * max(build.plates.medial, build.plates.lateral) * build.scale
     whole = placed["tibia"].solids
     tibia = worn(whole, placed["femur"].solids.outer, plate_mm)
     placed |= {"tibia": replace(placed["tibia"], solids=tibia, worn=tibia is not whole)}
@@ -246,6 +246,7 @@ def _texture(knee: Knee, bone: str, table: TrabecularBone, assembly: KneeAssembl
         age_years=knee.age_years,
         sex=knee.sex,
         density=knee.bone_density,
+        sclerotic_side=knee.sclerotic_side,
     )
 
 

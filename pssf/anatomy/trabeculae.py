@@ -79,20 +79,23 @@ def trabeculae(
     age_years: float,
     sex: str,
     density: float,
+    sclerotic_side: str = "medial",
 ) -> Trabeculae:
     """The trabecular density of one bone of a knee.
 
-    table      how much spongy bone there is where, and its lattice
-    seed       of the knee's texture; its bones take different parts of one lattice
-    scale      size of the bone over the mean man's; struts keep their own size
-    frame      (3, 4)  rigid transform from the bone's frame to that of a right knee, mm
-    mirror     (x, y, z) factors of 1 or -1 by which that knee is mirrored, as a left one is in x
-    sclerosis  thickness of the subchondral plate over a healthy one's (`Knee.subchondral_plate`)
-    density    of a person over others of that age and sex (`Knee.bone_density`)
-    raises     InputError for an unknown bone, mirror or sex, a value out of range, a frame that is not rigid
+    table           how much spongy bone there is where, and its lattice
+    seed            of the knee's texture; its bones take different parts of one lattice
+    scale           size of the bone over the mean man's; struts keep their own size
+    frame           (3, 4)  rigid transform from the bone's frame to that of a right knee, mm
+    mirror          (x, y, z) factors of 1 or -1 by which that knee is mirrored, as a left one is in x
+    sclerosis       thickness of the subchondral plate over a healthy one's (`Knee.subchondral_plate`)
+    density         of a person over others of that age and sex (`Knee.bone_density`)
+    sclerotic_side  medial or lateral: which has more of the sclerosis (`Knee.sclerotic_side`)
+    raises          InputError for an unknown bone, mirror, sex or side, a value out of range, a frame that is not rigid
     """
     require_choice("bone", bone, BONES)
     require_choice("sex", sex, ("male", "female"))
+    require_choice("sclerotic_side", sclerotic_side, ("medial", "lateral"))
     require_seed(seed)
     require("scale", scale, 0.5, 2.0, "(relative)")
     require("sclerosis", sclerosis, 0.5, 2.5, "(relative)")
@@ -100,10 +103,9 @@ def trabeculae(
     require("density", density, 0.4, 1.8, "(relative)")
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1 + BONES.index(bone),)))
     x, z, y = (rng.random(3) * table.lattice.voxels).tolist()
+    aged = _aged(table.ageing, age_years, sex, density)
     return Trabeculae(
-        region=_region(
-            bone, table, rng.random(6).tolist(), scale, sclerosis, _aged(table.ageing, age_years, sex, density)
-        ),
+        region=_region(bone, table, rng.random(6).tolist(), scale, (sclerosis, sclerotic_side), aged),
         seed=int(seed),
         table=_grained(table, int(seed), sclerosis, age_years, sex),
         shift=(x, z, y),
@@ -121,23 +123,21 @@ def _region(
     table: TrabecularBone,
     chance: list[float],
     scale: float,
-    sclerosis: float,
+    sclerotic: tuple[float, str],
     aged: tuple[float, float],
 ) -> Region:
     """The smooth part of a bone.
 
-    chance  uniform numbers: height of the scar, how strong it is, where across, where front to back, its ripple; sway
-    aged    BV/TV and contrast of the struts over those of the table
+    chance     uniform numbers: of the scar height, strength, place across, place front to back, ripple; sway
+    sclerotic  thickness of the plate over a healthy one's, and the side that has more of what that adds
+    aged       BV/TV and contrast of the struts over those of the table
     """
-    part, hard, scar, tissue = (
-        getattr(table, _AS.get(bone, bone)),
-        table.sclerosis,
-        table.scar,
-        table.tissue,
-    )
+    sclerosis, side = sclerotic
+    part, hard, scar, tissue = getattr(table, _AS.get(bone, bone)), table.sclerosis, table.scar, table.tissue
     excess = part.sclerosis * hard.per_plate * (sclerosis - 1)
     # A plate thinner than a healthy one takes no more than its own rise.
-    added = [max(-part.plate, (1 + part.plate) * excess * share) for share in (1.0, hard.lateral_share)]
+    shares = (1.0, hard.other_side_deep) if side == "medial" else (hard.other_side_deep, 1.0)
+    added = [max(-part.plate, (1 + part.plate) * excess * share) for share in shares]
     left, contrast = aged
     contrast /= 1 + hard.fills_per_plate * (sclerosis - 1)
     same = {name: value for name in Region._fields if isinstance(value := getattr(part, name, None), float)}

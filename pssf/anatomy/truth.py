@@ -81,12 +81,28 @@ def _moved(solid: Manifold, move: Callable[[Array], Array]) -> Manifold:
 
 
 def _by_site(added: Manifold, sites: list[str], tips: Array) -> dict[str, Manifold]:
-    """Site -> of what osteophytes with tips (n, 3) add to a bone, what is nearest to those there."""
+    """Site -> of what osteophytes with tips (n, 3) add to a bone, what is nearest to those there.
+
+    What has grown together of several sites, as both spines may, is parted half way between their tips.
+    """
     pieces: dict[str, list[Manifold]] = {site: [] for site in sites}
     for piece in added.decompose():
-        middle = np.array(piece.bounding_box()).reshape(2, 3).mean(axis=0)
-        pieces[sites[int(np.linalg.norm(tips - middle, axis=1).argmin())]].append(piece)
+        low, high = np.array(piece.bounding_box()).reshape(2, 3)
+        owners = np.flatnonzero(((tips >= low) & (tips <= high)).all(axis=1)).tolist()
+        if len({sites[owner] for owner in owners}) < 2:
+            owners = [int(np.linalg.norm(tips - (low + high) / 2, axis=1).argmin())]
+        for owner in owners:
+            others = [other for other in owners if sites[other] != sites[owner]]
+            pieces[sites[owner]].append(_nearer(piece, tips[owner], tips[others]))
     return {site: Manifold.batch_boolean(parts, OpType.Add) for site, parts in pieces.items()}
+
+
+def _nearer(piece: Manifold, tip: Array, others: Array) -> Manifold:
+    """Of a piece, what is nearer to a tip (3,) than to others (n, 3)."""
+    for other in others:
+        way = (tip - other) / np.linalg.norm(tip - other)
+        piece = piece.trim_by_plane(way, way @ (tip + other) / 2)
+    return piece
 
 
 def _gaps(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> tuple[Gap, Gap]:

@@ -60,11 +60,12 @@ class Grain(Record, frozen=True):
 
 
 class Sclerosis(Record, frozen=True):
-    """Rise of BV/TV with the subchondral plate."""
+    """Rise of BV/TV with the subchondral plate; what share of either is of the side that is less sclerotic."""
 
     per_plate: float
     deep_mm: float
-    lateral_share: float
+    other_side: float
+    other_side_deep: float
     fills_per_plate: float
 
 

@@ -16,6 +16,8 @@ MOST_SD = 3.0
 APART = 0.5
 # No more cysts than that: people with more are rare, and an epiphysis has room for them.
 MOST_CYSTS = 6
+# Spaces of healthy people differ by as much (deviation of a compartment 0.7 to 1 mm).
+_CLEARLY_MM = 1.0
 SITES = ("medial_femur", "lateral_femur", "medial_tibia", "lateral_tibia", "medial_spine", "lateral_spine")
 
 
@@ -72,7 +74,7 @@ class Knee:
                        `reference`; "read": as readers take it, from the femur's contour to the line through the
                        tibia's contour landmarks, in `fixed_flexion`
     cysts              at most MOST_CYSTS
-    subchondral_plate  thickness of the plate relative to a healthy one
+    subchondral_plate  thickness of the plate relative to a healthy one, of the `sclerotic_side`
     varus_deg          angle between femoral and tibial shaft beyond the normal valgus of 5 deg; positive is varus
     notch_growth_mm    of bone into the notch: on its walls and roof, and over the eminence
     subluxation_mm     of the tibia to lateral, as the femur stands on it; joint spaces stay what they are
@@ -147,6 +149,11 @@ class Knee:
             _require_apart(name, given)
         require_whole("number of cysts", len(self.cysts), 0, MOST_CYSTS, "")
         object.__setattr__(self, "shape", require_scores(self.shape, shape_table().modes))
+
+    @property
+    def sclerotic_side(self) -> str:
+        """The side whose plate is thicker: lateral where that space is clearly the narrower one, else medial."""
+        return "lateral" if self.jsw_medial_mm - self.jsw_lateral_mm > _CLEARLY_MM else "medial"
 
 
 # What a knee may have several of.

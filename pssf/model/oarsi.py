@@ -30,7 +30,8 @@ def oarsi(knee: Knee, attrition_mm: Mapping[str, float], cuts: OarsiCuts, spongy
         grades[f"XRJS{of_side}"] = _grade(1 - getattr(knee, f"jsw_{side}_mm") / healthy, cuts.narrowing)
     for bone, letter in _BONES.items():
         for side, of_side in _SIDES.items():
-            share = getattr(spongy, bone).sclerosis * (1.0 if side == "medial" else spongy.sclerosis.lateral_share)
+            share = getattr(spongy, bone).sclerosis
+            share *= 1.0 if side == knee.sclerotic_side else spongy.sclerosis.other_side
             grades[f"XRSC{letter}{of_side}"] = _grade(1 + share * (knee.subchondral_plate - 1), cuts.plate)
     for bone, letter in _BONES.items():
         for side, of_side in _SIDES.items():
