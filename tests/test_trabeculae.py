@@ -269,13 +269,14 @@ def test_bone_is_denser_at_the_plate_and_medially_and_fades_down_the_shaft():
     assert calm < 0.2 * wavy
 
 
-def test_sclerosis_makes_the_plate_denser_medially_more_than_laterally_and_leaves_the_rest():
+def test_sclerosis_makes_bone_under_the_plate_denser_medially_most_and_leaves_the_shaft():
     # Its struts are coarser as well, so that single ones are not the same.
     x, healthy, hard = np.linspace(-4, 4, 30), *(region(bone(sclerosis=of), **NO_STRUTS) for of in (1.0, 1.78))
-    rise = {(at, z): bvtv(hard, x + at, z) / bvtv(healthy, x + at, z) for at in (23.0, -23.0) for z in (-5.5, -40.0)}
+    rise = {(at, z): bvtv(hard, x + at, z) / bvtv(healthy, x + at, z) for at in (23.0, -23.0) for z in (-5.5, -80.0)}
     assert 1.25 < rise[23.0, -5.5] < 1.47  # Rapagna 2021: 1.47 right under the plate
-    assert 1.02 < rise[-23.0, -5.5] < 0.5 + 0.5 * rise[23.0, -5.5]
-    assert all(1.0 <= rise[at, -40.0] < 1.02 for at in (23.0, -23.0))
+    # On films of KL 3 and 4 the tibia is brighter all across (trabeculae.toml).
+    assert 1.1 < rise[-23.0, -5.5] < rise[23.0, -5.5]
+    assert all(1.0 <= rise[at, -80.0] < 1.02 for at in (23.0, -23.0))
     # It goes deeper than the plate's own rise does.
     below = {
         name: bvtv(bone_of, x + 23.0, -12.0) / bvtv(bone_of, x + 23.0, -5.5)
