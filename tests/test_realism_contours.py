@@ -1,4 +1,5 @@
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
@@ -205,3 +206,26 @@ def test_the_gap_alone_tells_grades_apart_as_it_does_people_and_nothing_is_said_
     assert rows[2]["auc"] < rows[4]["auc"] > 0.9
     assert all(row["low"] < row["auc"] <= row["high"] and row["knees"] == 1200 for row in rows.values())
     assert contours.compare(together(2, 4), REFERENCE).gap_alone == []
+
+
+@pytest.mark.slow  # 300 knees are posed: two minutes on two cores
+def test_joint_gaps_of_drawn_knees_are_peoples_grade_by_grade():
+    count, drawn = 60, draw_knees(draw_laws("people"), 300, 0, side="right", jsw_as="read")
+    protocol = pssf.load_protocol("fixed_flexion")
+    takings = contours.takings_of(drawn, partial(pssf.draw_exposure, protocol, side="right"), 0)
+    sample = contours.drawn_landmarks(takings, anatomy_tables(), defining_protocol(drawn[0]), 2)
+    compared = contours.compare(sample, REFERENCE)
+    gaps = [row for row in compared.sizes if "gap" in row["quantity"]]
+    assert len(gaps) == 5 * 6
+    # Beyond 0.25 mm, 25 % and people's intervals by two standard errors of so many knees beside 150 films a grade.
+    off_mm = {
+        (row["grade"], row["quantity"]): abs(row["mean"] - row["reference"])
+        - 2 * row["reference_sd"] * np.sqrt(1 / count + 1 / 150)
+        for row in gaps
+    }
+    assert max(off_mm.values()) < 0.25, max(off_mm, key=off_mm.get)
+    spread = {(row["grade"], row["quantity"]): abs(np.log(row["spread_ratio"])) for row in gaps}
+    assert max(spread.values()) < np.log(1.25) + 2 * np.sqrt(1 / (2 * count) + 1 / 300), max(spread, key=spread.get)
+    for row in compared.gap_alone:
+        chance = 2 * np.sqrt(1 / (6 * count))
+        assert row["people_low"] - chance < row["auc"] < row["people_high"] + chance
