@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from ..data.grades import Cysts, SeverityGrades
+from ..data.grades import Cysts, Laws, SeverityGrades
+from ..data.records import Pair
 from .knee import Cyst
 
 # Apart in the measure of their places, as `Knee` wants those of one site, with chance left for each.
@@ -23,17 +24,19 @@ def advanced_fields(
     """
     of_cysts, of_subluxation, of_notch = rng.spawn(3)
     cysts = () if table.cysts is None else _cysts(table.cysts, grade, narrowed, of_cysts)
-    law, slipped = table.subluxation, 0.0
-    if law is not None and narrowed == "medial":
-        mean, sd = law.lateral_mm[grade]
-        score = in_part(severity, table.side.shape_with, of_subluxation.standard_normal())
-        slipped = float(np.clip(mean + sd * score, *law.bounds_mm))
-    grown = 0.0
-    if table.notch is not None:
-        mean, sd = table.notch.growth_mm[grade]
-        score = in_part(severity, table.side.shape_with, of_notch.standard_normal())
-        grown = float(np.clip(mean + sd * score, *table.notch.bounds_mm))
-    return {"cysts": cysts, "subluxation_mm": round(slipped, 4), "notch_growth_mm": round(grown, 4)}
+    slip, notch = table.subluxation, table.notch
+
+    def millimetres(laws: Laws, bounds: Pair, chance: np.random.Generator) -> float:
+        mean, sd = laws[grade]
+        score = in_part(severity, table.side.shape_with, chance.standard_normal())
+        return round(float(np.clip(mean + sd * score, *bounds)), 4)
+
+    slipped = grown = 0.0
+    if slip is not None and narrowed == "medial":
+        slipped = millimetres(slip.lateral_mm, slip.bounds_mm, of_subluxation)
+    if notch is not None:
+        grown = millimetres(notch.growth_mm, notch.bounds_mm, of_notch)
+    return {"cysts": cysts, "subluxation_mm": slipped, "notch_growth_mm": grown}
 
 
 def in_part(severity: float, correlation: float, chance: float) -> float:

@@ -6,6 +6,7 @@ y = 0, in shares of the plateau's width. Only gaps and width are in millimetres 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -100,20 +101,21 @@ def drawn_landmarks(
     kept           where those of an earlier run are taken from, and these put; None: all are made
     """
     shared = {"tables": tables, "defined_under": defined_under}
+    measure = partial(ordered_map, _landmarks_of, shared=shared, workers=workers)
     if kept is None:
-        places = ordered_map(_landmarks_of, takings, shared=shared, workers=workers)
+        places = measure(takings)
     else:
 
         def make(missing: list[int], arrived: Arrived) -> None:
-            def made(nth: int, places_mm: Array) -> None:
-                arrived(nth, dict(zip(_COLUMNS, places_mm.ravel().tolist(), strict=True)))
-
-            some = [takings[number] for number in missing]
-            ordered_map(_landmarks_of, some, shared=shared, workers=workers, arrived=made)
+            measure([takings[number] for number in missing], arrived=lambda nth, of: arrived(nth, _row_of(of)))
 
         rows = kept.completed([encoded(*taking, defined_under) for taking in takings], make)
         places = [np.array([row[name] for name in _COLUMNS]).reshape(-1, 2) for row in rows]
     return LandmarkSample(places_mm=np.array(places), grades=np.array([knee.grade for knee, _ in takings]))
+
+
+def _row_of(places_mm: Array) -> Row:
+    return dict(zip(_COLUMNS, places_mm.ravel().tolist(), strict=True))
 
 
 def _landmarks_of(taking: tuple[Knee, Protocol], tables: AnatomyTables, defined_under: Protocol) -> Array:

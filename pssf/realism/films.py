@@ -1,7 +1,6 @@
 """Films measured one by one: found, brought to the standard form, outlined, their features told."""
 
 import hashlib
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,6 +23,7 @@ from ..radiomics.table import SAVE_SECONDS
 from .domains import Films
 from .form import PITCH_MM, PLATEAU_MM, Place, field_of, joint_pixel, made_smaller, stretched
 from .grey_features import grey_groups
+from .kept import key_of
 from .outline import trace_outline
 from .shape_features import plateau_edges, shape_groups
 from .tone import fine_texture, tone
@@ -77,7 +77,7 @@ def measure_films(
     save   is given all records so far now and then, so that a run that breaks off can go on from there, and at the end
     """
     code = code_digest(CODE)
-    key = _key(templates, code)
+    key = key_of(code, *(np.ascontiguousarray(template.pixels).tobytes() for template in templates))
     records: list[Record | None] = []
     for film in source.films:
         record = known.get(film.sha256)
@@ -219,10 +219,3 @@ def _shown_key(key: str, film: Film) -> str:
 def _said(film: Film, source: str) -> Record:
     grade = -1 if film.grade is None else film.grade
     return {"source": source, "file": film.file, "subject": film.subject, "grade": grade}
-
-
-def _key(templates: Sequence[Template], code: Mapping[str, str]) -> str:
-    digest = hashlib.sha256(json.dumps(dict(code)).encode())
-    for template in templates:
-        digest.update(np.ascontiguousarray(template.pixels).tobytes())
-    return digest.hexdigest()[:16]
