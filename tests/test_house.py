@@ -47,6 +47,7 @@ DOORS = {
     "explore/listing.py": "listing",
     # Beginnings: of a cohort, of what reads films, of a measurement; tables that are derived anew.
     "accuracy/scatter_fit.py": "fitted_kernel",
+    "accuracy/side_pattern.py": "main",
     "benchmark/make.py": "make_benchmark",
     "cohort/plan.py": "plan_cohort preset_names",
     "quality/exposure.py": "exposure_quantities",

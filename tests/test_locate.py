@@ -18,8 +18,10 @@ from pssf.radiomics.aspect import locate_film, with_square_pixels
 from pssf.radiomics.candidates import Candidates, Pair
 from pssf.radiomics.edges import Pyramid, edge_field
 from pssf.radiomics.locate import _chance, _side_of, _status, find_joint, locate
+from pssf.radiomics.locate import searched as searched_film
 from pssf.radiomics.patches import Template, density_of, poses
 from pssf.radiomics.search import Match, matches
+from pssf.radiomics.sides import side_evidence
 
 TABLE = localisation()
 
@@ -250,23 +252,37 @@ def test_a_place_that_matches_far_worse_as_a_whole_is_not_looked_at():
 
 def test_a_side_is_wrong_only_where_it_was_told():
     joint = joint_of(phantom(150, 165))
-    mirrored = replace(joint, side_margin=-(1.0 - joint.score))
-    assert mirrored.side_evidence < -localisation().thresholds.side
+    mirrored = replace(joint, side_evidence=-1.0)
     assert _status(mirrored, SHAPE, None, localisation()) == "found"
     assert _status(mirrored, SHAPE, None, localisation(), "right") == "wrong side"
 
 
-def test_of_two_sides_at_one_joint_the_better_whole_is_taken_and_of_two_places_the_better_by_both():
+def test_of_two_sides_at_one_joint_the_edges_tell_and_of_two_places_the_better_by_both():
     def pair(wide, narrow, **at):
         return Pair(wide=wide_match(wide, **at), narrow=wide_match(narrow, **at))
 
     here, beyond = {"row": 150, "col": 165}, {"row": 90, "col": 165}
     right, left = pair(0.62, 0.40, **here), pair(0.60, 0.50, **here, side="left")
-    assert _side_of({"right": right, "left": left}, localisation()) == "right"
+    assert _side_of({"right": right, "left": left}, 0.1, localisation()) == "right"
+    assert _side_of({"right": right, "left": left}, -0.1, localisation()) == "left"
     elsewhere = pair(0.60, 0.50, **beyond, side="left")
-    assert _side_of({"right": right, "left": elsewhere}, localisation()) == "left"
+    assert _side_of({"right": right, "left": elsewhere}, 0.1, localisation()) == "left"
     of_another_size = pair(0.60, 0.50, **here, side="left", unit_mm=2 * PIXEL_MM)
-    assert _side_of({"right": right, "left": of_another_size}, localisation()) == "left"
+    assert _side_of({"right": right, "left": of_another_size}, 0.1, localisation()) == "left"
+
+
+@pytest.mark.parametrize("turned", [np.array, np.negative, np.flipud])
+def test_a_film_in_the_mirror_has_the_opposite_evidence_for_its_side(simulated, turned):
+    whole, _, templates = simulated
+    film = turned(density_of(whole.pixels))
+
+    def evidence(of):
+        search, of_sides = searched_film(of, templates, TABLE, 1.2)
+        return side_evidence(search.image, of_sides, TABLE)
+
+    of_film, of_mirror = evidence(film), evidence(film[:, ::-1])
+    assert of_film > 0.5
+    assert of_mirror == pytest.approx(-of_film, abs=0.05)
 
 
 def test_matches_of_another_side_or_way_are_no_candidates():

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from ..radiomics.patches import Template
 
 # Drawn knees under the study's protocols; every fourth from all over the ranges of an adult, under any protocol.
-_STUDY = ("reference", "low_dose", "geometry_shift")
-_OTHERS = ("long_distance", "caudal_beam", "scatter_grid", "high_kv", "gos_screen", "large_focus")
+STUDY = ("reference", "low_dose", "geometry_shift")
+OTHERS = ("long_distance", "caudal_beam", "scatter_grid", "high_kv", "gos_screen", "large_focus")
 _SIDE_PX, _REGION_PX = 512, 128
 _SOFT = ("skin", "adipose", "muscle")
 # Case -> the reason that it should be refused for, and the pitch that is said over the true one.
@@ -113,8 +113,8 @@ def _of_knee(number: int, *, templates: "tuple[Template, ...]", modes: int, tabl
     rng = np.random.default_rng(np.random.SeedSequence(number, spawn_key=(2,)))
     kind = "adult" if number % 4 == 3 else "study"
     knee = wide_knee(rng, modes) if kind == "adult" else draw_knee(grade=number % 3, rng=rng)
-    names = _OTHERS if kind == "adult" else _STUDY
-    protocol = _protocol(names[(number // 4 + number) % len(names)])
+    names = OTHERS if kind == "adult" else STUDY
+    protocol = on_fewer_pixels(load_protocol(names[(number // 4 + number) % len(names)]))
     try:
         built = build(knee)
     except InputError:
@@ -153,8 +153,7 @@ def _find(
     return find_joint(pixels, templates, table, side=side, pixel_mm=pixel_mm, region_px=_REGION_PX)
 
 
-def _protocol(name: str) -> Protocol:
-    """The same field on fewer pixels."""
-    protocol = load_protocol(name)
+def on_fewer_pixels(protocol: Protocol) -> Protocol:
+    """The same field, of as many pixels a side as localisation needs."""
     pixel_mm = protocol.pixel_mm * protocol.cols / _SIDE_PX
     return dataclasses.replace(protocol, rows=_SIDE_PX, cols=_SIDE_PX, pixel_mm=pixel_mm)

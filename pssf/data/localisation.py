@@ -1,8 +1,10 @@
-"""Localisation: how the joint is looked for and when it is refused, as `data/localisation.toml` has it."""
+"""Localisation: how the joint is looked for and when it is refused, as `data/localisation.toml` has it, and by what its
+side is told, as `data/side_pattern.toml` has it.
+"""
 
 from functools import cache
 
-from .records import Numbers, Pair, Record, record
+from .records import Numbers, Pair, Record, Rows, record
 from .tables import data
 
 
@@ -69,8 +71,20 @@ class Thresholds(Record, frozen=True):
     stretched: float
 
 
+class SidePattern(Record, frozen=True):
+    """Weights of edges by which a right knee is told from a left one.
+
+    block  pixels of the whole joint's patch, down and across, that one weight is for
+    down, right  (rows, cols)  of edges by direction
+    """
+
+    block: int
+    down: Rows
+    right: Rows
+
+
 class Localisation(Record, frozen=True):
-    """All of the table."""
+    """Both tables."""
 
     wide: PatchLaw
     narrow: PatchLaw
@@ -78,9 +92,10 @@ class Localisation(Record, frozen=True):
     chance: Chance
     plateau: Plateau
     thresholds: Thresholds
+    sides: SidePattern
 
 
 @cache
 def localisation() -> Localisation:
-    """The package's table of localisation."""
-    return record(Localisation, data("localisation"), "localisation")
+    """The package's tables of localisation."""
+    return record(Localisation, data("localisation") | {"sides": data("side_pattern")}, "localisation")

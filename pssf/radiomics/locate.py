@@ -14,6 +14,7 @@ from .edges import Pyramid
 from .patches import LINEAR_MM, SIDES, WAYS, Template, density_of, poses
 from .region import region_fits
 from .search import Match, matches
+from .sides import side_evidence
 
 STATUSES = ("found", "no knee", "upside down", "wrong side", "wrong scale", "low score", "leaves image")
 
@@ -28,6 +29,7 @@ class Located:
     narrow       the same of the medial compartment alone
     side         right | left: as it is given, else the one that matches better
     side_margin  by how much the highest score of that side is above that of the other, wherever they are
+    side_evidence  for that side: about 1 for a knee of it, -1 for one of the other, see `sides`
     way          upright | upside down
     way_margin   by how much that way's score is above the other's
     polarity     bone bright | bone dark
@@ -46,6 +48,7 @@ class Located:
     narrow: float
     side: str
     side_margin: float
+    side_evidence: float
     way: str
     way_margin: float
     polarity: str
@@ -67,16 +70,11 @@ class Located:
         return (self.score + self.narrow) / 2
 
     @property
-    def side_evidence(self) -> float:
-        """The side's margin over what the better of both sides leaves unexplained; below 0 where that is the other.
-
-        Where a knee's shape is not the templates', both sides match it worse and their difference tells less.
-        """
-        return evidence(self.score, self.score - self.side_margin)
-
-    @property
     def way_evidence(self) -> float:
-        """The same of upright against upside down."""
+        """The way's margin over what the better of both leaves unexplained; below 0 where that is the other.
+
+        Where a knee's shape is not the templates', both ways match it worse and their difference tells less.
+        """
         return evidence(self.score, self.score - self.way_margin)
 
 
@@ -134,6 +132,42 @@ def locate(
         require_choice("side", side, SIDES)
     if not templates:
         raise InputError("templates = none; allowed: one or more")
+    search, of_sides = searched(density, templates, table, pixel_mm)
+    for_right = side_evidence(search.image, of_sides, table)
+    chosen = side or _side_of(of_sides, for_right, table)
+    best, mirrored = of_sides[chosen], SIDES[1 - SIDES.index(chosen)]
+    wide, narrow = best.wide, best.narrow
+    pitch_mm, pixel_from, scale = _size(wide, templates[0], pixel_mm, table)
+    located = Located(
+        row=narrow.row,
+        col=narrow.col,
+        status="found",
+        score=wide.score,
+        narrow=narrow.score,
+        side=chosen,
+        side_margin=search.highest(wide.way, chosen) - search.highest(wide.way, mirrored),
+        side_evidence=for_right if chosen == SIDES[0] else -for_right,
+        way=wide.way,
+        way_margin=wide.score - search.highest(WAYS[1 - WAYS.index(wide.way)], *SIDES),
+        polarity=wide.polarity,
+        seen=wide.seen,
+        apart_mm=abs(narrow.row - wide.row) * wide.unit_mm,
+        pixel_mm=pitch_mm,
+        pixel_from=pixel_from,
+        scale=scale,
+    )
+    return replace(located, status=_status(located, density.shape, region_px, table, side))
+
+
+def searched(
+    density: Array, templates: Sequence[Template], table: Localisation, pixel_mm: float | None
+) -> tuple[Candidates, dict[str, Pair]]:
+    """All matches of the whole joint, and of each side the best, with its medial compartment.
+
+    density    (rows, cols) bone bright, any unit that is monotone
+    templates  and what else is given: as in `locate`
+    raises  InputError for a pitch out of range, or an image that cannot hold a joint
+    """
     image = Pyramid(density)
     whole = poses(tuple(dict.fromkeys((templates[0], templates[-1]))), table.wide)
     units = _units(density.shape, templates[0], pixel_mm, table)
@@ -148,28 +182,7 @@ def locate(
     if pixel_mm is not None and max(pair.both for pair in of_sides.values()) < table.thresholds.both:
         matched += matches(image, _smaller(pixel_mm, table), whole, table.wide, table.search.least_seen)
         of_sides = _upright_or_not(search)
-    chosen = side or _side_of(of_sides, table)
-    best, mirrored = of_sides[chosen], SIDES[1 - SIDES.index(chosen)]
-    wide, narrow = best.wide, best.narrow
-    pitch_mm, pixel_from, scale = _size(wide, templates[0], pixel_mm, table)
-    located = Located(
-        row=narrow.row,
-        col=narrow.col,
-        status="found",
-        score=wide.score,
-        narrow=narrow.score,
-        side=chosen,
-        side_margin=search.highest(wide.way, chosen) - search.highest(wide.way, mirrored),
-        way=wide.way,
-        way_margin=wide.score - search.highest(WAYS[1 - WAYS.index(wide.way)], *SIDES),
-        polarity=wide.polarity,
-        seen=wide.seen,
-        apart_mm=abs(narrow.row - wide.row) * wide.unit_mm,
-        pixel_mm=pitch_mm,
-        pixel_from=pixel_from,
-        scale=scale,
-    )
-    return replace(located, status=_status(located, density.shape, region_px, table, side))
+    return search, of_sides
 
 
 def _upright_or_not(search: Candidates) -> dict[str, Pair]:
@@ -183,13 +196,13 @@ def _upright_or_not(search: Candidates) -> dict[str, Pair]:
     return turned if other.narrow.score > best.narrow.score else upright
 
 
-def _side_of(pairs: dict[str, Pair], table: Localisation) -> str:
-    """The better side; of two at one joint the one that is better as a whole, since compartments are much alike."""
+def _side_of(pairs: dict[str, Pair], for_right: float, table: Localisation) -> str:
+    """The better side; of two at one joint the one that its edges tell, since matches are much alike."""
     one, other = (pairs[side].wide for side in SIDES)
     apart_mm = abs(one.row - other.row) * other.unit_mm
     alike = abs(np.log(one.unit_mm / other.unit_mm)) <= 2 * np.log(table.search.scale_step)
     if alike and apart_mm <= table.search.reach_mm:
-        return max(SIDES, key=lambda side: pairs[side].wide.excess)
+        return SIDES[0] if for_right > 0 else SIDES[1]
     return max(SIDES, key=lambda side: pairs[side].excess)
 
 

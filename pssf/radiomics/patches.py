@@ -98,7 +98,7 @@ def poses(templates: tuple[Template, ...], law: PatchLaw) -> tuple[Pose, ...]:
         for way in WAYS:
             col = lateral if side == "right" else medial
             row = up if way == "upright" else down
-            turned = tuple(_posed(one, side, way) for one in plain)
+            turned = tuple(posed(one, side, way) for one in plain)
             heavy = weight if way == "upright" else weight[::-1]
             power = tuple(float((heavy * (one**2).sum(axis=0)).sum()) for one in turned)
             weighted = tuple(one * heavy for one in turned)
@@ -137,8 +137,11 @@ def _dense(template: Template) -> tuple[Array, float, float, float]:
     return density, row, col, template.pixel_mm * step
 
 
-def _posed(plain: Field, side: str, way: str) -> Field:
-    """A field in the mirror, or upside down: its vectors turn with it."""
+def posed(plain: Field, side: str, way: str) -> Field:
+    """A field of a right knee upright as one of another side or way, or back: its vectors turn with it.
+
+    plain  (2, rows, cols)  down, right
+    """
     if side == "left":
         plain = plain[:, :, ::-1] * np.array([1, -1], np.float32)[:, None, None]
     if way == "upside down":
