@@ -5,6 +5,7 @@ from manifold3d import Manifold
 from scipy import ndimage
 
 from ..core.checks import Array
+from ..data.soft import Effusion
 from ..model.knee import Knee
 from .bend import bend_of, sheared_deg
 from .bone_build import Build, eased
@@ -38,7 +39,8 @@ def layers(knee: Knee, build: Build, flexion_deg: float, bone_points_mm: Array) 
     rows += [[rows[-1][0] + longer_mm, *rows[-1][1:]]] if longer_mm else []
     coarse = _follow_shafts(np.array(rows), sheared_deg(flexion_deg), build)
     # The patella stands in front of the limb's middle: where bone needs room the section moves there before it grows.
-    fascia = _hold(_resample(coarse) - np.array([0.0, wrap_ml, wrap_ap, 0.0, 0.0]), bend.straight(bone_points_mm))
+    coarse = _swollen(_resample(coarse), build.shape.effusion, knee.effusion_mm)
+    fascia = _hold(coarse - np.array([0.0, wrap_ml, wrap_ap, 0.0, 0.0]), bend.straight(bone_points_mm))
     levels = np.linspace(-205.0, 205.0, 38)
     rings = np.append(levels, np.arange(1.0, 1.0 + longer_mm // _RING_MM) * _RING_MM + levels[-1])
 
@@ -58,6 +60,16 @@ def layers(knee: Knee, build: Build, flexion_deg: float, bone_points_mm: Array) 
 def _resample(sections: Array) -> Array:
     heights = np.linspace(sections[0, 0], sections[-1, 0], 28)
     return np.column_stack([heights, *(np.interp(heights, sections[:, 0], sections[:, k]) for k in range(1, 5))])
+
+
+def _swollen(sections: Array, table: Effusion, effusion_mm: float) -> Array:
+    """Sections with room for an effusion."""
+    more_mm = effusion_mm * np.interp(sections[:, 0], *np.array(table.about).T)
+    swollen = sections.copy()
+    swollen[:, 1] += table.medial / 2 * more_mm
+    swollen[:, 4] += table.medial / 2 * more_mm
+    swollen[:, 2] += table.front_and_back * more_mm
+    return swollen
 
 
 def _hold(sections: Array, points_mm: Array) -> Array:

@@ -7,7 +7,7 @@ from manifold3d import Manifold, OpType
 
 from ..core.checks import Array
 from ..data.bones import PatellaShape
-from ..data.soft import DeepFat
+from ..data.records import Rows
 from ..geometry.mesh import Mesh
 from ..model.knee import Knee
 from . import bones, cartilage
@@ -81,15 +81,17 @@ def between(
         ("fat_pad", "adipose", thin[2]),
     ]
     parts += _carved(joint, keep + small, muscle)
-    return [*parts, _between_muscles(fat, placed, parts, sheaths, shape.deep_fat)]
+    cover = _thickened(shape.deep_fat.cover, shape.effusion.about, knee.effusion_mm)
+    return [*parts, _between_muscles(fat, placed, parts, sheaths, cover)]
 
 
 def _between_muscles(
-    fat: Manifold, placed: dict[str, bones.Bone], parts: list[Part], sheaths: tuple[Manifold, ...], table: DeepFat
+    fat: Manifold, placed: dict[str, bones.Bone], parts: list[Part], sheaths: tuple[Manifold, ...], cover: Rows
 ) -> Part:
     """What is left of the fat between muscles, clear of all bones and parts by what covers them, and of sheaths.
 
     No face of it lies in one of theirs, where rounding could make them overlap.
+    cover  of bones, mm: rows of height and thickness
     """
     meshes = {name: mesh_of(bone.outer) for name, bone in placed.items()} | {part.name: part.mesh for part in parts}
     patella = [meshes.pop(name) for name in ("patella", "patella_cartilage") if name in meshes]
@@ -97,12 +99,20 @@ def _between_muscles(
         meshes.pop(name, None)
     small = [[meshes.pop(name)] for name in placed if name not in ("femur", "tibia", "patella")]
     # Femur and tibia with all that is left: cartilage and menisci, and the joint space between.
-    covers = [
-        envelope(group, table.cover, "cover of bones", _FAR_MM) for group in (list(meshes.values()), patella, *small)
-    ]
+    covers = [envelope(group, cover, "cover of bones", _FAR_MM) for group in (list(meshes.values()), patella, *small)]
     left = Manifold.batch_boolean([fat, *covers, *sheaths], OpType.Subtract).simplify(_COARSER_MM)
     whole = Manifold.compose([piece for piece in left.decompose() if piece.volume() > _LEAST_MM3])
     return Part("intermuscular_fat", "adipose", mesh_of(whole))
+
+
+def _thickened(cover: Rows, about: Rows, effusion_mm: float) -> Rows:
+    """What covers bones, with an effusion: rows of height and thickness, mm."""
+    if effusion_mm == 0:
+        return cover
+    usual, swollen = (np.array(sorted(rows)).T for rows in (cover, about))
+    heights = np.union1d(usual[0], swollen[0])
+    thickness = np.interp(heights, *usual) + effusion_mm * np.interp(heights, *swollen)
+    return tuple(zip(heights.tolist(), thickness.tolist(), strict=True))
 
 
 def _clear(femoral: Part, tibial: Part, placed: dict[str, bones.Bone], narrow: bool) -> list[Part]:

@@ -6,7 +6,7 @@ Sections are rows of height, half ML, half AP, centre y, centre x; cortex is row
 from functools import cache
 
 from .records import Pair, Record, Rows, Triple, record
-from .soft import Cartilage, DeepFat, FatPad, Limb, Menisci, MuscleShape, PatellarTendon, QuadricepsTendon
+from .soft import Cartilage, DeepFat, Effusion, FatPad, Limb, Menisci, MuscleShape, PatellarTendon, QuadricepsTendon
 from .tables import data
 
 
@@ -247,6 +247,7 @@ class BoneShape(Record, frozen=True):
     quadriceps_tendon: QuadricepsTendon
     muscles: tuple[MuscleShape, ...]
     deep_fat: DeepFat
+    effusion: Effusion
     soft: Limb
 
 

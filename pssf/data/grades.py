@@ -116,6 +116,13 @@ class Notch(Record, frozen=True):
     bounds_mm: Pair
 
 
+class Effusion(Record, frozen=True):
+    """Mean and deviation of how much the joint is swollen by grade, mm, least and most."""
+
+    swelling_mm: Laws
+    bounds_mm: Pair
+
+
 class Subluxation(Record, frozen=True):
     """Of the tibia to lateral where the medial side narrows, mm: mean and deviation by grade, least and most."""
 
@@ -165,6 +172,7 @@ class SeverityGrades(_Shared, frozen=True):
     cysts: Cysts | None = None
     subluxation: Subluxation | None = None
     notch: Notch | None = None
+    effusion: Effusion | None = None
 
     @property
     def grades(self) -> tuple[int, ...]:

@@ -90,6 +90,17 @@ class DeepFat(Record, frozen=True):
     cover: Rows
 
 
+class Effusion(Record, frozen=True):
+    """Where the joint swells, and how far the fascia gives way to front and back and to medial, a millimetre of it.
+
+    about  rows of z and share
+    """
+
+    about: Rows
+    front_and_back: float
+    medial: float
+
+
 class Limb(Record, frozen=True):
     """Skin, fat and fascia. sections: z, half ML beyond the bone-related width, half AP over that at the joint, y."""
 

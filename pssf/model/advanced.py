@@ -24,19 +24,22 @@ def advanced_fields(
     """
     of_cysts, of_subluxation, of_notch = rng.spawn(3)
     cysts = () if table.cysts is None else _cysts(table.cysts, grade, narrowed, of_cysts)
-    slip, notch = table.subluxation, table.notch
+    (of_effusion,) = rng.spawn(1)
+    slip, notch, effusion = table.subluxation, table.notch, table.effusion
 
     def millimetres(laws: Laws, bounds: Pair, chance: np.random.Generator) -> float:
         mean, sd = laws[grade]
         score = in_part(severity, table.side.shape_with, chance.standard_normal())
         return round(float(np.clip(mean + sd * score, *bounds)), 4)
 
-    slipped = grown = 0.0
+    slipped = grown = swollen = 0.0
     if slip is not None and narrowed == "medial":
         slipped = millimetres(slip.lateral_mm, slip.bounds_mm, of_subluxation)
     if notch is not None:
         grown = millimetres(notch.growth_mm, notch.bounds_mm, of_notch)
-    return {"cysts": cysts, "subluxation_mm": slipped, "notch_growth_mm": grown}
+    if effusion is not None:
+        swollen = millimetres(effusion.swelling_mm, effusion.bounds_mm, of_effusion)
+    return {"cysts": cysts, "subluxation_mm": slipped, "notch_growth_mm": grown, "effusion_mm": swollen}
 
 
 def in_part(severity: float, correlation: float, chance: float) -> float:

@@ -77,6 +77,7 @@ class Knee:
     subchondral_plate  thickness of the plate relative to a healthy one, of the `sclerotic_side`
     varus_deg          angle between femoral and tibial shaft beyond the normal valgus of 5 deg; positive is varus
     notch_growth_mm    of bone into the notch: on its walls and roof, and over the eminence
+    effusion_mm        how much thicker than in health capsule, synovium and fluid are about the joint
     subluxation_mm     of the tibia to lateral, as the femur stands on it; joint spaces stay what they are
     flexion_deg        of the femur about the medio-lateral axis
     rotation_deg       of the leg about its long axis; positive is internal
@@ -135,6 +136,7 @@ class Knee:
     cysts: tuple[Cyst, ...] = ()
     subluxation_mm: float = 0.0
     notch_growth_mm: float = 0.0
+    effusion_mm: float = 0.0
 
     def __post_init__(self) -> None:
         check_fields("knee", self)

@@ -1,0 +1,92 @@
+"""An effusion: what covers the bones thickens, fat gives way, the limb swells, bones and joint spaces stay."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.stats import mannwhitneyu
+
+from pssf import InputError, Knee, build, draw_knee
+from pssf.anatomy.tissues import _thickened
+from pssf.data.anatomy import anatomy_tables
+
+TABLE = anatomy_tables().shape.effusion
+
+
+@pytest.fixture(scope="module")
+def both():
+    return build(Knee()), build(Knee(effusion_mm=6.0))
+
+
+def surface(built, name):
+    return next(one for one in built.scene.surfaces if one.name == name)
+
+
+def about(built, name, z_mm):
+    """Extent of a surface's vertices near a height: least and greatest x and y."""
+    points = surface(built, name).mesh.vertices
+    near = points[np.abs(points[:, 2] - z_mm) < 12.0]
+    return near[:, :2].min(axis=0), near[:, :2].max(axis=0)
+
+
+def test_bones_and_joint_spaces_stay(both):
+    dry, _ = both
+    names = [one.name for one in dry.scene.surfaces if one.inside in ("cortical_bone", "trabecular_bone", "marrow")]
+    assert len(names) >= 6
+    for name in names:
+        assert np.array_equal(*(surface(built, name).mesh.vertices for built in both))
+    spaces = [(one.truth().jsw_medial_mm, one.truth().jsw_lateral_mm) for one in both]
+    np.testing.assert_allclose(spaces[1], spaces[0], rtol=0, atol=1e-9)
+
+
+def test_the_limb_swells_to_front_back_and_medial_about_the_joint_alone(both):
+    (low, high), (low_swollen, high_swollen) = (about(built, "muscle", 0.0) for built in both)
+    more = np.concatenate([low - low_swollen, high_swollen - high])
+    # Lateral, front, medial, back; where bone stood out the limb had room for it already, by up to 1 mm.
+    by = 6.0 * np.array([0.0, TABLE.front_and_back, TABLE.medial, TABLE.front_and_back])
+    np.testing.assert_allclose(more, by, rtol=0, atol=1.0)
+    far, far_swollen = (about(built, "muscle", -120.0) for built in both)
+    np.testing.assert_allclose(far_swollen, far, rtol=0, atol=0.2)
+
+
+def test_fat_about_the_joint_gives_way(both):
+    def fat_mm3(built):
+        mesh = surface(built, "intermuscular_fat").mesh
+        corners = mesh.vertices[mesh.faces]
+        volumes = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
+        return volumes.sum()
+
+    dry, swollen = (fat_mm3(built) for built in both)
+    assert 0.5 * dry < swollen < 0.95 * dry
+
+
+def test_what_covers_bones_is_thicker_by_it_where_the_capsule_reaches_and_nowhere_else():
+    cover = anatomy_tables().shape.deep_fat.cover
+    assert _thickened(cover, TABLE.about, 0.0) is cover
+    usual, thick = np.array(sorted(cover)).T, np.array(_thickened(cover, TABLE.about, 5.0)).T
+    heights = np.linspace(-60, 110, 171)
+    more = np.interp(heights, *thick) - np.interp(heights, *usual)
+    np.testing.assert_allclose(more, 5.0 * np.interp(heights, *np.array(TABLE.about).T), rtol=0, atol=1e-12)
+    assert more[heights == 0] == pytest.approx(5.0)
+    np.testing.assert_allclose(more[np.abs(heights - 25) > 66], 0.0, rtol=0, atol=1e-12)
+
+
+def test_the_most_a_worn_knee_may_have_is_built_and_more_is_refused():
+    build(
+        draw_knee(grade=4, rng=np.random.default_rng(5), table="people", effusion_mm=10.0, fat_mm=2.0, limb_ap_mm=90.0)
+    )
+    with pytest.raises(InputError, match=r"effusion_mm = 10\.5"):
+        Knee(effusion_mm=10.5)
+
+
+def test_it_rises_with_the_grade_but_tells_no_grade_from_the_next():
+    def swelling(grade, seed, **options):
+        return draw_knee(grade=grade, rng=np.random.default_rng(seed), **options).effusion_mm
+
+    by_grade = [np.array([swelling(grade, seed, table="people") for seed in range(200)]) for grade in range(5)]
+    assert np.all(np.diff([swollen.mean() for swollen in by_grade]) > 0)
+    # Three standard errors of an AUC from so many knees.
+    error = 3 * np.sqrt(1 / (6 * 200))
+    for less, more in itertools.pairwise(by_grade):
+        assert mannwhitneyu(more, less).statistic / 200**2 < 0.75 + error
+    assert swelling(2, 0) == 0.0
