@@ -10,6 +10,7 @@ xray        spectrum, materials, primary
 scatter     kernel, Monte Carlo, grid
 detector    blur, noise, panel, a view for eyes
 stages      the chain, stage by stage
+precompile  after an installation: kernels in two processes at once
 simulation  knee, protocol       -> radiograph
 io          files; the one package that writes to the disk
 cohort      preset, seed         -> many radiographs and their manifest

@@ -17,6 +17,7 @@ from .geometry.view import view_of
 from .model.knee import Knee
 from .model.protocol import Protocol
 from .model.radiograph import Radiograph, Truth
+from .precompile import compiling_aside
 from .raycast import ENGINES, Audit, Paths, shadow, trace, trace_strips
 from .stages import Chain, LatentImage, expose
 from .xray.technique import technique_of
@@ -50,7 +51,7 @@ def simulate(
     """
     _check(knee, protocol, seed, keep, engine, workers)
     clock = Timer()
-    subject = _built(knee, protocol, workers)
+    subject = _built(knee, protocol, engine, workers)
     # What a radiograph keeps is the beam as it was, not how it was found.
     protocol = subject.aimed(protocol) if isinstance(subject, BuiltKnee) else protocol
     technique = technique_of(protocol)
@@ -110,13 +111,16 @@ def _check_one(knee: object, protocol: Protocol) -> None:
         )
 
 
-def _built(knee: Subject, protocol: Protocol, workers: int) -> BuiltKnee | BuiltPair | Scene:
-    if isinstance(knee, Knee):
-        with ThreadPoolExecutor(1) as aside:
-            if workers > 1 and protocol.texture != "none":
-                aside.submit(make_texture, knee)
-            return build(knee, protocol)
-    return build_pair(*knee, protocol) if isinstance(knee, tuple) else knee
+def _built(knee: Subject, protocol: Protocol, engine: str, workers: int) -> BuiltKnee | BuiltPair | Scene:
+    if not isinstance(knee, Knee | tuple):
+        return knee
+    textured = protocol.texture != "none"
+    with ThreadPoolExecutor(1) as aside, compiling_aside(engine, textured=textured, workers=workers):
+        if isinstance(knee, tuple):
+            return build_pair(*knee, protocol)
+        if workers > 1 and textured:
+            aside.submit(make_texture, knee)
+        return build(knee, protocol)
 
 
 def _traced(scene: Scene, chain: Chain, paths: Paths | None) -> tuple[LatentImage, Audit]:

@@ -128,6 +128,15 @@ def test_the_error_of_the_step_is_as_stated_and_falls_with_it():
         assert second["step_mm"] > first["step_mm"] or second["rms"] < 0.6 * first["rms"]
 
 
+def test_a_trace_spends_a_part_of_its_time_on_integrals_of_density(monkeypatch):
+    small = {"rows": 128, "cols": 128, "pixel_mm": 2.0}
+    monkeypatch.setattr(texture, "load_protocol", lambda name: dataclasses.replace(load_protocol(name), **small))
+    rows = texture.trace_rows()
+    assert [row["engine"] for row in rows] == ["embree", "scanline"]
+    assert rows[0]["samples"] == rows[1]["samples"] > 0
+    assert all(0 < row["share"] < 1 and row["ns"] > 0 for row in rows)
+
+
 def test_texture_of_a_made_field_is_what_it_was_made_of():
     rng = np.random.default_rng(1)
     f = np.hypot(*np.meshgrid(*2 * [np.fft.fftfreq(256, 0.1)]))

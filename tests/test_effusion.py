@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import mannwhitneyu
 
-from pssf import InputError, Knee, build, draw_knee
+from pssf import InputError, Knee, build, draw_knee, load_protocol
 from pssf.anatomy.tissues import _thickened
 from pssf.data.anatomy import anatomy_tables
 
+REFERENCE = load_protocol("reference")
 TABLE = anatomy_tables().shape.effusion
 
 
@@ -35,7 +36,8 @@ def test_bones_and_joint_spaces_stay(both):
     assert len(names) >= 6
     for name in names:
         assert np.array_equal(*(surface(built, name).mesh.vertices for built in both))
-    spaces = [(one.truth().jsw_medial_mm, one.truth().jsw_lateral_mm) for one in both]
+    truths = [one.truth(one.aimed(REFERENCE)) for one in both]
+    spaces = [(truth.jsw_medial_mm, truth.jsw_lateral_mm) for truth in truths]
     np.testing.assert_allclose(spaces[1], spaces[0], rtol=0, atol=1e-9)
 
 

@@ -35,6 +35,7 @@ DOORS = {
     "anatomy/ship.py": "main",
     "detector/rendering.py": "for_eyes",
     "model/listing.py": "field_rows knee_template with_changes",
+    "precompile.py": "compile_others compile_rays",
     # Files that are read or written whole.
     "cohort/labels.py": "write_labels",
     "io/dicom.py": "write read ours",

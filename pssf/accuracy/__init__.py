@@ -10,7 +10,7 @@ views      what beams and turns do to films, beside films of people; the kernel 
 solids     spheres as polyhedra, and their exact chords
 builds     random knees, built or refused
 tessellation  outlines of the bones by triangles
-texture    trabeculae: integrals by step, and their look on radiographs beside real ones
+texture    trabeculae: integrals by step, their part in a trace, and their look on radiographs beside real ones
 monte_carlo  the Monte Carlo of scatter beside an independent one
 scatter    the kernel of scatter beside the Monte Carlo (scatter_fit fits it once more)
 focal      blur of the focal spot against rays from points of it
@@ -47,14 +47,15 @@ from .physics import physics_rows
 from .scatter import scatter_rows
 from .stages import spectrum_rows, stage_rows
 from .tessellation import tessellation_rows
-from .texture import spread_rows, step_rows
+from .texture import spread_rows, step_rows, trace_rows
 from .view_scatter import view_scatter_rows
 from .views import view_rows
 
 # Those that measure memory come first: a process that is started begins with the peak of the one that started it.
 TABLES = (
     "engines", "growth", "nested", "stages", "chain", "agreement", "spectrum", "focal_spot", "physics",
-    "monte_carlo", "scatter", "tessellation", "texture_steps", "texture", "builds", "knees", "views", "view_scatter",
+    "monte_carlo", "scatter", "tessellation", "texture_steps", "texture_trace", "texture", "builds", "knees", "views",
+    "view_scatter",
 )  # fmt: skip
 # Only by name: minutes long and about the study rather than about a radiograph; and those that need another package.
 BY_NAME = ("localisation", "localisation_limits", "ablation", "backends", "gvxr", "latency")
@@ -121,6 +122,7 @@ def _jobs(
         "scatter": lambda: scatter_rows(workers=workers),
         "tessellation": tessellation_rows,
         "texture_steps": step_rows,
+        "texture_trace": trace_rows,
         "texture": lambda: spread_rows(knees, workers),
         "builds": lambda: build_rows(knees, workers, say),
         "knees": lambda: knee_rows(knees, workers),

@@ -2,10 +2,10 @@
 
 import numpy as np
 import trimesh
-from numba import njit
 from numpy.typing import NDArray
 
 from ..core.checks import Array
+from ..core.compiled import kernel
 from ..geometry.scene import Surface
 from ..geometry.view import View
 
@@ -73,7 +73,7 @@ def _rays(pixels: NDArray[np.int64], view: View) -> tuple[Array, Array]:
     return source, offset / np.linalg.norm(offset, axis=1, keepdims=True)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _clipped(points: Array, faces: NDArray[np.int64], source: Array, directions: Array) -> Array:
     near, far = np.zeros(len(directions)), np.full(len(directions), np.inf)
     for k in range(len(faces)):

@@ -52,9 +52,10 @@ def stage_rows(workers: int) -> list[Row]:
     """One row an engine and run: seconds of each stage of simulate, full knee, protocol reference; peak memory in MB.
 
     Each engine has processes of its own. A "cold" run is the first after an installation: compiled code, bytecode and
-    what the package keeps (spectra) are sought in an empty folder, and made. The "first" of another process, with that
-    folder, loads libraries and what is kept; the "second" is what one more radiograph costs. Bytecode is written even
-    where the environment says otherwise (PYTHONDONTWRITEBYTECODE), since each process would compile all that it loads.
+    what the package keeps (spectra) are sought in an empty folder, and made; memory is without that of the process that
+    compiles beside it. The "first" of another process, with that folder, loads libraries and what is kept; the "second"
+    is what one more radiograph costs. Bytecode is written even where the environment says otherwise
+    (PYTHONDONTWRITEBYTECODE), since each process would compile all that it loads.
     """
     rows = []
     for engine in ("embree", "scanline"):

@@ -1,20 +1,24 @@
-"""Trabeculae: error of their integrals against the step, and how they look on radiographs beside real films."""
+"""Trabeculae: error and cost of their integrals, and how they look on radiographs beside real films."""
 
 from dataclasses import replace
-from time import thread_time
+from time import process_time, thread_time
 
 import numpy as np
 from scipy import stats
 
+from ..anatomy import build
 from ..anatomy.trabeculae import PIECE, trabeculae
 from ..core.checks import Array
 from ..core.parallel import ordered_map
 from ..data.references import references
 from ..data.spongy import trabecular_bone
+from ..geometry.density import Density
+from ..geometry.scene import Scene, Surface
 from ..geometry.view import magnification, view_of
 from ..model.draw import draw_knee
 from ..model.knee import Knee
-from ..model.protocol import load_protocol
+from ..model.protocol import Protocol, load_protocol
+from ..raycast import ENGINES, trace_strips
 from ..simulation import simulate
 from .engines import Row
 
@@ -69,6 +73,63 @@ def step_rows() -> list[Row]:
                 "texture": float(f"{np.sqrt(np.mean(error**2)) / texture:.2g}"),
             })  # fmt: skip
     return rows
+
+
+def trace_rows() -> list[Row]:
+    """One row an engine: what the integrals of density are of a textured trace of a knee under `reference`, one thread.
+
+    samples   millions, a voxel's depth apart along the way through spongy bone
+    ns        a sample
+    seconds   of all integrals, best of three
+    share     of the whole trace
+    """
+    protocol, built, rows = load_protocol("reference"), build(Knee()), list[Row]()
+    per_mm = 1 / trabecular_bone().lattice.voxel_mm[2]
+    for engine in ENGINES:
+        runs = [_timed_trace(built.scene, protocol, engine, per_mm) for _ in range(4)][1:]
+        seconds, samples, whole = min(runs)
+        rows.append({
+            "engine": engine, "samples": round(samples / 1e6, 1), "ns": round(1e9 * seconds / samples, 1),
+            "seconds": round(seconds, 3), "share": round(seconds / whole, 3),
+        })  # fmt: skip
+    return rows
+
+
+def _timed_trace(scene: Scene, protocol: Protocol, engine: str, per_mm: float) -> tuple[float, float, float]:
+    """Seconds of the integrals of a trace, samples, of which there are so many in a mm, seconds of the whole."""
+    timed: dict[int, _Timed] = {}
+
+    def noted(density: Density | None) -> "_Timed | None":
+        # What shares a density goes on sharing one.
+        return None if density is None else timed.setdefault(id(density), _Timed(density, per_mm))
+
+    surfaces = [
+        Surface(one.arrays, one.inside, one.outside, one.name, noted(one.inside_density), noted(one.outside_density))
+        for one in scene.surfaces
+    ]
+    start = process_time()
+    trace_strips(Scene(surfaces, scene.ambient, scene.size_mm), protocol, engine=engine, workers=1)
+    whole = process_time() - start
+    return sum(one.seconds for one in timed.values()), sum(one.samples for one in timed.values()), whole
+
+
+class _Timed:
+    """A density that notes how long its integrals take."""
+
+    def __init__(self, density: Density, per_mm: float) -> None:
+        self._density, self._per_mm = density, per_mm
+        self.seconds = self.samples = 0.0
+
+    def integrate(self, starts_mm: Array, ends_mm: Array) -> Array:
+        """(n,)  integral along straight segments, mm
+
+        starts_mm, ends_mm  (n, 3)  knee frame
+        """
+        start = thread_time()
+        integrals = self._density.integrate(starts_mm, ends_mm)
+        self.seconds += thread_time() - start
+        self.samples += float(np.abs(ends_mm[:, 1] - starts_mm[:, 1]).sum()) * self._per_mm
+        return integrals
 
 
 def spread_rows(count: int, workers: int) -> list[Row]:

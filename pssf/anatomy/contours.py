@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from ..core.checks import Array
+from ..core.compiled import kernel
 from ..geometry.mesh import Indices
 from ..geometry.view import View, magnification, project
 
@@ -105,7 +105,7 @@ def envelope(points_px: Array, edges: Indices, first: int, count: int, lowest: f
     return _walk_edges(np.ascontiguousarray(points_px), np.ascontiguousarray(edges), first, count, lowest) * lowest
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _walk_edges(points: Array, edges: Indices, first: int, count: int, lowest: float) -> Array:
     """(count,)  largest lowest*row of any edge at each column; the contour of a polyhedron runs along its edges"""
     best = np.full(count, -np.inf)

@@ -2,10 +2,10 @@
 
 import numpy as np
 from manifold3d import Manifold
-from numba import njit
 from scipy import ndimage
 
 from ..core.checks import Array
+from ..core.compiled import kernel
 from ..data.records import Rows
 from ..geometry.mesh import Indices, Mesh
 from .solids import loft
@@ -62,7 +62,7 @@ def _supports(mesh: Mesh, levels: Array, normals: Array) -> Array:
     return supports
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _raise(supports: Array, faces: Indices, reach: Array, first: Indices, last: Indices) -> None:
     """Raise supports of bands (n, directions) to those of faces (m, 3), whose vertices reach so far, by their bands."""
     for k in range(len(faces)):

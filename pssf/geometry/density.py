@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ..core.checks import Array, InputError
+from ..core.compiled import kernel
 
 Vectors = tuple[tuple[float, float, float], ...]
 
@@ -113,7 +113,7 @@ class PlaneWaves:
         return out
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _sum_waves(
     starts: Array, ends: Array, mean: float, amplitudes: Array, waves: Array, phases: NDArray[np.float64], out: Array
 ) -> None:

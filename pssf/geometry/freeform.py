@@ -7,10 +7,10 @@ linear in the displacements of the control points, so that deformations add up.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from scipy import sparse
 
 from ..core.checks import Array, InputError, require, require_choice
+from ..core.compiled import kernel
 
 # A cubic B-spline ends two pitches from its control point.
 _PAD = 3
@@ -148,14 +148,14 @@ def _go_on(padded: np.ndarray, shaft: int) -> None:
         padded[:, :, :_PAD] = padded[:, :, _PAD, None]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _weights(t):  # type: ignore[no-untyped-def]
     """Uniform cubic B-splines of the four control points around a place that is t of a pitch beyond the second."""
     s = 1 - t
     return s**3 / 6, (3 * t**3 - 6 * t**2 + 4) / 6, (3 * s**3 - 6 * s**2 + 4) / 6, t**3 / 6
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _moved(points, origin, pitch, padded):  # type: ignore[no-untyped-def]
     moved = points.copy()
     start, weight = np.empty(3, np.int64), np.empty((3, 4))

@@ -8,10 +8,10 @@ within is read a little inside of its skin. So a wall that two bodies share deci
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ..core.checks import Array
+from ..core.compiled import callee, kernel
 from .topology import Faces
 
 # Along the lines, across and up.
@@ -152,7 +152,7 @@ def _lines_of(seen: Array, faces: Faces, body: NDArray[np.int32], side: Array, c
     return _Lines(middle[face, :2], slabs, whose, middle[face, 2], -np.sign(area[face]) * side[whose], weight)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@callee(inline="always")
 def _met(seen: Array, face: NDArray[np.int32], u: float, v: float) -> int:
     """+1 where a line leaves by a face, -1 where it enters, 0 where it misses."""
     rise, fall = 0.0, 0.0
@@ -172,7 +172,7 @@ def _met(seen: Array, face: NDArray[np.int32], u: float, v: float) -> int:
     return -1 if rise <= u < fall else 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@callee(inline="always")
 def _depth(seen: Array, face: NDArray[np.int32], u: float, v: float) -> float:
     """t at which a line meets a face."""
     a, b, c = seen[face[0]], seen[face[1]], seen[face[2]]
@@ -183,7 +183,7 @@ def _depth(seen: Array, face: NDArray[np.int32], u: float, v: float) -> float:
     return at if at < high else high
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _stab(lines: _Lines, seen: Array, faces: Faces, free: NDArray[np.int64], hits: _Hits) -> None:
     """Write the faces that each line meets to where `free` says, and move it on; with no room for hits, only count."""
     places, slabs = lines.places, lines.slabs
@@ -210,7 +210,7 @@ def _stab(lines: _Lines, seen: Array, faces: Faces, free: NDArray[np.int64], hit
             slab += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _around(lines: _Lines, starts: NDArray[np.int64], hits: _Hits, owner: NDArray[np.int32]) -> Array:
     """How often the other bodies go around the place just under each line's face; NaN where there is no inside."""
     around = np.full(len(lines.body), np.nan)

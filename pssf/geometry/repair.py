@@ -73,8 +73,7 @@ def repair(vertices: Array, faces: NDArray[np.integer], name: str) -> Solid:
     name      of the surface, for the account
     """
     points = np.ascontiguousarray(vertices, dtype=np.float64)
-    triangles = np.empty((len(faces), 3), np.int32)
-    stray = narrowed(np.asarray(faces), len(points), triangles)
+    triangles, stray = narrowed(np.asarray(faces), len(points))
     if fault := _unusable(points, np.asarray(faces), stray, name):
         return Solid(points=points[:0], faces=triangles[:0], vertices=np.arange(0), faults=(fault,))
     numbers = np.flatnonzero(named(triangles, len(points)))

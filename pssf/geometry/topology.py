@@ -1,33 +1,25 @@
 """Meshes as numbers: which edges balance, which corners and faces are one, what hangs together, what it encloses."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ..core.checks import Array
+from ..core.compiled import callee, kernel
 
 Faces = NDArray[np.int32]
 
 
-@njit(cache=True, nogil=True)
-def narrowed(faces: NDArray[np.integer], count: int, narrow: Faces) -> int:
-    """Copy faces into int32; returns how many vertices they name that are not there.
+def narrowed(faces: NDArray[np.integer], count: int) -> tuple[Faces, int]:
+    """A copy of faces in int32, and how many vertices they name that are not there.
 
-    faces   (m, 3)  vertex numbers of any integer type
-    count   vertices that there are
-    narrow  (m, 3)  to be filled
+    faces    (m, 3)  vertex numbers of any integer type
+    count    vertices that there are
+    returns  (m, 3) vertex numbers, and those that are none
     """
-    stray = 0
-    for k in range(len(faces)):
-        for corner in range(3):
-            vertex = faces[k, corner]
-            if not 0 <= vertex < count:
-                stray += 1
-            narrow[k, corner] = vertex
-    return stray
+    return faces.astype(np.int32, order="C"), int(np.count_nonzero((faces < 0) | (faces >= count)))
 
 
-@njit(cache=True, nogil=True)
+@callee()
 def _mixed(key: np.uint64) -> np.uint64:
     """SplitMix64 (Steele et al. 2014)."""
     key = (key ^ (key >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -35,7 +27,7 @@ def _mixed(key: np.uint64) -> np.uint64:
     return np.uint64(key ^ (key >> np.uint64(31)))
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def edge_sum(faces: Faces) -> np.uint64:
     """Hashes of the undirected edges, added when run upwards and taken away when run downwards.
 
@@ -55,7 +47,7 @@ def edge_sum(faces: Faces) -> np.uint64:
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def distinct(rows: Array) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """Which rows are one, bit for bit: -0.0 is not 0.0, and NaN is NaN.
 
@@ -82,20 +74,16 @@ def distinct(rows: Array) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     return first[:count].copy(), number
 
 
-@njit(cache=True, nogil=True)
 def pointed(faces: Faces) -> NDArray[np.bool_]:
     """(m,)  which faces name a vertex twice; with or without them, a mesh is as closed
 
     faces  (m, 3)  vertex numbers
     """
-    twice = np.empty(len(faces), np.bool_)
-    for k in range(len(faces)):
-        a, b, c = faces[k]
-        twice[k] = a == b or b == c or c == a
-    return twice
+    a, b, c = faces.T
+    return np.asarray((a == b) | (b == c) | (c == a))
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def repeats(points: Array, faces: Faces) -> int:
     """How many faces stand where one before them does, wound the same way, whatever the numbers of their corners.
 
@@ -129,7 +117,7 @@ def repeats(points: Array, faces: Faces) -> int:
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def bodies(faces: Faces, count: int) -> tuple[NDArray[np.int32], int]:
     """Which vertices hang together by faces (union-find).
 
@@ -137,7 +125,9 @@ def bodies(faces: Faces, count: int) -> tuple[NDArray[np.int32], int]:
     count    vertices that there are
     returns  (count,) number of the connected body of each vertex, and how many there are
     """
-    parent = np.arange(count).astype(np.int32)
+    parent = np.empty(count, np.int32)
+    for vertex in range(count):
+        parent[vertex] = vertex
     for k in range(len(faces)):
         for corner in range(1, 3):
             one, other = faces[k, 0], faces[k, corner]
@@ -163,7 +153,7 @@ def bodies(faces: Faces, count: int) -> tuple[NDArray[np.int32], int]:
     return number, bodies
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def volumes_mm3(points: Array, faces: NDArray[np.int32], body: NDArray[np.int32], count: int) -> Array:
     """(count,)  signed volume of each body, mm3
 
@@ -183,16 +173,13 @@ def volumes_mm3(points: Array, faces: NDArray[np.int32], body: NDArray[np.int32]
     return volumes
 
 
-@njit(cache=True, nogil=True)
 def named(faces: Faces, count: int) -> NDArray[np.bool_]:
     """(count,)  which vertices some face has
 
     faces  (m, 3)  vertex numbers
     """
     marks = np.zeros(count, np.bool_)
-    for k in range(len(faces)):
-        for corner in range(3):
-            marks[faces[k, corner]] = True
+    marks[faces.reshape(-1)] = True
     return marks
 
 

@@ -9,10 +9,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ..core.checks import Array
+from ..core.compiled import callee, kernel
 from .mesh import Mesh
 from .topology import bodies
 
@@ -84,7 +84,7 @@ def _places(mesh: Mesh) -> Array:
     return np.asarray(mesh.vertices[first[first >= 0]])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _faces(vertices: Array, faces: NDArray[np.integer]) -> _Faces:
     corners, boxes, planes = np.empty((len(faces), 3, 3)), np.empty((len(faces), 2, 3)), np.empty((len(faces), 4))
     for k in range(len(faces)):
@@ -109,22 +109,21 @@ def _faces(vertices: Array, faces: NDArray[np.integer]) -> _Faces:
     return _Faces(corners, boxes, planes)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _cells(grid: _Grid, boxes: Array, k: int, axis: int) -> tuple[int, int]:
-    """First and last cell along an axis that a box may reach into; none where the last is below the first."""
-    first = int((boxes[k, 0, axis] - grid.low[axis] - _APART_MM) / grid.side_mm)
-    last = int((boxes[k, 1, axis] - grid.low[axis] + _APART_MM) / grid.side_mm)
-    return first, min(last, grid.counts[axis] - 1)
+@callee()
+def _cells(low: float, high: float, origin: float, side: float, count: int) -> tuple[int, int]:
+    """First and last of so many cells along an axis that a box may reach into, mm; none where the last comes first."""
+    first, last = int((low - origin - _APART_MM) / side), int((high - origin + _APART_MM) / side)
+    return first, min(last, count - 1)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _fill(grid: _Grid) -> None:
     """Count the faces of each cell into `starts`; where `order` has room for them, put them there."""
     counts, starts, boxes = grid.counts, grid.starts, grid.mesh.boxes
     for k in range(len(boxes)):
-        x, x_last = _cells(grid, boxes, k, 0)
-        y, y_last = _cells(grid, boxes, k, 1)
-        z, z_last = _cells(grid, boxes, k, 2)
+        x, x_last = _cells(boxes[k, 0, 0], boxes[k, 1, 0], grid.low[0], grid.side_mm, counts[0])
+        y, y_last = _cells(boxes[k, 0, 1], boxes[k, 1, 1], grid.low[1], grid.side_mm, counts[1])
+        z, z_last = _cells(boxes[k, 0, 2], boxes[k, 1, 2], grid.low[2], grid.side_mm, counts[2])
         for i in range(z, z_last + 1):
             for j in range(y, y_last + 1):
                 row = (i * counts[1] + j) * counts[0]
@@ -139,13 +138,13 @@ def _fill(grid: _Grid) -> None:
             starts[cell] += starts[cell - 1]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _any_meets(faces: _Faces, grid: _Grid) -> bool:
     counts, boxes, around = grid.counts, faces.boxes, grid.mesh.boxes
     for k in range(len(boxes)):
-        x, x_last = _cells(grid, boxes, k, 0)
-        y, y_last = _cells(grid, boxes, k, 1)
-        z, z_last = _cells(grid, boxes, k, 2)
+        x, x_last = _cells(boxes[k, 0, 0], boxes[k, 1, 0], grid.low[0], grid.side_mm, counts[0])
+        y, y_last = _cells(boxes[k, 0, 1], boxes[k, 1, 1], grid.low[1], grid.side_mm, counts[1])
+        z, z_last = _cells(boxes[k, 0, 2], boxes[k, 1, 2], grid.low[2], grid.side_mm, counts[2])
         x_low, y_low, z_low = boxes[k, 0, 0] - _APART_MM, boxes[k, 0, 1] - _APART_MM, boxes[k, 0, 2] - _APART_MM
         x_high, y_high, z_high = boxes[k, 1, 0] + _APART_MM, boxes[k, 1, 1] + _APART_MM, boxes[k, 1, 2] + _APART_MM
         for i in range(z, z_last + 1):
@@ -166,7 +165,7 @@ def _any_meets(faces: _Faces, grid: _Grid) -> bool:
     return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@callee()
 def _one_side(face: Array, plane: Array) -> bool:
     """Whether a face (3, 3) lies on one side of a plane (4,)."""
     one = face[0, 0] * plane[0] + face[0, 1] * plane[1] + face[0, 2] * plane[2] - plane[3]
@@ -175,7 +174,7 @@ def _one_side(face: Array, plane: Array) -> bool:
     return min(one, two, three) > _APART_MM or max(one, two, three) < -_APART_MM
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@callee()
 def _cross(one: Array, other: Array) -> bool:
     """Whether no axis across an edge of both separates two faces (3, 3)."""
     for i in range(3):
@@ -189,7 +188,7 @@ def _cross(one: Array, other: Array) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@callee()
 def _apart(one: Array, other: Array, x: float, y: float, z: float) -> bool:
     """Whether two faces (3, 3) lie apart along an axis of any length; never along one that is none."""
     a, b, c = (
@@ -206,7 +205,7 @@ def _apart(one: Array, other: Array, x: float, y: float, z: float) -> bool:
     return gap > 0.0 and gap * gap > _APART_MM * _APART_MM * (x * x + y * y + z * z)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _turns(place: Array, faces: Array) -> float:
     """How often a closed mesh of faces (n, 3, 3) goes around a place (3,)."""
     total = 0.0

@@ -4,10 +4,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ..core.checks import Array
+from ..core.compiled import callee, kernel
 from .crossings import Crossings
 from .sheets import Frame, Point, Triangles
 
@@ -76,13 +76,13 @@ class Spot(NamedTuple):
     z: float
 
 
-@njit(cache=True, nogil=True)
+@callee()
 def spot_of(frame: Frame, row: int, col: int) -> Spot:
     """A pixel as a ray's end."""
     return Spot(row, col, frame.way.x + col * frame.pixel_mm, frame.way.y, frame.way.z - row * frame.pixel_mm)
 
 
-@njit(cache=True, nogil=True)
+@callee()
 def load_facet(triangles: Triangles, triangle: int, facets: Array, k: int) -> None:
     """Put a triangle into row k of facets (n, 16), px and mm: of each edge, row and column of its start and what it
     adds to them; its plane.
@@ -97,7 +97,7 @@ def load_facet(triangles: Triangles, triangle: int, facets: Array, k: int) -> No
         facets[k, 12 + part] = triangles.planes[triangle, part]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@callee()
 def depth_within(spot: Spot, facets: Array, k: int, after: float) -> float:
     """Depth (a share) at which a ray meets triangle k of facets (n, 16), px and mm; 0 unless after a depth and strictly
     inside what is seen of it.
@@ -113,19 +113,19 @@ def depth_within(spot: Spot, facets: Array, k: int, after: float) -> float:
     return at
 
 
-@njit(cache=True, nogil=True)
+@callee()
 def _point(vectors: Floats, k: int) -> Point:
     return Point(np.float64(vectors[k, 0]), np.float64(vectors[k, 1]), np.float64(vectors[k, 2]))
 
 
-@njit(cache=True, nogil=True)
+@callee()
 def _at(frame: Frame, centre: Point, spot: Spot, depth: float) -> Point:
     """Where a ray is at a depth, around the centre of a surface."""
     x, y, z = frame.source.x - centre.x, frame.source.y - centre.y, frame.source.z - centre.z
     return Point(x + depth * spot.x, y + depth * spot.y, z + depth * spot.z)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def advance(
     hits: tuple[Ints, Floats],
     triangles: Triangles,

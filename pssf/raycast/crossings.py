@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ..core.checks import Array
+from ..core.compiled import kernel
 from ..geometry.density import Density, integrated
 from .sheets import Frame
 
@@ -94,7 +94,7 @@ def integrals(crossings: Crossings, frame: Frame, density: Density) -> Array:
     return np.asarray(total, dtype=np.float64).reshape(window.rows, window.cols)
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def order(starts: NDArray[np.int64], depth: Array, sign: NDArray[np.int8]) -> None:
     """Order the crossings of each ray by depth, in place; rays have few.
 
@@ -109,7 +109,7 @@ def order(starts: NDArray[np.int64], depth: Array, sign: NDArray[np.int8]) -> No
             depth[n], sign[n] = d, s
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _append(part: Crossings, factor: int, free: NDArray[np.int64], whole: Crossings) -> None:
     """Write the crossings of a part, times a factor, to where `free` says for each pixel of the whole; move it on."""
     cols = part.window.cols
@@ -122,7 +122,7 @@ def _append(part: Crossings, factor: int, free: NDArray[np.int64], whole: Crossi
             free[place] = n + 1
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _sum_depths(starts: NDArray[np.int64], depth: Array, sign: NDArray[np.int8], out: Array) -> None:
     for pixel in range(len(out)):
         total = 0.0
@@ -131,7 +131,7 @@ def _sum_depths(starts: NDArray[np.int64], depth: Array, sign: NDArray[np.int8],
         out[pixel] = total
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _segments(crossings: Crossings, frame: Frame, segments: _Segments) -> int:
     """Fill in the segments of rays inside; returns their count."""
     count, window, source, starts_mm, ends_mm = 0, crossings.window, frame.source, segments.starts_mm, segments.ends_mm

@@ -9,10 +9,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ..core.checks import Array
+from ..core.compiled import callee, kernel
 from .crossings import Crossings, Window, order, room_for
 from .paths import Audit
 from .sheets import Frame, Sheet, Triangles
@@ -119,7 +119,7 @@ def _fill(spans: _Spans, sheet: Sheet, listed: Crossings, free: NDArray[np.int64
     order(listed.starts, listed.depth, listed.sign)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@callee()
 def _crossing(projected: Array, one: int, other: int, row: int) -> float:
     """Column at which an edge crosses a row; the same bits whichever way the edge is run along."""
     i, j = min(one, other), max(one, other)
@@ -129,7 +129,7 @@ def _crossing(projected: Array, one: int, other: int, row: int) -> float:
     return min(max(column, min(start, end)), max(start, end))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _find_spans(picked: Ints, triangles: Triangles, window: Window, spans: _Spans, steps: Ints) -> int:
     """Fill in the spans; returns their count. To `steps` (rows, cols) one is added where a span begins on a row,
     and one taken where it has ended."""
@@ -156,7 +156,7 @@ def _find_spans(picked: Ints, triangles: Triangles, window: Window, spans: _Span
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _scan(spans: _Spans, triangles: Triangles, frame: Frame, window: Window, sums: Array) -> None:
     """Add sign x depth at the pixels of the spans to `sums` (rows, cols)."""
     for n in range(len(spans.row)):
@@ -174,7 +174,7 @@ def _scan(spans: _Spans, triangles: Triangles, frame: Frame, window: Window, sum
             sums[row - window.row, col - window.col] += sign * at
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _list(spans: _Spans, triangles: Triangles, frame: Frame, listed: Crossings, free: NDArray[np.int64]) -> None:
     """Write the crossings at pixels of the spans to where `free` says, and move it on; if below 0, not."""
     for n in range(len(spans.row)):

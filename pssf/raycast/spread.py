@@ -7,9 +7,9 @@ that it meets, wherever they were taken from. So most rays need not be cast.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from ..core.checks import Array
+from ..core.compiled import callee, kernel
 from .casting import Ints, Progress, Spot, depth_within, load_facet, spot_of
 from .crossings import Crossings
 from .sheets import Frame, Triangles
@@ -32,7 +32,7 @@ class Near(NamedTuple):
     facets: Array
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def spread(triangles: Triangles, frame: Frame, listed: Crossings, progress: Progress, most: int) -> None:
     """Give pixels the triangles of one cast nearby, where they lie strictly inside every one of them."""
     rows, cols, starts, facets = listed.window.rows, listed.window.cols, listed.starts, np.empty((most, 16))
@@ -61,7 +61,7 @@ def spread(triangles: Triangles, frame: Frame, listed: Crossings, progress: Prog
                     progress.left[pixel], progress.turns[pixel] = 0, progress.turns[anchor]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@callee()
 def _outer_edge(spot: Spot, facets: Array, k: int) -> int:
     """Number of an edge of triangle k of `load_facet` that a pixel is not strictly inside of; 3 if there is none."""
     for corner in range(3):
@@ -72,15 +72,17 @@ def _outer_edge(spot: Spot, facets: Array, k: int) -> int:
     return 3
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def across_edges(faces: Ints, count: int) -> Ints:
     """(m, 3)  the face across each edge of faces (m, 3) of so many vertices, from each corner to the next; -1: none"""
-    first, after = np.full(count, -1, np.int32), np.empty(faces.size, np.int32)
+    first, after, across = np.empty(count, np.int32), np.empty(faces.size, np.int32), np.empty_like(faces)
+    for vertex in range(count):
+        first[vertex] = -1
     for edge in range(faces.size):
         start = faces[edge // 3, edge % 3]
         after[edge], first[start] = first[start], edge
-    across = np.full(faces.shape, -1, np.int32)
     for edge in range(faces.size):
+        across[edge // 3, edge % 3] = -1
         other = first[faces[edge // 3, (edge % 3 + 1) % 3]]
         while other >= 0:
             if faces[other // 3, (other % 3 + 1) % 3] == faces[edge // 3, edge % 3]:
@@ -90,7 +92,7 @@ def across_edges(faces: Ints, count: int) -> Ints:
     return across
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@callee()
 def _walk(near: Near, spot: Spot, pixel: int, listed: Crossings, progress: Progress) -> bool:
     """Give a pixel triangles on from those of one beside it, from each to the next; whether all are strictly around it.
 
@@ -117,7 +119,7 @@ def _walk(near: Near, spot: Spot, pixel: int, listed: Crossings, progress: Progr
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def walk_on(near: Near, frame: Frame, listed: Crossings, progress: Progress, way: int) -> None:
     """Give pixels the triangles of one beside them, or theirs across an edge, where they lie strictly inside them.
 

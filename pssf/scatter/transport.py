@@ -7,10 +7,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ..core.checks import Array
+from ..core.compiled import callee, kernel
 from .interactions import CUT_OFF_KEV, HC_KEV_A, STEP_KEV, STEP_X, Interactions
 
 _ELECTRON_KEV = 510.99895
@@ -45,7 +45,7 @@ class Setting(NamedTuple):
     size: Array
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def follow(
     photons: int, stream: NDArray[np.uint64], where: Setting, what: Interactions, counts: Array, energy: Array
 ) -> None:
@@ -76,7 +76,7 @@ def follow(
             energy[ABSORBED] += weight * (before - photon[6])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@callee(inline="always")
 def _random(s: NDArray[np.uint64]) -> float:
     """Uniform in [0, 1): xoshiro256++ (Blackman and Vigna 2019)."""
     total = s[0] + s[3]
@@ -91,7 +91,7 @@ def _random(s: NDArray[np.uint64]) -> float:
     return (mixed >> np.uint64(11)) * (1.0 / 9007199254740992.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@callee(inline="always")
 def _above(values: Array, at: float) -> int:
     """The first of growing values that is above a number, or the last."""
     low, high = 0, len(values) - 1
@@ -104,7 +104,7 @@ def _above(values: Array, at: float) -> int:
     return low
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@callee()
 def _emit(photon: Array, stream: NDArray[np.uint64], where: Setting) -> float:
     """Start a photon at the source, aimed at a place drawn evenly in the window; returns its weight."""
     x = where.window[0] + _random(stream) * (where.window[1] - where.window[0]) - where.source[0]
@@ -119,7 +119,7 @@ def _emit(photon: Array, stream: NDArray[np.uint64], where: Setting) -> float:
     return where.weights[chosen] * 1e6 / (far * far) * y / far
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@callee()
 def _enter(photon: Array, where: Setting) -> None:
     """Move a photon from the source to where it enters the grid, if it does."""
     near, far = 0.0, np.inf
@@ -138,13 +138,13 @@ def _enter(photon: Array, where: Setting) -> None:
             photon[axis] += (near + 1e-3) * photon[3 + axis]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@callee(inline="always")
 def _between(table: Array, place: float) -> float:
     node = min(int(place), len(table) - 2)
     return table[node] + (place - node) * (table[node + 1] - table[node])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@callee()
 def _attenuation(kev: float, what: Interactions, mu: Array) -> float:
     """Fill `mu` (materials,) in 1/mm at an energy; returns the largest."""
     most, place = 0.0, (kev - CUT_OFF_KEV) / STEP_KEV
@@ -154,7 +154,7 @@ def _attenuation(kev: float, what: Interactions, mu: Array) -> float:
     return most
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@callee()
 def _fly(photon: Array, stream: NDArray[np.uint64], where: Setting, mu: Array, most: float) -> int:
     """Move a photon to its next interaction (delta tracking, Woodcock 1965); returns the material, -1 outside."""
     shape, origin, size = where.material.shape, where.origin, where.size
@@ -178,7 +178,7 @@ def _fly(photon: Array, stream: NDArray[np.uint64], where: Setting, mu: Array, m
             return int(material)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@callee()
 def _absorbed(photon: Array, stream: NDArray[np.uint64], material: int, mu: float, what: Interactions) -> bool:
     """One interaction: whether it ends the photon, which has else a new direction, and after Compton a new energy."""
     place = (photon[6] - CUT_OFF_KEV) / STEP_KEV
@@ -196,7 +196,7 @@ def _absorbed(photon: Array, stream: NDArray[np.uint64], material: int, mu: floa
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _compton(kev: float, stream: NDArray[np.uint64], bound: Array) -> tuple[float, float]:
     """Cosine and energy share after Compton: Klein-Nishina by composition and rejection (Butcher and Messel 1960)."""
     k = kev / _ELECTRON_KEV
@@ -216,7 +216,7 @@ def _compton(kev: float, stream: NDArray[np.uint64], bound: Array) -> tuple[floa
             return 1.0 - t, share
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _rayleigh(kev: float, stream: NDArray[np.uint64], x2: Array, coherent: Array) -> float:
     """Cosine after coherent scattering: x squared from the form factors, then Thomson's angles by rejection."""
     most = (kev / HC_KEV_A) ** 2
@@ -233,7 +233,7 @@ def _rayleigh(kev: float, stream: NDArray[np.uint64], x2: Array, coherent: Array
             return cosine
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@callee()
 def _turn(photon: Array, cosine: float, stream: NDArray[np.uint64]) -> None:
     """Turn a photon's direction by an angle, about itself by a random one."""
     u, v, w = photon[3], photon[4], photon[5]
@@ -252,7 +252,7 @@ def _turn(photon: Array, cosine: float, stream: NDArray[np.uint64]) -> None:
     photon[3:6] *= norm
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@callee()
 def _count(
     photon: Array, weight: float, scattered: int, where: Setting, what: Interactions, counts: Array, energy: Array
 ) -> None:

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ..core.checks import Array, InputError, require
+from ..core.compiled import kernel
 from ..geometry.scene import Scene, require_traceable
 from ..geometry.view import View
 from ..raycast.crossings import Window
@@ -109,7 +109,7 @@ def _filled(scene: Scene, origin: Array, size: Array, number: NDArray[np.int64])
     return index
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _count(
     crossed: _Crossed,
     window: Window,

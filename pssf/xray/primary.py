@@ -5,11 +5,11 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.checks import Array
+from ..core.compiled import kernel
 from ..geometry.view import View
 from .collimator import field_of_view, is_collimated
 from .materials import attenuation_per_mm
@@ -105,7 +105,7 @@ def primary_of(
     return signal
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
+@kernel(fastmath={"contract"})
 def _transmit(
     stack: NDArray[np.float32],
     nodes: _Nodes,
@@ -117,7 +117,10 @@ def _transmit(
     """Fill the rows of a band, whose first is `start`."""
     mu, signal, square = nodes.mu, nodes.signal, nodes.square
     materials, count = mu.shape
-    open_signal, open_square = signal.sum(), square.sum()
+    open_signal, open_square = 0.0, 0.0
+    for k in range(count):
+        open_signal += signal[k]
+        open_square += square[k]
     depth = rays.corner[1] - rays.source[1]
     exponents, areas = np.empty((count, _RUN_COLS)), np.empty(_RUN_COLS)
     for row in range(kev.shape[0]):

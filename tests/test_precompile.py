@@ -1,0 +1,144 @@
+"""Kernels compiled in a process of their own: when, which, and that pixels do not know of it."""
+
+import hashlib
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from numba.core import config
+
+import pssf
+from pssf import precompile
+from pssf.precompile import compiling_aside, is_compiled, kernels
+
+SMALL = {"rows": 96, "cols": 96, "pixel_mm": 2.0}
+# A process whose cache is empty: what it compiles itself, and its pixels.
+COLD = """
+import dataclasses, hashlib, json, sys
+import numba.core.event as event
+import pssf
+
+class Compiled(event.Listener):
+    names = set()
+    def on_start(self, event):
+        self.names.add(event.data["dispatcher"].py_func.__module__)
+    def on_end(self, event):
+        pass
+
+event.register("numba:compile", Compiled())
+protocol = dataclasses.replace(pssf.load_protocol("reference"), **json.loads(sys.argv[1]))
+radiograph = pssf.simulate(pssf.Knee(), protocol)
+print(json.dumps([hashlib.sha256(radiograph.pixels.tobytes()).hexdigest(), sorted(Compiled.names)]))
+"""
+TOY = """
+from pssf.core.compiled import kernel
+
+@kernel()
+def doubled(x):
+    return {factor} * x
+"""
+
+
+def toy(path, name="toy", factor=2):
+    """A module with one kernel, as another process would import it."""
+    path.write_text(TOY.format(factor=factor))
+    spec = importlib.util.spec_from_file_location(name, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.doubled
+
+
+@pytest.fixture
+def started(monkeypatch):
+    """Arguments of the processes that would be started."""
+    calls = []
+
+    @contextmanager
+    def noted(*arguments, environment, patience_s):
+        calls.append(arguments)
+        yield
+
+    monkeypatch.setattr(precompile, "beside", noted)
+    monkeypatch.setattr(precompile, "_tried", set())
+    monkeypatch.setattr(precompile, "can_run_beside", lambda: True)
+    monkeypatch.setattr(precompile, "compile_others", lambda: None)
+    monkeypatch.setattr(precompile, "is_compiled", lambda kernel: False)
+    return calls
+
+
+def enter(workers=2):
+    with compiling_aside("embree", textured=True, workers=workers):
+        pass
+
+
+def test_what_is_not_compiled_is_compiled_aside_once(started):
+    enter()
+    enter()
+    assert started == [("pssf.precompile", "compile_rays", "embree", "trabecular")]
+
+
+@pytest.mark.parametrize(
+    ("where", "name", "value"),
+    [
+        (precompile, "is_compiled", lambda kernel: True),
+        (precompile, "can_run_beside", lambda: False),
+        (config, "DISABLE_JIT", 1),
+        (os, "access", lambda path, mode: False),
+    ],
+)
+def test_nothing_is_started_where_it_is_of_no_use(started, monkeypatch, where, name, value):
+    monkeypatch.setattr(where, name, value)
+    enter()
+    assert not started
+
+
+def test_nothing_is_started_for_one_worker(started):
+    enter(workers=1)
+    assert not started
+
+
+def test_a_kernel_is_compiled_if_the_cache_has_it_of_this_source(tmp_path):
+    first = toy(tmp_path / "toy.py")
+    assert not is_compiled(first)
+    assert first(2) == 4
+    assert is_compiled(first)
+    assert is_compiled(toy(tmp_path / "toy.py"))
+    assert not is_compiled(toy(tmp_path / "toy.py", factor=3))
+
+
+def test_where_nobody_knows_a_kernel_counts_as_compiled():
+    assert is_compiled(len)
+
+
+@pytest.mark.parametrize("engine", ["embree", "scanline"])
+@pytest.mark.parametrize("textured", [True, False])
+def test_the_kernels_looked_for_are_those_that_rays_compile(engine, textured):
+    precompile.compile_rays(engine, "trabecular" if textured else "none")
+    protocol = replace(pssf.load_protocol("reference"), **SMALL, texture="trabecular" if textured else "none")
+    before = [kernel.signatures for kernel in kernels(engine, textured)]
+    assert all(len(types) > 0 for types in before)
+    pssf.simulate(pssf.Knee(), protocol, engine=engine)
+    assert [kernel.signatures for kernel in kernels(engine, textured)] == before
+
+
+def test_after_an_installation_rays_are_compiled_aside_and_pixels_are_the_same(tmp_path):
+    protocol = replace(pssf.load_protocol("reference"), **SMALL)
+    warm = hashlib.sha256(pssf.simulate(pssf.Knee(), protocol).pixels.tobytes()).hexdigest()
+    done = subprocess.run(
+        [sys.executable, "-c", COLD, json.dumps(SMALL)],
+        env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)},
+        cwd=Path(__file__).parents[1],
+        stdout=subprocess.PIPE,
+        check=True,
+    )
+    cold, compiled = json.loads(done.stdout)
+    assert cold == warm
+    assert "pssf.geometry.within" in compiled
+    rays = {kernel.py_func.__module__ for kernel in kernels("embree", True)}
+    assert not rays & set(compiled)
