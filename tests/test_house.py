@@ -489,7 +489,24 @@ HOUSE = {
     "model/protocol.py": "from ..data.a import reader\ndef load_protocol():\n    reader()\n",
     "xray/technique.py": "from ..data.a import reader\ndef technique_of():\n    reader()\n",
 }
+def callees_from_python(sources: dict[str, str]) -> Iterator[str]:
+    """Calls, from functions that are not compiled, of compiled ones that have no entry from Python: they would crash."""
+    trees = {path: ast.parse(text) for path, text in sources.items()}
+    functions = [
+        (path, node) for path, tree in trees.items() for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)
+    ]
+
+    def is_marked(node: ast.FunctionDef, *marks: str) -> bool:
+        return any(isinstance(mark, ast.Name) and mark.id in marks for mark in node.decorator_list)
+
+    callees = {node.name for _, node in functions if is_marked(node, "callee")}
+    for path, node in functions:
+        if not is_marked(node, "kernel", "callee"):
+            yield from (f"{path}:{node.name} calls {name}" for _, name in _uses(node, callees))
+
+
 RULES = {
+    callees_from_python: {"core/a.py": "@callee\ndef f():\n    pass\ndef g():\n    f()\n"},
     one_way: {"core/checks.py": "from ..model import knee\n", "model/knee.py": ""},
     ghosts: {"core/a.py": ""},
     long_modules: {"core/a.py": "x = 1\n" * 301},
