@@ -490,7 +490,7 @@ HOUSE = {
     "xray/technique.py": "from ..data.a import reader\ndef technique_of():\n    reader()\n",
 }
 def callees_from_python(sources: dict[str, str]) -> Iterator[str]:
-    """Calls, from functions that are not compiled, of compiled ones that have no entry from Python: they would crash."""
+    """Calls, from functions that are not compiled, of compiled ones without an entry from Python: they crash."""
     trees = {path: ast.parse(text) for path, text in sources.items()}
     functions = [
         (path, node) for path, tree in trees.items() for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)
