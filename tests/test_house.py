@@ -489,6 +489,8 @@ HOUSE = {
     "model/protocol.py": "from ..data.a import reader\ndef load_protocol():\n    reader()\n",
     "xray/technique.py": "from ..data.a import reader\ndef technique_of():\n    reader()\n",
 }
+
+
 def callees_from_python(sources: dict[str, str]) -> Iterator[str]:
     """Calls, from functions that are not compiled, of compiled ones without an entry from Python: they crash."""
     trees = {path: ast.parse(text) for path, text in sources.items()}
