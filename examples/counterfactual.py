@@ -18,10 +18,10 @@ SIDE = 320
 def run(out: Path, pixels: int = 2048) -> list[Path]:
     """Write the radiograph, both changed ones and the differences as one PNG; `pixels` is the side of the detector."""
     knee = pssf.Knee(texture_seed=4)
-    beaks = tuple(pssf.Osteophyte(site=site, size_mm=2.5) for site in ("medial_femur", "medial_tibia"))
+    osteophytes = tuple(pssf.Osteophyte(site=site, size_mm=2.5) for site in ("medial_femur", "medial_tibia"))
     changed = {
         "space 2 mm less": dataclasses.replace(knee, jsw_medial_mm=3.0),
-        "two osteophytes": dataclasses.replace(knee, osteophytes=beaks),
+        "two osteophytes": dataclasses.replace(knee, osteophytes=osteophytes),
     }
     reference = pssf.load_protocol("reference")
     protocol = dataclasses.replace(reference, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)

@@ -1,6 +1,7 @@
 """The stages of a radiograph in their order: what asks for each, and what it does to the latent image.
 
 A stage reads the chain, which is resolved once. One that the protocol does not ask for is not run, and costs nothing.
+Anatomy and rays come before all of them, since paths may be given.
 """
 
 from collections.abc import Callable, Mapping

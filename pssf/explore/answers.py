@@ -53,7 +53,7 @@ def radiograph(warm: Warm, wanted: Wanted) -> Answer:
         "seconds": made.seconds,
         "beam_angle_deg": protocol.beam_angle_deg,
         **_figures(made),
-        "truth": _told(made.truth) if whole else None,
+        "truth": _labels_of(made.truth) if whole else None,
     }
     content = _shown(pixels, made, wanted).astype("<u2", copy=False).tobytes()
     return {**header, "cpu_s": process_time() - began, "process": getpid()}, content
@@ -100,7 +100,7 @@ def _joint(made: Exposed, step: int, shape: tuple[int, ...]) -> tuple[slice, sli
     return slice(rows - half, rows + half + 1), slice(cols - half, cols + half + 1)
 
 
-def _told(truth: Truth) -> Header:
+def _labels_of(truth: Truth) -> Header:
     return {
         "jsw_medial_mm": truth.jsw_medial_mm,
         "jsw_lateral_mm": truth.jsw_lateral_mm,

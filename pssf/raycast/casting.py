@@ -33,7 +33,7 @@ class Rays(NamedTuple):
     pixels      (n,)    within the window
     depths      (n,)    of the last hit from the front
     triangles   (n,)    of the last hit
-    again       (n,)    times that it was met again
+    tries       (n,)    times that it was met again
     """
 
     origins: Floats
@@ -41,7 +41,7 @@ class Rays(NamedTuple):
     pixels: Ints
     depths: Array
     triangles: Ints
-    again: Ints
+    tries: Ints
 
 
 class Extent(NamedTuple):
@@ -145,7 +145,7 @@ def advance(
         spot = spot_of(frame, listed.window.row + row, listed.window.col + pixel - row * listed.window.cols)
         if triangle == rays.triangles[k] and left[pixel] > 1:
             # Rounding put the new start before the triangle just left after all: go on from where Embree sees it.
-            at, tries = rays.depths[k], rays.again[k] + 1
+            at, tries = rays.depths[k], rays.tries[k] + 1
             start, off, far = _point(rays.origins, k), _point(rays.directions, k), hits[1][k]
             place = Point(start.x + far * off.x, start.y + far * off.y, start.z + far * off.z)
         else:
@@ -166,6 +166,6 @@ def advance(
         rays.origins[count, 0], rays.directions[count, 0] = place.x + step * off.x, turn * rays.directions[k, 0]
         rays.origins[count, 1], rays.directions[count, 1] = place.y + step * off.y, turn * rays.directions[k, 1]
         rays.origins[count, 2], rays.directions[count, 2] = place.z + step * off.z, turn * rays.directions[k, 2]
-        rays.pixels[count], rays.depths[count], rays.triangles[count], rays.again[count] = pixel, at, triangle, tries
+        rays.pixels[count], rays.depths[count], rays.triangles[count], rays.tries[count] = pixel, at, triangle, tries
         count += 1
     return count

@@ -35,7 +35,7 @@ def effects(
         row = label | {"group": group, "features": int(np.isfinite(theirs[0] + ours[0])[of_group].sum())}
         for name, values in zip(("r", "same_sign"), alike.T, strict=True):
             ends = percentiles(values[1:][np.isfinite(values[1:])]) if np.isfinite(values).sum() > 2 else (np.nan,) * 2
-            row |= {name: _told(values[0]), f"{name}_low": _told(ends[0]), f"{name}_high": _told(ends[1])}
+            row |= {name: _rounded(values[0]), f"{name}_low": _rounded(ends[0]), f"{name}_high": _rounded(ends[1])}
         summary.append(row)
     return rows, summary
 
@@ -51,7 +51,7 @@ def _alike(real: Array, simulated: Array) -> tuple[float, float]:
     return r, float((np.sign(one) == np.sign(other)).mean())
 
 
-def _told(value: float) -> float:
+def _rounded(value: float) -> float:
     return round(float(value), 3)
 
 

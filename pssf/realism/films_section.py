@@ -96,7 +96,7 @@ def films_section(
 
 def compare(records: Mapping[str, Sequence[Record]], *, replicates: int, seed: int) -> Comparison:
     """Every real source against the simulated films, and against every other real one."""
-    measured = {name: learnable(name, of) for name, of in records.items() if _found(of)}
+    measured = {name: learnable(name, of) for name, of in records.items() if _any_measured(of)}
     real = [films for name, films in measured.items() if name != SIMULATED]
     chance = {"replicates": replicates, "seed": seed}
     made = Comparison(domains=[], transfer=[], features=[], groups=[])
@@ -182,7 +182,7 @@ def summary_line(compared: Comparison) -> str:
     return "; ".join(parts) or "too few films to say anything"
 
 
-def _found(records: Sequence[Record]) -> bool:
+def _any_measured(records: Sequence[Record]) -> bool:
     return any(record["status"] == "found" for record in records)
 
 

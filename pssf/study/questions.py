@@ -124,7 +124,7 @@ def _tested(known: pd.DataFrame, grades: Collection[int], settings: StudySetting
     return len(tested & set(known.loc[known["grade"].isin(list(grades)), "subject"]))
 
 
-def _found(taken: pd.DataFrame, name: str, base: pd.DataFrame, run: Run) -> pd.DataFrame:
+def _with_region(taken: pd.DataFrame, name: str, base: pd.DataFrame, run: Run) -> pd.DataFrame:
     """Of radiographs taken by design, those with a region, and their features."""
     measured = measured_by_design(run, taken, name, float(base["pixel_mm"].iloc[0]))
     return measured[measured["status"] == "found"]
@@ -142,11 +142,11 @@ def _meaning(
     """What features measure: shares of variance, slopes, and both beside the correlations."""
     of_shares, of_slopes = pd.DataFrame(columns=space.SHARES), pd.DataFrame(columns=space.SLOPES)
     if designed.shares is not None:
-        table = _found(designed.shares, "shares", base, run)
+        table = _with_region(designed.shares, "shares", base, run)
         with run.execution.timer.stage("shares of variance"):
             of_shares = space.shares(table, names, designed.bounds, designed.samples, run.settings.seed)
     if designed.pairs is not None:
-        table = _found(designed.pairs, "pairs", base, run)
+        table = _with_region(designed.pairs, "pairs", base, run)
         of_slopes = space.slopes(base, table, manifest, names, designed.bounds)
     both = space.beside(follows, of_slopes, of_shares)
     section = meaning_section(of_shares, both, most, designed.bounds)
@@ -156,7 +156,7 @@ def _meaning(
 def _curves(curves: pd.DataFrame, base: pd.DataFrame, names: list[str], most: Sequence[str], run: Run) -> Answers:
     """What becomes of features and models along the axes of `design`."""
     settings = run.settings
-    steps = _found(curves, "curves", base, run)
+    steps = _with_region(curves, "curves", base, run)
     axes = {name: axis for name, axis in AXES.items() if name in set(curves["kind"])}
 
     def step(axis: str, turn: int) -> float:
