@@ -1,5 +1,6 @@
 """A table of the package as a frozen record: every name and type is checked when it is read, once."""
 
+from threading import RLock
 from typing import Any, TypeVar
 
 import msgspec
@@ -9,6 +10,11 @@ Numbers = tuple[float, ...]
 Rows = tuple[Numbers, ...]
 Triple = tuple[float, float, float]
 Pair = tuple[float, float]
+
+
+# msgspec describes a type to itself when it first meets it, and a thread that meets it meanwhile crashes (0.22). Whoever
+# may be in a thread takes it: again, where a record makes others.
+TYPES_LOCK = RLock()
 
 
 class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -22,7 +28,8 @@ def record(kind: type[T], table: Any, what: str) -> T:
     raises  ValueError naming the table and the entry that is missing, unknown or of another type
     """
     try:
-        return msgspec.convert(table, kind)
+        with TYPES_LOCK:
+            return msgspec.convert(table, kind)
     except msgspec.ValidationError as error:
         raise ValueError(
             f"table {what}: {error}; allowed: {kind.__name__ if isinstance(kind, type) else kind}"

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from ..core.checks import InputError, one_line
+from .records import TYPES_LOCK
 
 T = TypeVar("T")
 # No parameters, tables or films of anybody's are larger.
@@ -72,7 +73,8 @@ def read_json(path: Path, kind: type[T] | Any, *, allowed: str = _AGAIN) -> T:
     # Python's reader, for the NaN that a place has which is not seen.
     held = parsed(path, read_text(path), json.loads, fault="damaged", allowed=allowed)
     try:
-        return msgspec.convert(held, kind)
+        with TYPES_LOCK:
+            return msgspec.convert(held, kind)
     except msgspec.ValidationError as error:
         raise InputError(f"file {path}: damaged ({error}); allowed: {allowed}") from None
 

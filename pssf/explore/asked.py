@@ -7,7 +7,7 @@ import msgspec
 
 from ..core.checks import InputError, require_choice, require_seed, require_whole
 from ..data.fields import field_laws
-from ..data.records import Record
+from ..data.records import TYPES_LOCK, Record
 from ..model.draw import draw_knee
 from ..model.knee import Knee, knee_from
 from ..model.protocol import Protocol, protocol_from
@@ -133,7 +133,8 @@ def drawn(body: bytes) -> dict[str, Any]:
 
 def _decoded(body: bytes, kind: type[Kind]) -> Kind:
     try:
-        return msgspec.json.decode(body, type=kind)
+        with TYPES_LOCK:
+            return msgspec.json.decode(body, type=kind)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         why = f"request = {len(body)} bytes, {str(error)[:200]}"
         raise InputError(f"{why}; allowed: JSON as the page sends it") from None
