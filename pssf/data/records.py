@@ -12,8 +12,8 @@ Triple = tuple[float, float, float]
 Pair = tuple[float, float]
 
 
-# msgspec describes a type to itself when it first meets it, and a thread that meets it meanwhile crashes (0.22). Whoever
-# may be in a thread takes it: again, where a record makes others.
+# msgspec describes a type to itself when it first meets it, and a thread that meets it meanwhile crashes (0.22).
+# Whoever may be in a thread holds this; twice, where a record makes others.
 TYPES_LOCK = RLock()
 
 
