@@ -16,7 +16,7 @@ import numpy as np
 from msgspec import structs
 from numba.core import config
 
-from .anatomy.trabeculae import Trabeculae, trabeculae
+from .anatomy.trabeculae import Trabeculae, healthy_tibia
 from .core.aside import beside, can_run_beside
 from .data.spongy import TrabecularBone, trabecular_bone
 from .geometry.repair import Solid, repair
@@ -139,15 +139,4 @@ def _trace(engine: str, sheet: Sheet, density: Trabeculae | None) -> None:
 def _tibia(table: TrabecularBone) -> Trabeculae:
     """A tibia's density of a small lattice, which is soon made."""
     small = structs.replace(table.lattice, voxels=(32, 32, 32))
-    return trabeculae(
-        "tibia",
-        structs.replace(table, lattice=small),
-        seed=0,
-        scale=1.0,
-        frame=np.eye(3, 4),
-        mirror=(1.0, 1.0, 1.0),
-        sclerosis=1.0,
-        age_years=55.0,
-        sex="male",
-        density=1.0,
-    )
+    return healthy_tibia(structs.replace(table, lattice=small), seed=0)

@@ -31,8 +31,7 @@ def test_weights_are_of_the_mirrored_edges_and_told_by_knees_that_were_not_learn
 
 
 def test_edges_of_a_drawn_left_knee_are_as_a_right_ones(monkeypatch):
-    table = localisation()
-    weights = np.array([table.sides.down, table.sides.right])
+    weights = np.array([TABLE.sides.down, TABLE.sides.right])
     seen = {}
     drawn = side_pattern._drawn
 
@@ -41,7 +40,7 @@ def test_edges_of_a_drawn_left_knee_are_as_a_right_ones(monkeypatch):
         return seen[number]
 
     monkeypatch.setattr(side_pattern, "_drawn", remembered)
-    shared = {"templates": side_pattern.standard_templates("scanline"), "modes": 0, "table": table}
+    shared = {"templates": side_pattern.standard_templates("scanline"), "modes": 0, "table": TABLE}
     for number in (0, 3, 7, 10):
         assert (weights * side_pattern._of_knee(number, **shared)).sum() > 0.2
     assert {knee.side for knee, _ in seen.values()} == {"left", "right"}

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import stats
 
 from ..anatomy import build
-from ..anatomy.trabeculae import PIECE, trabeculae
+from ..anatomy.trabeculae import PIECE, healthy_tibia
 from ..core.checks import Array
 from ..core.parallel import ordered_map
 from ..data.references import references
@@ -37,18 +37,7 @@ def step_rows() -> list[Row]:
     texture     RMS error over the standard deviation that struts give the integral
     """
     table = trabecular_bone()
-    bone = trabeculae(
-        "tibia",
-        table,
-        seed=1,
-        scale=1.0,
-        frame=np.eye(3, 4),
-        mirror=(1.0, 1.0, 1.0),
-        sclerosis=1.0,
-        age_years=55.0,
-        density=1.0,
-        sex="male",
-    )
+    bone = healthy_tibia(table, seed=1)
     even = replace(bone, region=bone.region._replace(gain=0.0, gain_shaft=0.0))
     step_mm = table.lattice.voxel_mm[2]
     x, z = (part.ravel() for part in np.meshgrid(np.arange(-35, 35, 0.124), np.arange(-1, -50, -1.0)))

@@ -113,6 +113,22 @@ def trabeculae(
     )
 
 
+def healthy_tibia(table: TrabecularBone, *, seed: int) -> Trabeculae:
+    """That of the tibia of a healthy man of 55 years and mean size, in the bone's own frame; arguments as above."""
+    return trabeculae(
+        "tibia",
+        table,
+        seed=seed,
+        scale=1.0,
+        frame=np.eye(3, 4),
+        mirror=(1.0, 1.0, 1.0),
+        sclerosis=1.0,
+        age_years=55.0,
+        sex="male",
+        density=1.0,
+    )
+
+
 def make_struts(table: TrabecularBone, *, seed: int, sclerosis: float, age_years: float, sex: str) -> None:
     """Make the lattice of a knee's bones now, as `trabeculae` has it, so that integrals find it made."""
     lattice(int(seed), _grained(table, int(seed), sclerosis, age_years, sex))

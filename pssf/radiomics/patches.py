@@ -74,6 +74,14 @@ class Spectra:
     weight: NDArray[Any] = field(repr=False)
 
 
+def reach_px(law: PatchLaw) -> tuple[int, int, int, int]:
+    """Pixels of a patch above its medial joint line, below it, to lateral and to medial."""
+    up, down, lateral, medial = (
+        round(length / law.pitch_mm) for length in (law.up_mm, law.down_mm, law.lateral_mm, law.medial_mm)
+    )
+    return up, down, lateral, medial
+
+
 def density_of(pixels: NDArray[np.generic]) -> Array:
     """(rows, cols)  minus the logarithm of a linear signal: bone bright
 
@@ -85,9 +93,7 @@ def density_of(pixels: NDArray[np.generic]) -> Array:
 @lru_cache(maxsize=16)  # the same few serve a whole cohort
 def poses(templates: tuple[Template, ...], law: PatchLaw) -> tuple[Pose, ...]:
     """Right and left, upright and upside down."""
-    up, down, lateral, medial = (
-        round(length / law.pitch_mm) for length in (law.up_mm, law.down_mm, law.lateral_mm, law.medial_mm)
-    )
+    up, down, lateral, medial = reach_px(law)
     plain = [
         _field(template, law, turn, (up, down, lateral, medial)) for template in templates for turn in law.turns_deg
     ]

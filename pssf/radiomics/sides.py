@@ -11,7 +11,7 @@ from ..core.checks import Array
 from ..data.localisation import Localisation, PatchLaw
 from .candidates import Pair
 from .edges import Pyramid, edge_field
-from .patches import SIDES, WAYS, posed
+from .patches import SIDES, WAYS, posed, reach_px
 from .search import POLARITIES, Match
 
 
@@ -38,9 +38,7 @@ def _edges(image: Pyramid, match: Match, law: PatchLaw, block: int) -> NDArray[n
     zoom = match.unit_mm / law.pitch_mm
     sign = 1.0 if match.polarity == POLARITIES[0] else -1.0
     field = edge_field(sign * image.at(zoom), law.tile_mm / law.pitch_mm)
-    up, down, lateral, medial = (
-        round(length / law.pitch_mm) for length in (law.up_mm, law.down_mm, law.lateral_mm, law.medial_mm)
-    )
+    up, down, lateral, medial = reach_px(law)
     rows = _span(up, down, match.way == WAYS[0]) + (match.row + 0.5) * zoom - 0.5
     cols = _span(lateral, medial, match.side == SIDES[0]) + (match.col + 0.5) * zoom - 0.5
     places = np.meshgrid(rows, cols, indexing="ij")
