@@ -62,14 +62,16 @@ def simulate(
     chain = Chain(technique=technique, engine=engine, seed=seed, keep=frozenset(keep), workers=workers)
     image, audit = _traced(scene, chain, paths)
     clock.lap("rays")
-    seconds = expose(image, chain)
+    with ThreadPoolExecutor(1) as aside:
+        known = aside.submit(_known, subject, protocol, keep)
+        seconds = expose(image, chain)
     wanted = [*keep, "scatter_error"] if "scatter" in keep else list(keep)
     assert image.pixels is not None
     return Radiograph(
         pixels=image.pixels,
         protocol=protocol,
         seed=seed,
-        **_known(subject, protocol, keep),
+        **known.result(),
         engine=engine,
         audit=audit.counts(),
         versions=versions(),

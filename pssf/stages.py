@@ -144,7 +144,7 @@ def sample_focal_spot(image: LatentImage, chain: Chain) -> None:
 def scatter_by_kernel(image: LatentImage, chain: Chain) -> None:
     """Scatter by the kernel fitted to the Monte Carlo."""
     image.scatter = scatter_kev(
-        image.straight.kev, image.path_mm, image.exit_gap_mm(chain.technique.view), chain.technique
+        image.straight.kev, image.path_mm, image.exit_gap_mm(chain.technique.view), chain.technique, chain.workers
     )
 
 

@@ -116,9 +116,10 @@ def test_the_joint_line_lies_at_the_origin(built):
 def test_an_osteophyte_stands_out_by_its_size(site, size):
     side, where = site.split("_")
     make, grow = (bones.femur, bones.grown_femur) if where == "femur" else (bones.tibia, bones.grown_tibia)
+    shell_mm = bones.shells_mm(MEAN)[0 if where == "femur" else 1]
     form = MEAN.femur if where == "femur" else MEAN.tibia
     beak = pssf.Osteophyte(site=site, size_mm=size)
-    bare, grown = make(MEAN, grow(MEAN, ())), make(MEAN, grow(MEAN, (beak,)))
+    bare, grown = (make(MEAN, grow(MEAN, beaks), shell_mm) for beaks in ((), (beak,)))
     reach = []
     for beaks in ((), (beak,)):
         points = mesh_of(grow(MEAN, beaks).outer).vertices
@@ -133,7 +134,9 @@ def test_an_osteophyte_stands_out_by_its_size(site, size):
 
 def test_a_thicker_subchondral_plate_takes_its_volume_from_trabecular_bone():
     thick = dataclasses.replace(MEAN, plates=dataclasses.replace(MEAN.plates, medial=1.5, lateral=1.5))
-    normal, sclerotic = (bones.tibia(build, bones.grown_tibia(build, ())) for build in (MEAN, thick))
+    normal, sclerotic = (
+        bones.tibia(build, bones.grown_tibia(build, ()), bones.shells_mm(build)[1]) for build in (MEAN, thick)
+    )
     assert sclerotic.inner.volume() < normal.inner.volume()
     assert_allclose(sclerotic.outer.volume(), normal.outer.volume(), rtol=1e-12)
 

@@ -6,10 +6,11 @@ import itertools
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from standing import standing_bones
 
 import pssf
 from pssf import Cyst, InputError, Knee
-from pssf.anatomy import built as anatomy
+from pssf.anatomy.bone_build import build_of
 from pssf.anatomy.cysts import WALL_MM, cysts_of
 from pssf.anatomy.joint import assemble, defining_protocol
 from pssf.data.anatomy import anatomy_tables
@@ -30,8 +31,8 @@ WORN = Knee(
 
 def solids(knee, posture):
     """Bones and cysts of a knee without its soft tissue, and how it stands."""
-    assembly = assemble(knee, anatomy_tables(), posture, defining_protocol(knee))
-    placed = {name: part.solids for name, part in anatomy._bones(knee, assembly).items()}
+    assembly = assemble(knee, build_of(knee, anatomy_tables()), posture, defining_protocol(knee))
+    placed = standing_bones(knee, assembly)
     return placed, cysts_of(knee, assembly, placed), assembly
 
 

@@ -53,7 +53,7 @@ def test_no_triangle_of_a_bone_faces_inwards(bone):
 @pytest.mark.parametrize("bone", BONES, ids=["femur", "tibia"])
 @pytest.mark.parametrize(("cortex", "plate"), [(1.0, 1.0), (0.6, 0.4), (1.5, 2.5)])
 def test_marrow_lies_as_deep_as_cortex_and_plate_say(bone, cortex, plate):
-    points = mesh_of(bone.inner(cortex, Plates(plate, plate, 10.0))).vertices
+    points = mesh_of(bone.inner(bone.depth_mm(cortex, Plates(plate, plate, 10.0)))).vertices
     points = points[np.abs(points[:, 2]) < 190.0]
     off = np.abs(bone.field(points) + bone.shell(points, cortex, plate))
     assert np.quantile(off, 0.999) < 0.1

@@ -66,7 +66,7 @@ def test_a_larger_lip_is_longer_and_one_that_curves_ends_nearer_to_the_joint(sit
 def test_the_filling_of_a_lip_is_one_with_the_spongy_bone_and_within_a_cortex():
     osteophyte = pssf.Osteophyte(site="medial_tibia", size_mm=6.0)
     grown = bones.grown_tibia(BUILD, (osteophyte,))
-    bone = bones.tibia(BUILD, grown)
+    bone = bones.tibia(BUILD, grown, bones.shells_mm(BUILD)[1])
     assert len(bone.inner.decompose()) == 1
     assert (bone.inner - bone.outer).volume() < 1e-6
     reach = [mesh_of(solid).vertices[:, 0].max() for solid in (bone.outer, bone.inner)]

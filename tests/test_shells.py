@@ -6,7 +6,7 @@ from manifold3d import Manifold
 from numpy.testing import assert_allclose
 
 from pssf.anatomy.bones import Bone
-from pssf.anatomy.shells import check_nesting, nested
+from pssf.anatomy.shells import check_nesting, drawn_in, is_nested
 from pssf.anatomy.solids import mesh_of
 from pssf.core.checks import InputError
 from pssf.geometry.within import lies_within
@@ -27,8 +27,8 @@ def with_folds(*places: tuple[float, float, float], size_mm: float = 0.4) -> Bon
 @pytest.mark.parametrize("places", [[LATERAL], [LATERAL, (0.0, -20.0, 0.0), (0.0, 0.0, 20.0)]])
 def test_a_fold_is_drawn_in_where_it_is(places):
     bone = with_folds(*places)
-    assert not lies_within(mesh_of(bone.inner), mesh_of(bone.outer))
-    inner = nested("tibia", bone).inner
+    assert not is_nested(bone)
+    inner = drawn_in("tibia", bone).inner
     assert lies_within(mesh_of(inner), mesh_of(bone.outer))
     assert (inner - bone.outer).volume() == 0.0
     # No deeper than the pins stand out of the inner shell, and by nothing elsewhere.
@@ -39,12 +39,13 @@ def test_a_fold_is_drawn_in_where_it_is(places):
 
 def test_shells_that_nest_are_left_as_they_are():
     bone = Bone(outer=OUTER, inner=INNER)
-    assert nested("tibia", bone) is bone
+    assert is_nested(bone)
+    assert drawn_in("tibia", bone) is bone
 
 
 def test_what_is_no_fold_is_refused():
     with pytest.raises(InputError, match=r"tibia: its trabecular bone leaves its host by .* mm3; allowed: 0"):
-        nested("tibia", with_folds(LATERAL, size_mm=4.0))
+        drawn_in("tibia", with_folds(LATERAL, size_mm=4.0))
 
 
 def test_bones_that_meet_and_shells_that_leave_are_refused():

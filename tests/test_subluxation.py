@@ -5,10 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from standing import standing_bones
 
 import pssf
 from pssf import InputError, Knee
-from pssf.anatomy import built as anatomy
+from pssf.anatomy.bone_build import build_of
 from pssf.anatomy.contours import measure_gap
 from pssf.anatomy.joint import assemble, defining_protocol
 from pssf.anatomy.pose import moved
@@ -23,8 +24,8 @@ REFERENCE = pssf.load_protocol("reference")
 
 def standing(knee, posture):
     """How it stands, and its bones without soft tissue."""
-    assembly = assemble(knee, anatomy_tables(), posture, defining_protocol(knee))
-    return assembly, {name: part.solids for name, part in anatomy._bones(knee, assembly).items()}
+    assembly = assemble(knee, build_of(knee, anatomy_tables()), posture, defining_protocol(knee))
+    return assembly, standing_bones(knee, assembly)
 
 
 @pytest.mark.parametrize("slipped_mm", [-6.0, 3.0, 6.0])
@@ -53,7 +54,7 @@ def test_a_bent_knee_has_slipped_as_far(posture):
     slipped = Knee(jsw_as="read", jsw_medial_mm=2.0, jsw_lateral_mm=5.0, subluxation_mm=4.0)
     tables, protocol = anatomy_tables(), defining_protocol(slipped)
     poses = [
-        assemble(knee, tables, posture, protocol).pose
+        assemble(knee, build_of(knee, tables), posture, protocol).pose
         for knee in (slipped, dataclasses.replace(slipped, subluxation_mm=0.0))
     ]
     # Of the place that the femur bends and turns about; the tilt that keeps the spaces moves it by some tenths.

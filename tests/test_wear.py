@@ -8,6 +8,7 @@ import trimesh
 from numpy.testing import assert_allclose
 
 import pssf
+from pssf.anatomy.bone_build import build_of
 from pssf.anatomy.joint import assemble, defining_protocol
 from pssf.anatomy.solids import solid_of
 from pssf.anatomy.wear import attrition_mm, outer_bones, worn
@@ -93,20 +94,22 @@ def _heights(tibia):
 
 def test_attrition_is_told_alike_whatever_posture_is_built():
     tables, protocol = anatomy_tables(), defining_protocol(WORN)
-    bent, straight = (assemble(WORN, tables, posture, protocol) for posture in (FIXED_FLEXION.posture, Posture()))
+    bent, straight = (
+        assemble(WORN, build_of(WORN, tables), posture, protocol) for posture in (FIXED_FLEXION.posture, Posture())
+    )
     assert attrition_mm(bent) == attrition_mm(straight)
     assert attrition_mm(bent)["medial"] > 0.25
 
 
 def test_a_left_knee_is_worn_on_the_side_that_a_right_one_is(built):
     mirrored = dataclasses.replace(WORN, side="left")
-    left = assemble(mirrored, anatomy_tables(), FIXED_FLEXION.posture, defining_protocol(mirrored))
+    left = assemble(mirrored, build_of(mirrored, anatomy_tables()), FIXED_FLEXION.posture, defining_protocol(mirrored))
     assert attrition_mm(left) == built.truth(FIXED_FLEXION).attrition_mm
 
 
 def test_bones_apart_have_no_attrition():
     wide = dataclasses.replace(WORN, jsw_medial_mm=4.0, varus_deg=0.0)
-    assembly = assemble(wide, anatomy_tables(), FIXED_FLEXION.posture, defining_protocol(wide))
+    assembly = assemble(wide, build_of(wide, anatomy_tables()), FIXED_FLEXION.posture, defining_protocol(wide))
     assert attrition_mm(assembly) == {"medial": 0.0, "lateral": 0.0}
 
 

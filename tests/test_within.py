@@ -1,4 +1,4 @@
-"""Whether one closed mesh lies within another."""
+"""Whether closed meshes lie within each other or apart."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from manifold3d import Manifold
 
 from pssf.anatomy.solids import mesh_of
 from pssf.geometry.mesh import Mesh
-from pssf.geometry.within import lies_within
+from pssf.geometry.within import lie_apart, lies_within
 
 BALL = Manifold.sphere(10.0, 48)
 
@@ -53,3 +53,20 @@ def test_meshes_that_share_a_wall_are_not_within():
     # A face of no area tells nothing apart, and harms nothing.
     flat = Mesh(cube.vertices * 0.9, np.vstack((cube.faces, [[0, 0, 1], [0, 1, 0]])))
     assert lies_within(flat, cube)
+
+
+@pytest.mark.parametrize("way", [(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.6, 0.0, -0.8)], ids=str)
+def test_whether_solids_lie_apart_is_what_a_boolean_finds_shared(way):
+    other = Manifold.sphere(4.0, 40).rotate((20.0, 30.0, 40.0))
+    for far_mm in (0.0, 3.0, *np.linspace(13.7, 14.3, 13), 18.0, 60.0):
+        moved = other.translate(tuple(far_mm * np.array(way)))
+        apart = (moved ^ BALL).volume() == 0
+        assert lie_apart(mesh_of(moved), mesh_of(BALL)) == apart
+        assert lie_apart(mesh_of(BALL), mesh_of(moved)) == apart
+
+
+def test_a_body_in_a_cavity_lies_apart_and_meshes_that_share_a_wall_do_not():
+    shell = mesh_of(Manifold.cube((60.0, 60.0, 60.0), True) - BALL)
+    assert lie_apart(mesh_of(Manifold.sphere(2.0, 16)), shell)
+    cube = mesh_of(Manifold.cube((10.0, 10.0, 10.0), True))
+    assert not lie_apart(cube, mesh_of(Manifold.cube((10.0, 10.0, 10.0), True).translate((10.0, 0.0, 0.0))))

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..anatomy.bone_build import build_of
 from ..anatomy.joint import KneeAssembly, assemble, defining_protocol
 from ..anatomy.plateau import along_plateau, inter_margin_mm
 from ..anatomy.pose import moved
@@ -77,9 +78,9 @@ def on_films(job: tuple[int, Knee], tables: AnatomyTables, range_deg: Pair) -> d
     fixed, schuss = (
         draw_exposure(load_protocol(name), rng=rng, side=knee.side) for name in ("fixed_flexion", "lyon_schuss")
     )
-    assembly = assemble(knee, tables, fixed.posture, defining_protocol(knee))
+    assembly = assemble(knee, build_of(knee, tables), fixed.posture, defining_protocol(knee))
     measured = {"inter_margin_fixed_flexion_mm": abs(inter_margin_mm(assembly, outer_bones(assembly)[1], fixed))}
-    assembly = assemble(knee, tables, schuss.posture, defining_protocol(knee))
+    assembly = assemble(knee, build_of(knee, tables), schuss.posture, defining_protocol(knee))
     tibia = outer_bones(assembly)[1]
     aimed = along_plateau(assembly, tibia, schuss, range_deg)
     level = replace(schuss, beam_along="horizontal", beam_angle_deg=_FIXED_DEG)
@@ -96,7 +97,7 @@ def on_films(job: tuple[int, Knee], tables: AnatomyTables, range_deg: Pair) -> d
 
 def _slopes(knee: Knee, tables: AnatomyTables) -> dict[str, float]:
     protocol = load_protocol("lateral")
-    assembly = assemble(knee, tables, protocol.posture, defining_protocol(knee))
+    assembly = assemble(knee, build_of(knee, tables), protocol.posture, defining_protocol(knee))
     tibia, frame = outer_bones(assembly)[1], assembly.pose.tibia()
     own = Mesh((tibia.vertices - frame[:, 3]) @ frame[:, :3], tibia.faces)
     slopes = []
@@ -130,7 +131,7 @@ def slope_deg(assembly: KneeAssembly, tibia: Mesh) -> float:
 
 def _sulcus(knee: Knee, tables: AnatomyTables) -> dict[str, float]:
     protocol = load_protocol("skyline")
-    assembly = assemble(knee, tables, protocol.posture, defining_protocol(knee))
+    assembly = assemble(knee, build_of(knee, tables), protocol.posture, defining_protocol(knee))
     spots = trochlea_px(assembly, outer_bones(assembly)[0], view_of(protocol))
     middle = np.array(spots["sulcus"])
     ways = [np.array(spots[f"trochlea_{side}"]) - middle for side in ("medial", "lateral")]

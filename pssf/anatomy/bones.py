@@ -1,5 +1,6 @@
 """Femur and tibia of a right knee: an outer cortical solid, an inner trabecular one, a canal."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 
@@ -10,7 +11,7 @@ from ..core.checks import Array
 from ..data.bones import FemurShape, TibiaShape
 from ..model.knee import Osteophyte
 from .bone_build import Build, formed, scaled, stood
-from .mean_bone import Uneven
+from .mean_bone import MeanBone
 from .osteophytes import BoneWithOsteophytes, grow
 from .solids import checked, column, thickness
 from .uneven import MOST_SD, uneven_share
@@ -56,26 +57,44 @@ def grown_tibia(build: Build, osteophytes: tuple[Osteophyte, ...]) -> BoneWithOs
     return grow(osteophytes, mean, margins, build.scale, partial(formed, form=build.tibia))
 
 
-def femur(build: Build, grown: BoneWithOsteophytes) -> Bone:
-    """Distal femur; z = 0 near the condyles' distal end, shaft leaning laterally by `femur_valgus_deg`."""
+def prepare(build: Build) -> None:
+    """Make the mean man's bones now, or read them, where that is still to be done."""
+    # The first knee after an installation waits seconds for both; they need not wait for each other.
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(MeanBone.prepare, (build.mean_femur, build.mean_tibia)))
+
+
+def shells_mm(build: Build) -> tuple[Array, Array]:
+    """Of the mean man's femur and tibia: (n,) how thick cortex and plate are on the ways inwards."""
+    uneven = partial(uneven_share, table=build.shape.unevenness, seed=build.seed)
+    return (
+        build.mean_femur.depth_mm(build.cortex, build.plates, partial(uneven, bone="femur")),
+        build.mean_tibia.depth_mm(build.cortex, build.plates, partial(uneven, bone="tibia")),
+    )
+
+
+def femur(build: Build, grown: BoneWithOsteophytes, shell_mm: Array) -> Bone:
+    """Distal femur; z = 0 near the condyles' distal end, shaft leaning laterally by `femur_valgus_deg`.
+
+    shell_mm  (n,)  of `shells_mm`
+    """
     table, s, mean = build.shape.femur, build.scale, build.mean_femur
-    marrow = mean.inner(build.cortex, build.plates, _unevenness(build, "femur"))
+    marrow = mean.inner(shell_mm)
     heights = levels(table.canal_from_z_mm, (SHAFT_END_MM + _SPARE_MM) / s, 2.5)
     canal = _canal(build, table, heights)
     return _standing(build, "femur", Bone(grown.outer, grown.filled(marrow, s), canal))
 
 
-def tibia(build: Build, grown: BoneWithOsteophytes) -> Bone:
-    """Proximal tibia; z = 0 near the middle of the plateau, shaft leaning medially by `tibia_varus_deg`."""
+def tibia(build: Build, grown: BoneWithOsteophytes, shell_mm: Array) -> Bone:
+    """Proximal tibia; z = 0 near the middle of the plateau, shaft leaning medially by `tibia_varus_deg`.
+
+    shell_mm  (n,)  of `shells_mm`
+    """
     table, s, mean = build.shape.tibia, build.scale, build.mean_tibia
-    marrow = mean.inner(build.cortex, build.plates, _unevenness(build, "tibia"))
+    marrow = mean.inner(shell_mm)
     heights = levels(-(SHAFT_END_MM + _SPARE_MM) / s, table.canal_from_z_mm, 2.5)
     canal = _canal(build, table, heights)
     return _standing(build, "tibia", Bone(grown.outer, grown.filled(marrow, s), canal))
-
-
-def _unevenness(build: Build, name: str) -> Uneven:
-    return partial(uneven_share, table=build.shape.unevenness, seed=build.seed, bone=name)
 
 
 def _standing(build: Build, name: str, bone: Bone) -> Bone:

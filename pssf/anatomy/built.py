@@ -1,6 +1,7 @@
 """BuiltKnee: a knee, its solids as a scene, and its labels, as one object."""
 
 from collections.abc import Mapping
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -21,13 +22,14 @@ from ..model.knee import Knee
 from ..model.protocol import Posture, Protocol
 from ..model.radiograph import Truth
 from . import bones, small_bones, soft
+from .bone_build import build_of
 from .cysts import CystSolids, cyst_meshes, cysts_of
 from .joint import KneeAssembly, assemble, defining_protocol
 from .plateau import along_plateau, inter_margin_mm
 from .pose import moved
-from .shells import check_nesting, nested
+from .shells import check_nesting, drawn_in, is_nested
 from .solids import checked, mesh_of
-from .tissues import between
+from .tissues import Covered, between, cartilage_of
 from .trabeculae import BONES, Trabeculae, make_struts, trabeculae
 from .truth import labels, measured_jsw_mm, osteophyte_meshes
 from .turned_truth import turned_labels
@@ -126,12 +128,18 @@ def build(knee: Knee, protocol: Protocol | None = None) -> BuiltKnee:
     if not isinstance(protocol, Protocol | None):
         raise InputError(f"protocol = {protocol!r}; allowed: a Protocol, as load_protocol gives it, or None")
     posture = Posture() if protocol is None else protocol.posture
-    assembly = assemble(knee, anatomy_tables(), posture, defining_protocol(knee))
-    placed = _bones(knee, assembly)
-    solids = {name: part.solids for name, part in placed.items()}
-    attrition = _attrition_mm(knee, assembly, placed["tibia"].worn)
-    cysts = cysts_of(knee, assembly, solids, attrition)
-    scene = Scene(_surfaces(knee, assembly, placed, cysts))
+    form = build_of(knee, anatomy_tables())
+    bones.prepare(form)
+    # What makes no solid is done in threads beside: two that made some would leave the order of triangles to chance.
+    with ThreadPoolExecutor(2) as aside:
+        shells = aside.submit(bones.shells_mm, form)
+        assembly = assemble(knee, form, posture, defining_protocol(knee))
+        cartilage = aside.submit(cartilage_of, knee, assembly)
+        placed = _bones(knee, assembly, shells.result(), aside)
+        solids = {name: part.solids for name, part in placed.items()}
+        attrition = _attrition_mm(knee, assembly, placed["tibia"].worn)
+        cysts = cysts_of(knee, assembly, solids, attrition)
+        scene = Scene(_surfaces(knee, assembly, placed, cysts, cartilage, aside))
     return BuiltKnee(
         knee=knee,
         scene=scene,
@@ -163,20 +171,27 @@ def _attrition_mm(knee: Knee, assembly: KneeAssembly, worn: bool) -> Mapping[str
 
 
 def _surfaces(
-    knee: Knee, assembly: KneeAssembly, placed: "dict[str, _Placed]", cysts: dict[str, list[CystSolids]]
+    knee: Knee,
+    assembly: KneeAssembly,
+    placed: "dict[str, _Placed]",
+    cysts: dict[str, list[CystSolids]],
+    cartilage: "Future[tuple[Covered, Covered]]",
+    aside: Executor,
 ) -> list[Surface]:
     shape, pose = assembly.build, assembly.pose
     solids = {name: part.solids for name, part in placed.items()}
     points_mm = np.vstack([part.outer.to_mesh64().vert_properties[:, :3] for part in solids.values()])
     limb = soft.layers(knee, shape, pose.flexion_deg, points_mm @ pose.soft()[:, :3])
     wraps = {name: solid.transform(pose.soft()) for name, solid in limb.items()}
-    check_nesting(solids, wraps["muscle"])
+    sound = aside.submit(check_nesting, solids, wraps["muscle"])
     surfaces = [
         _surface(wraps["skin"], "skin", "air", "skin", assembly),
         _surface(wraps["adipose"], "adipose", "skin", "adipose", assembly),
         _surface(wraps["muscle"], "muscle", "adipose", "muscle", assembly),
     ]
-    for tissue in between(knee, assembly, solids, wraps["muscle"], wraps["intermuscular_fat"]):
+    within = between(knee, assembly, solids, cartilage.result(), wraps["muscle"], wraps["intermuscular_fat"])
+    sound.result()
+    for tissue in within:
         surfaces.append(_sided(tissue.mesh, tissue.material, "muscle", tissue.name, assembly))
     for name, part in solids.items():
         density = _texture(knee, name, shape.tables.spongy, assembly, placed[name].frame)
@@ -205,18 +220,19 @@ class _Placed:
     worn: bool = False
 
 
-def _bones(knee: Knee, assembly: KneeAssembly) -> dict[str, _Placed]:
+def _bones(knee: Knee, assembly: KneeAssembly, shells_mm: tuple[Array, Array], aside: Executor) -> dict[str, _Placed]:
     """Femur, tibia, fibula, patella and fabella, if there is one, of a right knee as it stands, by name."""
     build, pose = assembly.build, assembly.pose
-    femur, tibia = bones.femur(build, assembly.femur), bones.tibia(build, assembly.tibia)
+    femur = bones.femur(build, assembly.femur, shells_mm[0])
+    tibia = bones.tibia(build, assembly.tibia, shells_mm[1])
     patella = small_bones.patella(build)
-    in_femur = small_bones.patella_place(knee, build, patella.outer, femur.outer, pose)
-    still = np.eye(3, 4)
+    place = aside.submit(small_bones.patella_place, knee, build, patella.outer, femur.outer, pose)
+    fibula, still = small_bones.fibula(knee, build, tibia.outer), np.eye(3, 4)
     parts = {
         "femur": (femur, pose.femur(), build.femur.frame(build.scale)),
         "tibia": (tibia, pose.tibia(), build.tibia.frame(build.scale)),
-        "fibula": (small_bones.fibula(knee, build, tibia.outer), pose.tibia(), still),
-        "patella": (patella, _after(in_femur, pose.femur()), still),
+        "fibula": (fibula, pose.tibia(), still),
+        "patella": (patella, _after(place.result(), pose.femur()), still),
     }
     if knee.fabella_mm:
         fabella, in_femur = small_bones.fabella(knee, build, femur.outer)
@@ -226,7 +242,11 @@ def _bones(knee: Knee, assembly: KneeAssembly) -> dict[str, _Placed]:
     whole = placed["tibia"].solids
     tibia = worn(whole, placed["femur"].solids.outer, plate_mm)
     placed |= {"tibia": replace(placed["tibia"], solids=tibia, worn=tibia is not whole)}
-    return {name: replace(part, solids=nested(name, part.solids)) for name, part in placed.items()}
+    nests = dict(zip(placed, aside.map(lambda part: is_nested(part.solids), placed.values()), strict=True))
+    return {
+        name: part if nests[name] else replace(part, solids=drawn_in(name, part.solids))
+        for name, part in placed.items()
+    }
 
 
 def _after(first: Array, then: Array) -> Array:

@@ -1,6 +1,5 @@
 """Cartilage and menisci: layers on the articular surfaces that share the joint space, and wedges between them."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,10 +40,10 @@ class Layer:
     top: Array
     faces: Indices
 
-    def covered(self, move: Callable[[Array], Array]) -> Manifold:
-        """The bone with its cartilage, its places (n, 3) moved."""
+    def covered(self, top_mm: Array) -> Manifold:
+        """The bone with its cartilage, its vertices (n, 3) moved to where they are with it in a knee."""
         # The bone's own faces are kept, which takes half as long as to join them anew.
-        return checked(self.outer.warp_batch(lambda points: move(self.top)), "bone with cartilage")
+        return checked(self.outer.warp_batch(lambda points: top_mm), "bone with cartilage")
 
     def alone(self) -> tuple[Array, Array]:
         """Vertices and faces of the cartilage alone; its lower side is the bone's own surface, face by face."""

@@ -1,19 +1,16 @@
 """KneeAssembly: how the bones of a knee stand in a posture, with the joint spaces that the knee asks for."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..core.checks import Array
-from ..data.anatomy import AnatomyTables
 from ..geometry.mesh import Mesh
 from ..model.knee import Knee
 from ..model.protocol import Posture, Protocol, load_protocol
-from .bone_build import Build, build_of, stand_femur, stand_tibia
-from .bones import grown_femur, grown_tibia
+from .bone_build import Build, stand_femur, stand_tibia
+from .bones import grown_femur, grown_tibia, prepare
 from .flexion import flexed
-from .mean_bone import MeanBone
 from .osteophytes import BoneWithOsteophytes
 from .pose import Pose, moved, rotation
 from .solids import mesh_of
@@ -83,18 +80,15 @@ def defining_protocol(knee: Knee) -> Protocol:
     return load_protocol(_DEFINED_UNDER[knee.jsw_as])
 
 
-def assemble(knee: Knee, tables: AnatomyTables, posture: Posture, protocol: Protocol) -> KneeAssembly:
+def assemble(knee: Knee, build: Build, posture: Posture, protocol: Protocol) -> KneeAssembly:
     """How a knee stands.
 
-    tables    that its bones are made from
+    build     of `build_of`
     posture   in which it stands
     protocol  of `defining_protocol`
     raises    InputError if the joint spaces cannot be met
     """
-    build = build_of(knee, tables)
-    # The first knee after an installation waits seconds for both; they need not wait for each other.
-    with ThreadPoolExecutor(2) as pool:
-        list(pool.map(MeanBone.prepare, (build.mean_femur, build.mean_tibia)))
+    prepare(build)
     femur, tibia = grown_femur(build, knee.osteophytes), grown_tibia(build, knee.osteophytes)
     defined = solve_pose(knee, build, femur.outer, tibia.outer, protocol)
 

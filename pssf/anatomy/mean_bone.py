@@ -91,14 +91,14 @@ class MeanBone:
         """Its outer solid."""
         return self._parts[0]
 
-    def inner(self, cortex: float, plates: Plates, uneven: Uneven | None = None) -> Manifold:
-        """What its cortex and plate leave of it: vertices of a coarser outer solid on their ways inwards.
+    def depth_mm(self, cortex: float, plates: Plates, uneven: Uneven | None = None) -> Array:
+        """(n,)  how thick its cortex and plate are on the ways inwards of `inner`
 
         cortex  thickness over the mean man's
         plates  likewise
         uneven  from places (n, 3) of the outer surface and thickness there (n,): what that is multiplied by (n,)
         """
-        _, coarser, ways = self._parts
+        _, _, ways = self._parts
         plate = plates.at(ways[0])
         depth = self.shell(ways[0], cortex, plate)
         share = np.ones(len(depth)) if uneven is None else uneven(ways[0], depth)
@@ -111,8 +111,16 @@ class MeanBone:
             step = (share[unsettled] * there - depth[unsettled]) / 2
             depth[unsettled] += step
             unsettled = unsettled[np.abs(step) > _SETTLED_MM]
+        return depth
+
+    def inner(self, depth_mm: Array) -> Manifold:
+        """What its cortex and plate leave of it: vertices of a coarser outer solid on their ways inwards.
+
+        depth_mm  (n,)
+        """
+        _, coarser, ways = self._parts
         # The faces stay as they are, which takes half as long as to join them anew.
-        return checked(coarser.warp_batch(lambda points: _along(ways, depth)), f"{self.name} marrow")
+        return checked(coarser.warp_batch(lambda points: _along(ways, depth_mm)), f"{self.name} marrow")
 
     def prepare(self) -> None:
         """Make its solids now, or read them, where that is still to be done."""

@@ -17,14 +17,17 @@ _MENDED_MM3, _DRAWN_IN_MM, _ABOUT_MM = 10.0, 0.1, 0.5
 _NOTHING_MM3 = 1e-6
 
 
-def nested(name: str, part: Bone) -> Bone:
-    """A bone whose trabecular bone lies within it: where a thin cortex folds it is drawn in.
+def is_nested(part: Bone) -> bool:
+    """Whether the trabecular bone of a bone lies within it, as it nearly always does."""
+    # A solid of what is outside takes several times as long.
+    return lies_within(mesh_of(part.inner), mesh_of(part.outer))
+
+
+def drawn_in(name: str, part: Bone) -> Bone:
+    """A bone whose trabecular bone lies within it, drawn in where a thin cortex folds.
 
     raises  InputError where so much lies outside that it is no fold
     """
-    # A solid of what is outside takes several times as long, and nearly always there is none.
-    if lies_within(mesh_of(part.inner), mesh_of(part.outer)):
-        return part
     outside = part.inner - part.outer
     outside_mm3 = outside.volume()
     if outside_mm3 <= _NOTHING_MM3:
@@ -35,8 +38,8 @@ def nested(name: str, part: Bone) -> Bone:
     pieces = outside.decompose()
     about = part.outer ^ _boxes(pieces, _ABOUT_MM + 2 * _DRAWN_IN_MM)
     ways = [about.translate(tuple(way)) for way in _DRAWN_IN_MM * np.vstack((np.eye(3), -np.eye(3)))]
-    drawn_in = Manifold.batch_boolean([about, *ways], OpType.Intersect)
-    return replace(part, inner=part.inner - (_boxes(pieces, _ABOUT_MM) - drawn_in))
+    smaller = Manifold.batch_boolean([about, *ways], OpType.Intersect)
+    return replace(part, inner=part.inner - (_boxes(pieces, _ABOUT_MM) - smaller))
 
 
 def _boxes(pieces: list[Manifold], margin_mm: float) -> Manifold:

@@ -1,5 +1,6 @@
 """Soft structures of the joint, each carved clear of the bones and of those before it."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ from ..core.checks import Array
 from ..data.bones import PatellaShape
 from ..data.records import Rows
 from ..geometry.mesh import Mesh
+from ..geometry.within import lie_apart
 from ..model.knee import Knee
 from . import bones, cartilage
 from .envelope import envelope
@@ -37,29 +39,52 @@ class Part:
     mesh: Mesh
 
 
+@dataclass(frozen=True)
+class Covered:
+    """A bone's cartilage in the knee frame, and where the bone's vertices are with it: (n, 3) `top_mm`."""
+
+    layer: cartilage.Layer
+    part: Part
+    top_mm: Array
+
+
+def cartilage_of(knee: Knee, assembly: KneeAssembly) -> tuple[Covered, Covered]:
+    """Cartilage of femur and tibia."""
+    shape, s = assembly.build.shape, assembly.build.scale
+    spaces_mm = (knee.jsw_medial_mm, knee.jsw_lateral_mm)
+
+    def covered(name: str, layer: cartilage.Layer, move: Callable[[Array], Array]) -> Covered:
+        vertices, faces = layer.alone()
+        used, number = np.unique(faces, return_inverse=True)
+        mesh = Mesh(move(vertices[used]), number.reshape(-1, 3))
+        return Covered(layer, Part(name, "cartilage", mesh), move(layer.top))
+
+    return (
+        covered("femur_cartilage", cartilage.on_femur(assembly.femur.outer, shape, s, spaces_mm), assembly.femur_mm),
+        covered("tibia_cartilage", cartilage.on_tibia(assembly.tibia.outer, shape, s, spaces_mm), assembly.tibia_mm),
+    )
+
+
 def between(
-    knee: Knee, assembly: KneeAssembly, placed: dict[str, bones.Bone], muscle: Manifold, fat: Manifold
+    knee: Knee,
+    assembly: KneeAssembly,
+    placed: dict[str, bones.Bone],
+    covered: tuple[Covered, Covered],
+    muscle: Manifold,
+    fat: Manifold,
 ) -> list[Part]:
     """Cartilage, menisci, tendons, fat pad and fat between muscles, in the knee frame, none overlapping another.
 
-    placed  the bones, in the knee's frame
-    muscle  all that lies within the fascia
-    fat     what muscles leave of it, before all else is taken out
+    placed   the bones, in the knee's frame
+    covered  femur and tibia with their cartilage
+    muscle   all that lies within the fascia
+    fat      what muscles leave of it, before all else is taken out
     """
     shape, s, pose = assembly.build.shape, assembly.build.scale, assembly.pose
-    spaces_mm = (knee.jsw_medial_mm, knee.jsw_lateral_mm)
-    layers = (
-        cartilage.on_femur(assembly.femur.outer, shape, s, spaces_mm),
-        cartilage.on_tibia(assembly.tibia.outer, shape, s, spaces_mm),
-    )
-    moves = (assembly.femur_mm, assembly.tibia_mm)
-    parts, keep = [], []
-    for name, layer, move in zip(("femur_cartilage", "tibia_cartilage"), layers, moves, strict=True):
-        vertices, faces = layer.alone()
-        used, number = np.unique(faces, return_inverse=True)
-        parts.append(Part(name, "cartilage", Mesh(move(vertices[used]), number.reshape(-1, 3))))
-        keep.append(layer.covered(move))
-    parts = _clear(parts[0], parts[1], placed, min(spaces_mm) < _NARROW_MM or knee.subluxation_mm != 0)
+    keep = [one.layer.covered(one.top_mm) for one in covered]
+    femoral, tibial = (one.part for one in covered)
+    narrow = min(knee.jsw_medial_mm, knee.jsw_lateral_mm) < _NARROW_MM or knee.subluxation_mm != 0
+    parts = _clear(femoral, tibial, placed, narrow)
     small = [placed[name].outer for name in placed if name not in ("femur", "tibia")]
     rings = [solid.transform(pose.tibia()) for solid in cartilage.menisci(shape.menisci, s)]
     patella, femur_frame, tibia_frame = placed["patella"].outer, pose.femur(), pose.tibia()
@@ -118,11 +143,16 @@ def _thickened(cover: Rows, about: Rows, effusion_mm: float) -> Rows:
 def _clear(femoral: Part, tibial: Part, placed: dict[str, bones.Bone], narrow: bool) -> list[Part]:
     """Cartilage of femur and tibia without what the patella has, and in a narrow joint what the other bone has."""
     parts = [part for part in (femoral, tibial) if len(part.mesh.faces)]
-    takes: dict[str, list[Manifold]] = {femoral.name: [placed["patella"].outer], tibial.name: []}
+    takes: dict[str, list[Manifold]] = {part.name: [] for part in parts}
+    patella = placed["patella"].outer
+    # A solid of the cartilage takes five times as long as to see that it keeps clear, as it nearly always does.
+    if femoral in parts and not lie_apart(femoral.mesh, mesh_of(patella)):
+        takes[femoral.name].append(patella)
     met = parts if narrow else [part for part in parts if takes[part.name]]
     solids = {part.name: solid_of(part.mesh.vertices, part.mesh.faces, part.name) for part in met}
-    if narrow:
+    if narrow and femoral in parts:
         takes[femoral.name].append(placed["tibia"].outer)
+    if narrow and tibial in parts:
         takes[tibial.name] += [placed["femur"].outer, *(solids[n] for n in (femoral.name,) if n in solids)]
     kept = []
     for part in parts:

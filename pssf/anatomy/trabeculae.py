@@ -15,9 +15,10 @@ from msgspec import structs
 from ..core.checks import Array, InputError, require, require_choice, require_seed
 from ..data.records import Triple
 from ..data.spongy import Ageing, Lattice, SpongyBone, TrabecularBone
-from .integrate import Steps, Struts, integrate_density
+from .integrate import Steps, integrate_density
 from .lattice import lattice, personal_factor
 from .region import Region
+from .rows import Struts
 
 BONES = ("femur", "tibia", "fibula", "patella", "fabella")
 # Spongy as another bone.

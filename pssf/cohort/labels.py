@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..anatomy.bone_build import build_of
 from ..anatomy.joint import KneeAssembly, assemble, defining_protocol
 from ..anatomy.landmarks import CONTOUR_LANDMARKS
 from ..anatomy.plateau import inter_margin_mm
@@ -94,7 +95,7 @@ class _Readers:
 
 
 def _stand(tables: AnatomyTables, knee: Knee, posture: Posture) -> tuple[KneeAssembly, Mesh]:
-    assembly = assemble(knee, tables, posture, defining_protocol(knee))
+    assembly = assemble(knee, build_of(knee, tables), posture, defining_protocol(knee))
     return assembly, outer_bones(assembly)[1]
 
 

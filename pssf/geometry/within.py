@@ -1,4 +1,4 @@
-"""Whether one closed mesh lies within another, without a face of either in the other's: no solid is made for it.
+"""Whether closed meshes lie within each other or apart, without a face of either in the other's: no solid is made.
 
 Faces are put into the cells of a grid; two that share one are told apart by an axis between them (Gottschalk, Lin and
 Manocha 1996). What no axis tells apart counts as meeting. Where no faces meet, each body is in or out as a whole, which
@@ -62,6 +62,20 @@ def lies_within(inner: Mesh, outer: Mesh) -> bool:
     )
 
 
+def lie_apart(one: Mesh, other: Mesh) -> bool:
+    """Whether two closed meshes share no place: no faces meet, and none has a body within the other.
+
+    False as well where faces touch as near as rounding tells. Both are wound outwards, and may have several bodies.
+    """
+    first, second = (_faces(np.asarray(mesh.vertices, np.float64), mesh.faces) for mesh in (one, other))
+    low, high = second.boxes[:, 0].min(axis=0), second.boxes[:, 1].max(axis=0)
+    if _any_meets(first, _grid(second, low, high)):
+        return False
+    return all(_turns(place, second.corners) < 0.5 for place in _places(one)) and all(
+        _turns(place, first.corners) < 0.5 for place in _places(other)
+    )
+
+
 def _grid(mesh: _Faces, low: Array, high: Array) -> _Grid:
     """Cells between two corners of the box of a mesh, filled."""
     extent_mm = float((mesh.boxes[:, 1] - mesh.boxes[:, 0]).mean())
@@ -113,7 +127,7 @@ def _faces(vertices: Array, faces: NDArray[np.integer]) -> _Faces:
 def _cells(low: float, high: float, origin: float, side: float, count: int) -> tuple[int, int]:
     """First and last of so many cells along an axis that a box may reach into, mm; none where the last comes first."""
     first, last = int((low - origin - _APART_MM) / side), int((high - origin + _APART_MM) / side)
-    return first, min(last, count - 1)
+    return max(first, 0), min(last, count - 1)
 
 
 @kernel()
@@ -147,6 +161,8 @@ def _any_meets(faces: _Faces, grid: _Grid) -> bool:
         z, z_last = _cells(boxes[k, 0, 2], boxes[k, 1, 2], grid.low[2], grid.side_mm, counts[2])
         x_low, y_low, z_low = boxes[k, 0, 0] - _APART_MM, boxes[k, 0, 1] - _APART_MM, boxes[k, 0, 2] - _APART_MM
         x_high, y_high, z_high = boxes[k, 1, 0] + _APART_MM, boxes[k, 1, 1] + _APART_MM, boxes[k, 1, 2] + _APART_MM
+        if x > x_last:
+            continue
         for i in range(z, z_last + 1):
             for j in range(y, y_last + 1):
                 row = (i * counts[1] + j) * counts[0]

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ..anatomy.bone_build import build_of
 from ..anatomy.joint import assemble
 from ..anatomy.landmarks import CONTOUR_LANDMARKS, contour_landmarks
 from ..anatomy.wear import outer_bones
@@ -121,7 +122,7 @@ def _row_of(places_mm: Array) -> Row:
 def _landmarks_of(taking: tuple[Knee, Protocol], tables: AnatomyTables, defined_under: Protocol) -> Array:
     """(16, 2)  the labels of a right knee, without building what they do not need"""
     knee, protocol = taking
-    assembly = assemble(knee, tables, protocol.posture, defined_under)
+    assembly = assemble(knee, build_of(knee, tables), protocol.posture, defined_under)
     femur, tibia = (assembly.mirrored(mesh) for mesh in outer_bones(assembly))
     view = view_of(protocol)
     return film_mm(contour_landmarks(femur, tibia, view, 1, assembly.pose.lean_deg), "right", view.pixel_mm)

@@ -1,6 +1,7 @@
 """Scatter by kernels fitted to the Monte Carlo of `monte_carlo`; on a coarse grid, for it is smooth."""
 
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,7 +27,7 @@ _LEAST = 1e-5
 
 
 def scatter_kev(
-    primary_kev: NDArray[np.float32], path_mm: Mapping[str, Rows], gap_mm: float, technique: Technique
+    primary_kev: NDArray[np.float32], path_mm: Mapping[str, Rows], gap_mm: float, technique: Technique, workers: int = 2
 ) -> NDArray[np.float32]:
     """(rows, cols)  mean energy absorbed from scattered photons, keV a pixel
 
@@ -37,8 +38,9 @@ def scatter_kev(
     primary_kev  (rows, cols)
     path_mm      material -> (rows, cols)
     gap_mm       from where the object ends, in the middle of the field, to the detector plane: see `exit_gap_mm`
+    workers      threads; the result does not depend on them
     """
-    opened, mass, passed, step = coarse(primary_kev, path_mm, technique)
+    opened, mass, passed, step = coarse(primary_kev, path_mm, technique, workers)
     most = float(opened.max())
     if most == 0 or not mass.any():
         return np.zeros(primary_kev.shape, np.float32)
@@ -48,7 +50,7 @@ def scatter_kev(
 
 
 def coarse(
-    primary_kev: NDArray[np.float32], path_mm: Mapping[str, Rows], technique: Technique
+    primary_kev: NDArray[np.float32], path_mm: Mapping[str, Rows], technique: Technique, workers: int = 2
 ) -> tuple[Array, Array, Array, int]:
     """What the kernel works on, in blocks: open beam (keV a pixel), mass crossed (g/cm2), primary over the open beam
 
@@ -59,8 +61,10 @@ def coarse(
     step = max(1, round(_COARSE_MM / technique.protocol.pixel_mm))
     primary = block_mean(primary_kev, step)
     mass = np.zeros_like(primary)
-    for name, lengths in path_mm.items():
-        mass += block_mean(lengths, step) * (technique.material(name).density_g_per_cm3 / 10.0)
+    with ThreadPoolExecutor(workers) as pool:
+        means = list(pool.map(lambda lengths: block_mean(lengths, step), path_mm.values()))
+    for name, lengths in zip(path_mm, means, strict=True):
+        mass += lengths * (technique.material(name).density_g_per_cm3 / 10.0)
     opened = _open_kev(primary.shape, step, technique)
     passed = np.divide(primary, opened, out=np.ones_like(primary), where=opened > 0)
     return opened, np.maximum(mass, 0), np.clip(passed, _LEAST, 1.0), step
