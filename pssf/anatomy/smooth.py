@@ -69,7 +69,10 @@ def _aside(across: float, up: float, region: Region) -> float:
 
 @callee()
 def fill_nodes(lanes: Array, region: Region, struts: Struts) -> None:
-    """Fill in the far ends of pieces."""
+    """Fill in the far ends of pieces.
+
+    lanes  (40 x LANES,)  rows as in `rows`; lengths in mm, or in voxels of the lattice
+    """
     for n in range(LANES):
         at = lanes[r.END + n] * lanes[r.STEP + n]
         true_x = lanes[r.X + n] + at * lanes[r.DX + n]
