@@ -28,7 +28,7 @@ from .localisation import OTHERS, STUDY, on_fewer_pixels
 if TYPE_CHECKING:
     from ..radiomics.patches import Template
 
-_KNEES = 400
+_KNEES = 800
 # Inverse strength of the ridge, in units of edges; in trials 1e-4 to 1e-1 told 92 to 94 % of 200 real films right.
 _RIDGE = 0.01
 _HEAD = """\
@@ -112,7 +112,7 @@ def pattern_text(weights: NDArray[np.float64], count: int, block: int) -> str:
 
 
 def main(out: Annotated[Path, typer.Argument(help="The table that is written (TOML).")]) -> None:
-    """Learn the pattern anew, which takes a quarter of an hour on two cores, and say what it tells."""
+    """Learn the pattern anew, which takes half an hour on two cores, and say what it tells."""
     table = localisation()
     weights, evidence = learnt(_KNEES, len(shape_table().modes), os.cpu_count() or 1, table)
     save_text(out, pattern_text(weights, len(evidence), table.sides.block))

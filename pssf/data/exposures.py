@@ -20,9 +20,10 @@ class Marker(Record, frozen=True):
 
 
 class Exposures(Record, frozen=True):
-    """Field of a protocol -> its standard deviation, or that of its logarithm; field of view and marker."""
+    """Field of a protocol -> its standard deviation, step, or deviation of its logarithm; field of view and marker."""
 
     spread: dict[str, float]
+    step: dict[str, float]
     factor: dict[str, float]
     field: Field
     marker: Marker

@@ -11,6 +11,8 @@ from ..data.fields import FieldLaw, field_laws
 from .protocol import Protocol
 
 _CUT_SD = 2.0
+# Digits that nobody could measure are left out.
+_STEP = 0.001
 # Only a protocol that bends the knee bends it more or less.
 _OF_BENT = ("flexion_deg", "tibia_forward_deg")
 # Letter of a side.
@@ -41,7 +43,7 @@ def draw_exposure(protocol: Protocol, *, rng: np.random.Generator, side: str | N
     if protocol.flexion_deg == 0:
         values |= {name: getattr(protocol, name) for name in _OF_BENT}
     values["sod_mm"] = values["sdd_mm"] - (protocol.sdd_mm - protocol.sod_mm)
-    within = {name: _within(value, laws[name]) for name, value in values.items()}
+    within = {name: _within(value, laws[name], table.step.get(name, _STEP)) for name, value in values.items()}
     letter = MARKERS[side] if marked and side is not None else "none"
     field: dict[str, Any] = {"field_width_mm": round(width, 1), "field_height_mm": round(height, 1), "marker": letter}
     if protocol.apart_mm:  # what is drawn is the field of one knee
@@ -55,7 +57,7 @@ def _normal(rng: np.random.Generator) -> float:
     return float(value)
 
 
-def _within(value: float, law: FieldLaw) -> float:
-    """A field's value, in its range, without digits that nobody could measure."""
+def _within(value: float, law: FieldLaw, step: float) -> float:
+    """A field's value, in its range, in whole steps."""
     assert law.range is not None
-    return round(float(np.clip(value, *law.range)), 3)
+    return round(round(float(np.clip(value, *law.range)) / step) * step, 3)
