@@ -41,6 +41,7 @@ def test_a_taking_is_one_of_the_protocols_that_can_be(seed, name):
     assert drawn.sdd_mm - drawn.sod_mm == pytest.approx(protocol.sdd_mm - protocol.sod_mm, abs=2e-3)
     assert drawn.marker in ("R", "none")
     assert (drawn.flexion_deg == 0) == (protocol.flexion_deg == 0)
+    assert drawn.tube_kv == round(drawn.tube_kv)
 
 
 def test_takings_vary_by_what_the_table_says():
