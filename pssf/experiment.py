@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 
 # What the READMEs show of a study.
 SHOWN = ("scores", "reliability", "claims", "cost")
-# Medial joint space and flexion, from a healthy joint to one narrower than any of the paper's grades, straight and bent.
+# Medial joint space and flexion, from a healthy joint to one narrower than the paper's grades have, straight and bent.
 _SPACES = ((5.0, 0.0), (3.5, 0.0), (2.0, 0.0), (5.0, 15.0), (2.0, 15.0))
-# One whose medial joint space is gone, with lips all round, the leg bowed and the plate hard, as people of KL 4 have it.
+# One whose medial joint space is gone, with lips all round, a bowed leg and a hard plate, as people of KL 4 have it.
 _SEVERE = Knee(
     jsw_as="read",
     jsw_medial_mm=0.3,
