@@ -130,7 +130,7 @@ def build(knee: Knee, protocol: Protocol | None = None) -> BuiltKnee:
     posture = Posture() if protocol is None else protocol.posture
     form = build_of(knee, anatomy_tables())
     bones.prepare(form)
-    # What makes no solid is done in threads beside: two that made some would leave the order of triangles to chance.
+    # What gives the scene no solid is done beside: two threads that did would leave the order of triangles to chance.
     with ThreadPoolExecutor(2) as aside:
         shells = aside.submit(bones.shells_mm, form)
         assembly = assemble(knee, form, posture, defining_protocol(knee))
