@@ -120,7 +120,7 @@ def locate(
 
     density    (rows, cols) bone bright, any unit that is monotone: minus the logarithm of a signal, or a film as
                displayed; row 0 proximal, and a right knee's fibula on the left
-    templates  standard knees: the first and the last two are looked for whole, all in the medial compartment
+    templates  standard knees: the first and the last are looked for whole, all in the medial compartment
     table      by which it is looked for, and refused
     side       right | left; None where it is not known
     pixel_mm   pitch at the film; None where it is not known, and it is estimated
@@ -169,7 +169,7 @@ def searched(
     raises  InputError for a pitch out of range, or an image that cannot hold a joint
     """
     image = Pyramid(density)
-    whole = poses(tuple(dict.fromkeys((templates[0], *templates[-2:]))), table.wide)
+    whole = poses(tuple(dict.fromkeys((templates[0], templates[-1]))), table.wide)
     units = _units(density.shape, templates[0], pixel_mm, table)
     matched = list(matches(image, units, whole, table.wide, table.search.least_seen))
     if pixel_mm is None:
