@@ -77,9 +77,7 @@ def _begin(lanes: Array, starts: Array, ends: Array, first: int, into: Array, st
             k = min(first + n, len(starts) - 1)
             x, y, z = starts[k, 0], starts[k, 1], starts[k, 2]
             lanes[r.X + axis * LANES + n] = shift + one * x + two * y + three * z
-            lanes[r.DX + axis * LANES + n] = (
-                0.0 + one * (ends[k, 0] - x) + two * (ends[k, 1] - y) + three * (ends[k, 2] - z)
-            )
+            lanes[r.DX + axis * LANES + n] = one * (ends[k, 0] - x) + two * (ends[k, 1] - y) + three * (ends[k, 2] - z)
     for n in range(LANES):
         x, y, z = lanes[r.X + n], lanes[r.Y + n], lanes[r.Z + n]
         dx, dy, dz = lanes[r.DX + n], lanes[r.DY + n], lanes[r.DZ + n]

@@ -55,7 +55,7 @@ def lies_within(inner: Mesh, outer: Mesh) -> bool:
     low, high = other.boxes[:, 0].min(axis=0), other.boxes[:, 1].max(axis=0)
     if (one.boxes[:, 0].min(axis=0) <= low).any() or (one.boxes[:, 1].max(axis=0) >= high).any():
         return False
-    if _any_meets(one, _grid(other, low, high)):
+    if _any_meets(one, _grid(other)):
         return False
     return all(_turns(place, other.corners) > 0.5 for place in _places(inner)) and all(
         _turns(place, one.corners) < 0.5 for place in _places(outer)
@@ -68,16 +68,16 @@ def lie_apart(one: Mesh, other: Mesh) -> bool:
     False as well where faces touch as near as rounding tells. Both are wound outwards, and may have several bodies.
     """
     first, second = (_faces(np.asarray(mesh.vertices, np.float64), mesh.faces) for mesh in (one, other))
-    low, high = second.boxes[:, 0].min(axis=0), second.boxes[:, 1].max(axis=0)
-    if _any_meets(first, _grid(second, low, high)):
+    if _any_meets(first, _grid(second)):
         return False
     return all(_turns(place, second.corners) < 0.5 for place in _places(one)) and all(
         _turns(place, first.corners) < 0.5 for place in _places(other)
     )
 
 
-def _grid(mesh: _Faces, low: Array, high: Array) -> _Grid:
-    """Cells between two corners of the box of a mesh, filled."""
+def _grid(mesh: _Faces) -> _Grid:
+    """Cells of the box of a mesh, filled."""
+    low, high = mesh.boxes[:, 0].min(axis=0), mesh.boxes[:, 1].max(axis=0)
     extent_mm = float((mesh.boxes[:, 1] - mesh.boxes[:, 0]).mean())
     side_mm = max(_SIDE * extent_mm, float((high - low).max()) / _MOST_CELLS)
     x, y, z = (int(count) for count in np.floor((high - low) / side_mm) + 1)
