@@ -17,7 +17,7 @@ from .io.atomic import sweep
 from .io.images import load
 from .io.masks import load_masks
 from .io.records import read_manifest
-from .model.knee import Knee
+from .model.knee import Knee, Osteophyte
 from .model.protocol import load_protocol
 from .simulation import simulate
 from .study import Designed, FilmSet, StudyResult, StudySettings, measure, require_extra, run
@@ -30,8 +30,23 @@ if TYPE_CHECKING:
 
 # What the READMEs show of a study.
 SHOWN = ("scores", "reliability", "claims", "cost")
-# Medial joint space and flexion, from a healthy joint to one narrower than any of the grades', straight and bent.
-_TEMPLATES = ((5.0, 0.0), (3.5, 0.0), (2.0, 0.0), (5.0, 15.0), (2.0, 15.0))
+# Medial joint space and flexion, from a healthy joint to one narrower than the paper's grades have, straight and bent.
+_SPACES = ((5.0, 0.0), (3.5, 0.0), (2.0, 0.0), (5.0, 15.0), (2.0, 15.0))
+# One whose medial joint space is gone, with lips all round, a bowed leg and a hard plate, as people of KL 4 have it.
+_SEVERE = Knee(
+    jsw_as="read",
+    jsw_medial_mm=0.3,
+    jsw_lateral_mm=5.5,
+    flexion_deg=15.0,
+    varus_deg=5.0,
+    subchondral_plate=1.6,
+    osteophytes=(
+        Osteophyte(site="medial_tibia", size_mm=4.0),
+        Osteophyte(site="medial_femur", size_mm=4.0),
+        Osteophyte(site="lateral_tibia", size_mm=2.5),
+        Osteophyte(site="lateral_femur", size_mm=2.5),
+    ),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,7 +199,8 @@ def _given(experiment: Experiment, execution: Execution) -> tuple[Any, ...]:
 
 
 def standard_templates(engine: str = "embree") -> "tuple[Template, ...]":
-    """The standard knee, and the same with narrower medial joint spaces and bent, which joints are looked for with.
+    """The standard knee, the same with narrower medial joint spaces and bent, and a severe one: what joints are looked
+    for with.
 
     Without noise, under the protocol `reference`.
     """
@@ -192,7 +208,7 @@ def standard_templates(engine: str = "embree") -> "tuple[Template, ...]":
 
     protocol = replace(load_protocol("reference"), noise="none")
 
-    def template(knee: Knee) -> Template:
+    def template(knee: Knee, severe: bool = False) -> Template:
         radiograph = simulate(knee, protocol, engine=engine)
         assert radiograph.truth is not None
         row, col = radiograph.truth.medial_joint_line_px
@@ -203,9 +219,11 @@ def standard_templates(engine: str = "embree") -> "tuple[Template, ...]":
             col=col,
             pixel_mm=protocol.pixel_mm,
             plateau_mm=abs(edges[0] - edges[1]) * protocol.pixel_mm,
+            severe=severe,
         )
 
-    return tuple(template(Knee(jsw_medial_mm=jsw, flexion_deg=flexion)) for jsw, flexion in _TEMPLATES)
+    usual = (template(Knee(jsw_medial_mm=jsw, flexion_deg=flexion)) for jsw, flexion in _SPACES)
+    return (*usual, template(_SEVERE, severe=True))
 
 
 def _made(plan: Plan, out: Path, name: str, engine: str, execution: Execution) -> "pd.DataFrame":

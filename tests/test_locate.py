@@ -136,7 +136,8 @@ def test_a_joint_on_a_film_that_was_squeezed_is_found_on_higher_pixels(simulated
     col = simulated[0].truth.medial_joint_line_px[1]
     square, tall = (locate(with_square_pixels(whole, height), templates, TABLE) for height in (1.0, 1.44))
     assert square.both < tall.both - 0.05
-    strict = replaced(TABLE, thresholds=replaced(TABLE.thresholds, both=(square.both + tall.both) / 2))
+    between = (square.both + tall.both) / 2
+    strict = replaced(TABLE, thresholds=replaced(TABLE.thresholds, both=between, sure=between))
     assert locate(whole, templates, strict).status == "no knee"
     joint = locate_film(whole, templates, strict)
     assert (joint.status, joint.pixel_height) == ("found", 1.44)
@@ -145,27 +146,80 @@ def test_a_joint_on_a_film_that_was_squeezed_is_found_on_higher_pixels(simulated
     # A pitch that is known is of pixels that are square.
     assert locate_film(whole, templates, strict, pixel_mm=1.2).pixel_height == 1.0
     # Better than chance alone gives among so many looks.
-    above = replaced(strict, thresholds=replaced(strict.thresholds, stretched=0.9))
+    above = replaced(strict, thresholds=replaced(strict.thresholds, many_looks=0.9))
     assert locate_film(whole, templates, above).status == "no knee"
     assert locate_film(bare, templates, TABLE).status == "no knee"
 
 
-def test_of_looks_at_higher_and_wider_pixels_the_best_decides_even_if_it_refuses(monkeypatch):
-    film = np.zeros((100, 80))
+def looks_of(monkeypatch, looks):
+    """What `locate_film` makes of looks: (rows of a film of 100, severe) -> status and scores; of others nothing."""
     known = joint_of(phantom(150, 165))
-    both = {100: 0.3, 83: 0.5, 120: 0.6, 144: 0.7}
-    statuses = {100: "no knee", 83: "found", 120: "found", 144: "found"}
-    monkeypatch.setattr(
-        aspect, "locate",
-        lambda seen, *_, **__: replace(
-            known, status=statuses[len(seen)], score=both[len(seen)], narrow=both[len(seen)], row=0.4 * len(seen)
-        ),
-    )  # fmt: skip
-    joint = locate_film(film, [TEMPLATE], TABLE)
-    assert (joint.status, joint.pixel_height, joint.both) == ("found", 1.44, 0.7)
+
+    def look(seen, *_, severe=False, **__):
+        status, both = looks.get((len(seen), severe), ("no knee", 0.3))
+        way = "upside down" if status == "upside down" else "upright"
+        return replace(known, status=status, way=way, score=both, narrow=both, row=0.4 * len(seen))
+
+    monkeypatch.setattr(aspect, "locate", look)
+    return locate_film(np.zeros((100, 80)), [TEMPLATE], TABLE)
+
+
+def test_of_looks_at_higher_and_wider_pixels_the_best_decides_unless_one_upside_down_is_better(monkeypatch):
+    looks = {(83, False): ("found", 0.48), (120, False): ("found", 0.5), (144, False): ("found", 0.55)}
+    joint = looks_of(monkeypatch, looks)
+    assert (joint.status, joint.pixel_height, joint.both) == ("found", 1.44, 0.55)
     assert joint.square_row == pytest.approx(0.4 * 144)
-    statuses[144] = "upside down"
-    assert locate_film(film, [TEMPLATE], TABLE).status == "no knee"
+    assert looks_of(monkeypatch, looks | {(144, False): ("no knee", 0.55)}).pixel_height == 1.2
+    assert looks_of(monkeypatch, looks | {(83, False): ("upside down", 0.6)}).status == "upside down"
+
+
+@pytest.mark.parametrize(
+    ("square", "tall", "height"),
+    [
+        (("found", 0.52), ("found", 0.59), 1.0),  # clear
+        (("wrong side", 0.63), ("found", 0.7), 1.0),  # so clear that what it is refused for counts
+        (("wrong side", 0.55), ("found", 0.59), 1.44),
+        (("found", 0.48), ("found", 0.50), 1.0),  # by less than a step of height gives
+        (("found", 0.48), ("found", 0.52), 1.44),
+        (("found", 0.45), ("found", 0.45), 1.0),
+    ],
+)
+def test_pixels_are_taken_as_square_where_that_is_clear_or_nearly_as_good(monkeypatch, square, tall, height):
+    joint = looks_of(monkeypatch, {(100, False): square, (144, False): tall})
+    assert joint.pixel_height == height
+    assert joint.status == (square if height == 1.0 else tall)[0]
+
+
+@pytest.mark.parametrize(
+    ("usual", "severe", "of_severe"),
+    [
+        (("no knee", 0.3), ("found", 0.47), True),
+        (("no knee", 0.3), ("found", 0.45), False),  # chance among so many looks
+        (("found", 0.55), ("found", 0.57), True),
+        (("found", 0.55), ("found", 0.53), False),
+        (("found", 0.55), ("low score", 0.57), False),
+        (("found", 0.63), ("found", 0.7), False),  # not looked for
+    ],
+)
+def test_a_severe_knee_is_taken_where_it_matches_better_or_no_usual_one_is_found(monkeypatch, usual, severe, of_severe):
+    joint = looks_of(monkeypatch, {(100, False): usual, (100, True): severe})
+    assert (joint.status, joint.both) == (severe if of_severe else usual)
+
+
+def test_without_a_pitch_a_match_as_on_a_leg_without_bones_needs_a_side():
+    joint = replace(joint_of(phantom(150, 165)), pixel_from="plateau", score=0.455, narrow=0.455, side_evidence=0.3)
+    assert _status(joint, SHAPE, None, TABLE) == "no knee"
+    for other in ({"side_evidence": -0.5}, {"score": 0.5}, {"pixel_from": "given"}):
+        assert _status(replace(joint, **other), SHAPE, None, TABLE) == "found"
+
+
+def test_a_severe_template_is_used_only_where_it_is_asked_for():
+    film = density_of(phantom(150, 165))
+    templates = [TEMPLATE, replace(TEMPLATE, pixels=phantom(160, 180, scale=1.5), severe=True)]
+    assert locate(film, templates, TABLE) == locate(film, templates[:1], TABLE)
+    larger = density_of(phantom(150, 165, scale=1.5))
+    usual, severe = (locate(larger, templates, TABLE, severe=asked).both for asked in (False, True))
+    assert severe > usual
 
 
 def test_what_was_squeezed_has_its_own_proportions_on_square_pixels():

@@ -28,6 +28,7 @@ class Search(Record, frozen=True):
     known_scale: Pair
     smaller_scale: float
     plateau_share: Pair
+    large_share: float
     narrow_scales: Numbers
     reach_mm: float
     least_seen: float
@@ -55,20 +56,30 @@ class Plateau(Record, frozen=True):
 class Thresholds(Record, frozen=True):
     """When a match is refused; each is derived by `pssf accuracy --tables localisation`.
 
-    both      least mean of the wide and the narrow score
-    side      greatest evidence for the other side than the one that is given, see `Located.side_evidence`
-    way       evidence for upside down that is chance, see `Located.way_evidence`
-    apart_mm  how far above or below the wide match the narrow one may be
-    scale     of a knee over the standard one
-    stretched as `both`, on a film whose pixels are not taken as square
+    both       least mean of the wide and the narrow score
+    side       greatest evidence for the other side than the one that is given, see `Located.side_evidence`
+    doubtful   as `both` where the pitch is not known, unless the evidence for a side is
+    sided      so much
+    clear      as `both`, above which pixels are taken as square and knees as no severe ones
+    many_looks as `both`, where pixels are taken as not square, or knees as severe
+    stretched  by how much `both` must be better where pixels are not taken as square
+    sure       as `both`, above which no other look is taken, whether a joint is refused or not
+    way        evidence for upside down that is chance, see `Located.way_evidence`
+    apart_mm   how far above or below the wide match the narrow one may be
+    scale      of a knee over the standard one
     """
 
     both: float
     side: float
+    doubtful: float
+    sided: float
+    clear: float
+    many_looks: float
+    stretched: float
+    sure: float
     way: float
     apart_mm: float
     scale: Pair
-    stretched: float
 
 
 class SidePattern(Record, frozen=True):

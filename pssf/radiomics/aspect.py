@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from scipy.ndimage import zoom
 from ..core.checks import Array
 from ..data.localisation import Localisation
 from .locate import Located, locate
-from .patches import Template
+from .patches import WAYS, Template
 
 
 def locate_film(
@@ -23,23 +24,66 @@ def locate_film(
 ) -> Located:
     """`locate`, and how high the film's pixels are over their width.
 
-    They are square where the pitch is known, or a joint is found on them. Else it is looked for on the film with its
-    pixels taken as higher or wider, too. What matches best of all is taken where it is found, and where it matches
-    better than so many looks give by chance.
+    They are square where the pitch is known. Where it is not, and no joint is clear on square ones, pixels are taken as
+    higher and wider too, knees as severe, and where that does not help as small. The best look is taken, where it
+    matches better than so many give by chance, and none upside down matches better.
 
     film    (rows, cols) bone bright, any unit that is monotone
     side    right | left; None where it is not known
     raises  InputError as `locate`
     """
-    square = locate(film, templates, table, side=side, pixel_mm=pixel_mm)
-    if square.status == "found" or pixel_mm is not None:
-        return square
-    looks = [square]
-    for height in table.search.pixel_heights:
-        joint = locate(with_square_pixels(film, height), templates, table, side=side)
-        looks.append(replace(joint, row=(joint.row + 0.5) / height - 0.5, pixel_height=height))
-    best = max(looks, key=lambda joint: joint.both)
-    return best if best.status == "found" and best.both >= table.thresholds.stretched else square
+    if pixel_mm is not None:
+        return locate(film, templates, table, side=side, pixel_mm=pixel_mm)
+    limits, heights, large = table.thresholds, (1.0, *table.search.pixel_heights), table.search.large_share
+    looked = partial(_looked, film, templates, table, side)
+    best = looked(1.0, large)
+    if best.both >= limits.sure:
+        return best
+    if best.status == "found" and best.both >= limits.clear:
+        return _better(best, looked(1.0, large, severe=True), table)
+    for least_share in (large, 0.0):
+        usual, severe = (_best([looked(one, least_share, severe=of) for one in heights], table) for of in (False, True))
+        best = _better(usual, severe, table)
+        if best.status == "found":
+            break
+    return best
+
+
+def _looked(
+    film: Array,
+    templates: Sequence[Template],
+    table: Localisation,
+    side: str | None,
+    height: float,
+    least_share: float,
+    *,
+    severe: bool = False,
+) -> Located:
+    """`locate` on a film whose pixels are so high over their width."""
+    seen = with_square_pixels(film, height)
+    joint = locate(seen, templates, table, side=side, least_share=least_share, severe=severe)
+    return replace(joint, row=(joint.row + 0.5) / height - 0.5, pixel_height=height)
+
+
+def _better(usual: Located, severe: Located, table: Localisation) -> Located:
+    """The severe knee where one is found that matches better, or no usual one is found."""
+    better = usual.status != "found" or severe.both > usual.both
+    return severe if better and severe.status == "found" and severe.both >= table.thresholds.many_looks else usual
+
+
+def _best(looks: Sequence[Located], table: Localisation) -> Located:
+    """The best look that a joint is found in or that is upside down; the first where there are none such.
+
+    looks  on square pixels first
+    """
+    limits = table.thresholds
+
+    def beyond_square(look: Located) -> float:
+        return look.both - (limits.stretched if look is not looks[0] else 0.0)
+
+    found = [look for look in looks if look.status == "found" and (look is looks[0] or look.both >= limits.many_looks)]
+    against = [look for look in looks if look.way != WAYS[0]]
+    return max((*found, *against), key=beyond_square, default=looks[0])
 
 
 def with_square_pixels(film: NDArray[np.integer | np.floating], height: float) -> Array:

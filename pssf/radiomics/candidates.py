@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..core.checks import Array
 from ..data.localisation import Localisation
 from .edges import Pyramid
 from .patches import Template, poses
@@ -99,10 +100,15 @@ def _refined(image: Pyramid, templates: tuple[Template, ...], wide: Match, table
     """The best narrow match within reach of the wide one."""
     law, best = table.narrow, replace(wide, score=-1.0)
     ours = [pose for pose in poses(templates, law) if (pose.side, pose.way) == (wide.side, wide.way)]
-    extent_mm = max(law.up_mm, law.down_mm, law.lateral_mm, law.medial_mm) + table.search.reach_mm + 2 * law.tile_mm
-    top, left = (max(0, int(at - extent_mm / wide.unit_mm)) for at in (wide.row, wide.col))
-    ends = (int(at + extent_mm / wide.unit_mm) + 2 for at in (wide.row, wide.col))
-    near = Pyramid(image.levels[0][top : next(ends), left : next(ends)])
+    beside_mm = table.search.reach_mm + 2 * law.tile_mm
+    (top, bottom), (left, right) = (
+        (max(0, int(at - extent / wide.unit_mm)), int(at + extent / wide.unit_mm) + 2)
+        for at, extent in (
+            (wide.row, max(law.lateral_mm, law.medial_mm) + beside_mm),
+            (wide.col, max(law.lateral_mm, law.medial_mm) + beside_mm),
+        )
+    )
+    near = Pyramid(image.levels[0][top:bottom, left:right])
     sign = 1.0 if wide.polarity == "bone bright" else -1.0
     for scale in table.search.narrow_scales:
         zoom = wide.unit_mm / scale / law.pitch_mm
@@ -111,9 +117,12 @@ def _refined(image: Pyramid, templates: tuple[Template, ...], wide: Match, table
             (np.arange(length) + 0.5) / zoom - 0.5 + start
             for length, start in zip(at_pitch.shape, (top, left), strict=True)
         )
-        away_mm = np.hypot(rows[:, None] - wide.row, cols - wide.col) * wide.unit_mm
-        for _, maps, _ in score_maps(at_pitch, ours, law):
-            allowed = np.where(away_mm <= table.search.reach_mm, sign * maps, -1.0)
+        reach = table.search.reach_mm / wide.unit_mm
+        within = (_span(rows, wide.row, reach), _span(cols, wide.col, reach))
+        rows, cols = rows[within[0]], cols[within[1]]
+        away = np.hypot(rows[:, None] - wide.row, cols - wide.col)
+        for _, maps, _ in score_maps(at_pitch, ours, law, within):
+            allowed = np.where(away <= reach, sign * maps, -1.0)
             patch, row, col = (int(at) for at in np.unravel_index(np.argmax(allowed), allowed.shape))
             peak = allowed[patch]
             if peak[row, col] > best.score:
@@ -124,3 +133,9 @@ def _refined(image: Pyramid, templates: tuple[Template, ...], wide: Match, table
                     col=float(cols[col] + vertex(peak[row], col) / zoom),
                 )
     return best
+
+
+def _span(places: Array, about: float, reach: float) -> slice:
+    """Of ascending places those within reach, and one more each way."""
+    first, last = np.searchsorted(places, (about - reach, about + reach))
+    return slice(max(0, int(first) - 1), min(len(places), int(last) + 1))

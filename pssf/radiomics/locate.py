@@ -109,6 +109,8 @@ def locate(
     side: str | None = None,
     pixel_mm: float | None = None,
     region_px: int | None = None,
+    least_share: float = 0.0,
+    severe: bool = False,
 ) -> Located:
     """Where the medial joint line is.
 
@@ -120,19 +122,22 @@ def locate(
 
     density    (rows, cols) bone bright, any unit that is monotone: minus the logarithm of a signal, or a film as
                displayed; row 0 proximal, and a right knee's fibula on the left
-    templates  standard knees: the first and the last are looked for whole, all in the medial compartment
+    templates  standard knees: the first, the last and severe ones are looked for whole, all in the medial compartment
     table      by which it is looked for, and refused
     side       right | left; None where it is not known
     pixel_mm   pitch at the film; None where it is not known, and it is estimated
     region_px  side of the region that must fit into the image around the joint line
+    least_share  of the film's width, which the plateau takes at least where the pitch is not known
+    severe     whether severe knees are looked for too
     raises     InputError for an unknown side, a pitch out of range, no template, or one without its plateau's
                width where the pitch is not known
     """
     if side is not None:
         require_choice("side", side, SIDES)
+    templates = [template for template in templates if severe or not template.severe]
     if not templates:
         raise InputError("templates = none; allowed: one or more")
-    search, of_sides = searched(density, templates, table, pixel_mm)
+    search, of_sides = searched(density, templates, table, pixel_mm, least_share)
     for_right = side_evidence(search.image, of_sides, table)
     chosen = side or _side_of(of_sides, for_right, table)
     best, mirrored = of_sides[chosen], SIDES[1 - SIDES.index(chosen)]
@@ -160,7 +165,11 @@ def locate(
 
 
 def searched(
-    density: Array, templates: Sequence[Template], table: Localisation, pixel_mm: float | None
+    density: Array,
+    templates: Sequence[Template],
+    table: Localisation,
+    pixel_mm: float | None,
+    least_share: float = 0.0,
 ) -> tuple[Candidates, dict[str, Pair]]:
     """All matches of the whole joint, and of each side the best, with its medial compartment.
 
@@ -169,8 +178,10 @@ def searched(
     raises  InputError for a pitch out of range, or an image that cannot hold a joint
     """
     image = Pyramid(density)
-    whole = poses(tuple(dict.fromkeys((templates[0], templates[-1]))), table.wide)
-    units = _units(density.shape, templates[0], pixel_mm, table)
+    usual = [template for template in templates if not template.severe] or templates
+    severe = [template for template in templates if template.severe]
+    whole = poses(tuple(dict.fromkeys((usual[0], usual[-1], *severe))), table.wide)
+    units = _units(density.shape, usual[0], pixel_mm, table, least_share)
     matched = list(matches(image, units, whole, table.wide, table.search.least_seen))
     if pixel_mm is None:
         matched = [replace(match, chance=_chance(density.shape, match.unit_mm, table)) for match in matched]
@@ -206,14 +217,17 @@ def _side_of(pairs: dict[str, Pair], for_right: float, table: Localisation) -> s
     return max(SIDES, key=lambda side: pairs[side].excess)
 
 
-def _units(shape: tuple[int, ...], template: Template, pixel_mm: float | None, table: Localisation) -> list[float]:
+def _units(
+    shape: tuple[int, ...], template: Template, pixel_mm: float | None, table: Localisation, least_share: float
+) -> list[float]:
     """mm of the template a pixel of the image, of each size to look for."""
     if pixel_mm is not None:
         require("pixel_mm", pixel_mm, 0.001, 50, "mm")
         smallest, largest = table.search.known_scale
         return [pixel_mm / scale for scale in _steps(smallest, largest, table)]
     plateau_mm = _plateau_mm(template)
-    return [plateau_mm / (share * shape[1]) for share in _steps(*table.search.plateau_share, table)]
+    shares = (share for share in _steps(*table.search.plateau_share, table) if share >= least_share)
+    return [plateau_mm / (share * shape[1]) for share in shares]
 
 
 def _smaller(pixel_mm: float, table: Localisation) -> list[float]:
@@ -262,7 +276,7 @@ def _status(
     """The first reason to refuse, or found; a side that nobody told cannot be wrong."""
     limit = table.thresholds
     reasons = {
-        "no knee": joint.both < limit.both,
+        "no knee": joint.both < limit.both or (joint.pixel_from == "plateau" and _doubtful(joint, table)),
         "upside down": joint.way != WAYS[0],
         "wrong side": given is not None and joint.side_evidence < -limit.side,
         "wrong scale": joint.pixel_from == "given" and not limit.scale[0] <= joint.scale <= limit.scale[1],
@@ -270,3 +284,9 @@ def _status(
         "leaves image": not region_fits(shape, joint.row, joint.col, 1 if region_px is None else region_px),
     }
     return next((reason for reason, holds in reasons.items() if holds), "found")
+
+
+def _doubtful(joint: Located, table: Localisation) -> bool:
+    """Whether a match is no better, and as like its mirror image, as some place on a leg without bones."""
+    limit = table.thresholds
+    return joint.both < limit.doubtful and abs(joint.side_evidence) < limit.sided

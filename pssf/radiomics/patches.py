@@ -1,8 +1,8 @@
 """Edge patches cut out of templates, as they look in a right or left knee, upright or upside down."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ class Template:
     row, col    its medial joint line, pixels
     pixel_mm    pitch of the detector
     plateau_mm  of its tibial plateau, width at the detector; None where it is not known
+    severe      whether it is of a knee so unlike others that it is looked for only where none of these is clear
     raises      InputError for a joint line outside the image, or a pitch or width out of range
     """
 
@@ -38,6 +39,7 @@ class Template:
     col: float
     pixel_mm: float
     plateau_mm: float | None = None
+    severe: bool = False
 
     def __post_init__(self) -> None:
         require("template row", self.row, 0, self.pixels.shape[0] - 1, "px")
@@ -65,13 +67,15 @@ class Pose:
     anchor: tuple[int, int]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Spectra:
-    """A pose's patches and weight, turned round and transformed, for correlation by a product."""
+class Spectra(NamedTuple):
+    """A pose's patches and weight, turned round about their anchor and transformed, for correlation by a product.
 
-    pose: Pose
-    fields: tuple[NDArray[Any], ...] = field(repr=False)
-    weight: NDArray[Any] = field(repr=False)
+    fields  (patches, 2, rows, cols // 2 + 1)
+    weight  (rows, cols // 2 + 1)
+    """
+
+    fields: NDArray[Any]
+    weight: NDArray[Any]
 
 
 def reach_px(law: PatchLaw) -> tuple[int, int, int, int]:
@@ -112,11 +116,17 @@ def poses(templates: tuple[Template, ...], law: PatchLaw) -> tuple[Pose, ...]:
     return tuple(patches)
 
 
-@lru_cache(maxsize=128)  # of all sizes of one image
+@lru_cache(maxsize=256)  # of all sizes of one image
 def spectra(pose: Pose, shape: tuple[int, int]) -> Spectra:
-    """Transforms at a shape that holds image and patch beside each other."""
-    fields = tuple(fft.rfft2(one[:, ::-1, ::-1], shape) for one in pose.fields)
-    return Spectra(pose=pose, fields=fields, weight=fft.rfft2(pose.weight[::-1, ::-1], shape))
+    """Transforms at a shape that holds the patches."""
+    to_anchor = [at + 1 - side for side, at in zip(pose.weight.shape, pose.anchor, strict=True)]
+
+    def transformed(part: NDArray[Any]) -> NDArray[Any]:
+        still = [(0, 0)] * (part.ndim - 2)
+        room = [(0, whole - side) for whole, side in zip(shape, pose.weight.shape, strict=True)]
+        return fft.rfft2(np.roll(np.pad(part[..., ::-1, ::-1], still + room), to_anchor, axis=(-2, -1)))
+
+    return Spectra(fields=transformed(np.stack(pose.fields)), weight=transformed(pose.weight))
 
 
 def _field(template: Template, law: PatchLaw, turn_deg: float, sides: tuple[int, int, int, int]) -> Field:

@@ -15,6 +15,7 @@ from .patches import Pose, spectra
 # Transforms are of lengths in these steps, so that a few serve all sizes.
 _STEP_PX = 16
 _LEAST_PX = 8
+Window = tuple[slice, slice]
 POLARITIES = ("bone bright", "bone dark")
 
 
@@ -63,50 +64,54 @@ def matches(
 
 
 def score_maps(
-    at_pitch: Array, patches: Iterable[Pose], law: PatchLaw
+    at_pitch: Array, patches: Iterable[Pose], law: PatchLaw, within: Window | None = None
 ) -> Iterator[tuple[Pose, NDArray[np.float32], NDArray[np.float32]]]:
-    """Of each pose the score of every patch at every pixel of the image, and the share of the patch that is within.
+    """Of each pose the score of every patch at pixels of the image, and the share of the patch that is within.
 
     The denominator is the patch's own power where the image has less: air and plain muscle match nothing well.
 
     at_pitch  (rows, cols)  density at the pitch of the patches, any unit
+    within    rows and columns that scores are wanted of; None: all
     """
     field = edge_field(at_pitch, law.tile_mm / law.pitch_mm)
-    cached = None
+    places = within or (slice(0, field.shape[1]), slice(0, field.shape[2]))
+    parts = np.stack([*field, (field**2).sum(axis=0), np.ones(field.shape[1:], np.float32)])
+    seen_by, spectrum = None, parts
     for pose in patches:
-        if cached is None or cached[0] != pose.weight.shape:
-            cached = (pose.weight.shape, *_transforms(field, pose.weight.shape))
-        _, shape, edges, squares, inside = cached
+        near, wanted, shape = _region(field.shape[1:], pose, places)
+        if seen_by != (near, shape):
+            seen_by, spectrum = (near, shape), fft.rfft2(parts[:, *near], shape)
+        down, right, squares, inside = spectrum
         ready = spectra(pose, shape)
-        corner = [side - 1 - at for side, at in zip(pose.weight.shape, pose.anchor, strict=True)]
-        window = tuple(slice(at, at + length) for at, length in zip(corner, at_pitch.shape, strict=True))
-        power = fft.irfft2(squares * ready.weight, shape)[window]
-        seen = fft.irfft2(inside * ready.weight, shape)[window] / pose.weight.sum()
-        score = np.stack([
-            fft.irfft2((edges * one).sum(axis=0), shape)[window] / np.sqrt(own * np.maximum(power, own))
-            for one, own in zip(ready.fields, pose.power, strict=True)
-        ])  # fmt: skip
-        yield pose, score, seen
+        power, seen = fft.irfft2(np.stack([squares, inside]) * ready.weight, shape)[:, *wanted]
+        alike = fft.irfft2(down * ready.fields[:, 0] + right * ready.fields[:, 1], shape)[:, *wanted]
+        own = np.array(pose.power, np.float32)[:, None, None]
+        yield pose, alike / np.sqrt(own * np.maximum(power, own)), seen / pose.weight.sum()
 
 
-def _transforms(
-    field: NDArray[np.float32], patch: tuple[int, ...]
-) -> tuple[tuple[int, int], NDArray, NDArray, NDArray]:
-    rows, cols = (
-        fft.next_fast_len(-(-(length + side - 1) // _STEP_PX) * _STEP_PX, real=True)
-        for length, side in zip(field.shape[1:], patch, strict=True)
-    )
-    whole = np.ones(field.shape[1:], np.float32)
-    parts = (field, (field**2).sum(axis=0), whole)
-    edges, squares, inside = (fft.rfft2(part, (rows, cols)) for part in parts)
-    return (rows, cols), edges, squares, inside
+def _region(image: tuple[int, ...], pose: Pose, places: Window) -> tuple[Window, Window, tuple[int, int]]:
+    """What of an image a patch reaches from some places, these places in it, and what holds it with room beside."""
+    near, wanted, shape = [], [], []
+    for length, side, before, at in zip(image, pose.weight.shape, pose.anchor, places, strict=True):
+        after = side - 1 - before
+        first, last = max(0, at.start - before), min(length, at.stop + after)
+        beyond = max(0, before - at.start, at.stop + after - length)
+        near.append(slice(first, last))
+        wanted.append(slice(at.start - first, at.stop - first))
+        shape.append(_fast(max(last - first + beyond, side)))
+    return (near[0], near[1]), (wanted[0], wanted[1]), (shape[0], shape[1])
+
+
+def _fast(length: int) -> int:
+    return int(fft.next_fast_len(-(-length // _STEP_PX) * _STEP_PX, real=True))
 
 
 def _best(
     score: NDArray[np.float32], seen: NDArray[np.float32], least_seen: float, pose: Pose, zoom: float, unit_mm: float
 ) -> Iterator[Match]:
+    hidden = seen < least_seen
     for polarity, sign in zip(POLARITIES, (1.0, -1.0), strict=True):
-        allowed = np.where(seen >= least_seen, sign * score, -1.0)
+        allowed = np.where(hidden, -1.0, sign * score)
         patch, row, col = (int(at) for at in np.unravel_index(np.argmax(allowed), allowed.shape))
         peak = allowed[patch]
         yield Match(

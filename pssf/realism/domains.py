@@ -14,7 +14,7 @@ from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from ..core.checks import Array
-from ..study.statistics.metrics import auc, percentiles
+from ..study.statistics.metrics import auc, percentiles, weighted_auc
 
 Row = dict[str, Any]
 ALL = "all"
@@ -153,20 +153,17 @@ def resampled_auc(
 
     truth, value, subjects  (films,)  value of any unit
     """
-    rng, aucs = np.random.default_rng(seed), []
+    rng = np.random.default_rng(seed)
     _, of_film = np.unique(subjects, return_inverse=True)
-    for _ in range(replicates):
-        drawn = drawn_again(of_film, rng)
-        if 0 < truth[drawn].sum() < len(drawn):
-            aucs.append(auc(truth[drawn], value[drawn]))
-    return np.array(aucs)
+    times = np.column_stack([times_drawn(of_film, rng) for _ in range(replicates)])
+    both = (times[truth].sum(axis=0) > 0) & (times[~truth].sum(axis=0) > 0)
+    return weighted_auc(truth, value, times[:, both].astype(np.float64))
 
 
-def drawn_again(of_film: NDArray[np.int64], rng: np.random.Generator) -> NDArray[np.int64]:
-    """(drawn,) numbers of the films of subjects drawn with replacement, each with all its films.
+def times_drawn(of_film: NDArray[np.int64], rng: np.random.Generator) -> NDArray[np.int64]:
+    """(films,) how often each film is drawn where subjects are drawn with replacement, each with all its films.
 
     of_film  (films,) number of each film's subject, from 0
     """
     people = of_film.max() + 1
-    times = np.bincount(rng.integers(0, people, people), minlength=people)[of_film]
-    return np.repeat(np.arange(len(of_film)), times)
+    return np.bincount(rng.integers(0, people, people), minlength=people)[of_film]

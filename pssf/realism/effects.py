@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ..core.checks import Array
 from ..study.statistics.metrics import percentiles
-from .domains import Films, Row, drawn_again, groups_of
+from .domains import Films, Row, groups_of, times_drawn
 
 
 def effects(
@@ -64,7 +64,8 @@ def _standardised(films: Films, low: int, high: Sequence[int], replicates: int, 
     values, without = of_grades.features.to_numpy(np.float64), of_grades.grades == low
     rng = np.random.default_rng(seed)
     _, of_film = np.unique(of_grades.subjects, return_inverse=True)
-    draws = [np.arange(len(values)), *(drawn_again(of_film, rng) for _ in range(replicates))]
+    times = [np.ones(len(values), np.int64), *(times_drawn(of_film, rng) for _ in range(replicates))]
+    draws = [np.repeat(np.arange(len(values)), of) for of in times]
     return np.array([_difference(values[draw], without[draw]) for draw in draws])
 
 

@@ -52,6 +52,7 @@ class Place(Record, frozen=True):
     col: float
     pixel_mm: float
     plateau_mm: float | None
+    severe: bool = False
 
 
 class Made(Record, frozen=True):
@@ -203,12 +204,13 @@ def _place(template: Template) -> Place:
     rows, cols = template.pixels.shape
     place = {name: float(getattr(template, name)) for name in ("row", "col", "pixel_mm")}
     plateau_mm = None if template.plateau_mm is None else float(template.plateau_mm)
-    return Place(shape=(rows, cols), plateau_mm=plateau_mm, **place)
+    return Place(shape=(rows, cols), plateau_mm=plateau_mm, severe=template.severe, **place)
 
 
 def _template(place: Place, packed: bytes) -> Template:
     pixels = np.frombuffer(lzma.decompress(packed), np.float32).reshape(place.shape)
-    return Template(pixels=pixels, row=place.row, col=place.col, pixel_mm=place.pixel_mm, plateau_mm=place.plateau_mm)
+    known = {name: getattr(place, name) for name in ("row", "col", "pixel_mm", "plateau_mm", "severe")}
+    return Template(pixels=pixels, **known)
 
 
 def _pixels(at: int) -> str:

@@ -92,7 +92,7 @@ def weighted_scores(truth: NDArray[np.int64], probability: Array, weight: Array)
     ones = range(classes) if classes > 2 else (1,)
     with np.errstate(invalid="ignore", divide="ignore"):
         scores = {
-            "auc": np.mean([_weighted_auc(truth == k, probability[:, k], weight) for k in ones], axis=0),
+            "auc": np.mean([weighted_auc(truth == k, probability[:, k], weight) for k in ones], axis=0),
             "balanced_accuracy": (right / true).mean(axis=0),
             "macro_f1": (2 * right / (true + called)).mean(axis=0),
         }
@@ -126,8 +126,12 @@ def _weighted_counts(truth: NDArray[np.int64], probability: Array, weight: Array
     return np.asarray((cell @ weight).reshape(classes, classes, -1))
 
 
-def _weighted_auc(positive: NDArray[np.bool_], value: Array, weight: Array) -> Array:
-    """(samples,) `auc` with weights: pairs in order over all pairs, each pair counted as often as both its rows."""
+def weighted_auc(positive: NDArray[np.bool_], value: Array, weight: Array) -> Array:
+    """(samples,) `auc` with weights: pairs in order over all pairs, each pair counted as often as both its rows.
+
+    positive, value  (rows,) value of any unit
+    weight           (rows, samples) counts, some of either kind in each sample
+    """
     above, below = value[positive][:, None], value[~positive][None, :]
     in_order = (above > below) + 0.5 * (above == below)
     of_positive, of_negative = weight[positive], weight[~positive]
