@@ -9,12 +9,13 @@ import pytest
 from phantoms import PIXEL_MM, TEMPLATE, phantom
 from PIL import Image
 from test_cli import run as pssf_command
+from test_realism_contours import made_up
 
 import pssf
 from pssf.core.execution import Execution
 from pssf.data.localisation import localisation
 from pssf.io.films import list_films
-from pssf.realism import contours, films, run
+from pssf.realism import films, run
 
 
 def picture(path, seed, gap_mm, side="right", inverted=False):
@@ -50,8 +51,14 @@ def phantoms_for_knees(monkeypatch, tmp_path):
         shutil.copytree(made, where, dirs_exist_ok=True)
         return films.Source(name=run.SIMULATED, folder=where, films=list_films(where))
 
+    def contours_of(cohort, protocol):
+        assert (cohort / "0").exists()
+        assert protocol == "reference"
+        return made_up(count=6)
+
     monkeypatch.setattr(run, "standard_templates", lambda engine: (TEMPLATE,))
     monkeypatch.setattr(run, "_simulated", simulated)
+    monkeypatch.setattr(run, "cohort_landmarks", contours_of)
 
 
 def test_a_folder_is_one_source_or_each_of_its_folders_is_one(tmp_path):
@@ -89,7 +96,6 @@ def test_all_that_is_given_is_measured_once_and_the_page_tells_it(phantoms_for_k
     page = first.page.read_text()
     assert "data:image/png;base64" in page
     monkeypatch.setattr(films, "measure_film", lambda *given, **more: pytest.fail("measured again"))
-    monkeypatch.setattr(contours, "_landmarks_of", lambda *given, **more: pytest.fail("assembled again"))
     again = run.measure(tmp_path / "out", Execution(), **settings)
     assert again.page.read_text() == page
 

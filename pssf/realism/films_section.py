@@ -1,18 +1,18 @@
 """The part on films: what the records of real and simulated ones say, as tables and figures of the page."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from ..core.checks import Array
+from ..core.parallel import ordered_map
 from ..radiomics.aspect import with_square_pixels
 from ..study.report.page import Picture
 from .blind import blind_test
-from .domains import ALL, told_apart, transferred
+from .domains import ALL, Films, told_apart, transferred
 from .effects import effects
 from .films import FINE, TONE, Record, learnable
 from .form import Place, field_of, made_smaller, stretched
@@ -22,6 +22,8 @@ from .sheets import sheet
 Row = dict[str, Any]
 # A reading of a film in display values, bone bright; by source and file.
 Reading = Callable[[str, str], Array]
+# Two sources, and the grades that are told from grade 0; none where the sources are told apart.
+Pairing = tuple[str, str, tuple[int, ...]]
 SIMULATED = "simulated"
 # What is to be told apart: grade 0 from these.
 TASKS = ((2,), (3, 4))
@@ -46,8 +48,7 @@ _CAPTIONS = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Comparison:
+class Comparison(NamedTuple):
     """Rows of what was compared.
 
     domains   of `told_apart`
@@ -60,6 +61,9 @@ class Comparison:
     transfer: list[Row]
     features: list[Row]
     groups: list[Row]
+
+
+_NOTHING = Comparison(domains=[], transfer=[], features=[], groups=[])
 
 
 def films_section(
@@ -94,25 +98,34 @@ def films_section(
     )  # fmt: skip
 
 
-def compare(records: Mapping[str, Sequence[Record]], *, replicates: int, seed: int) -> Comparison:
+def compare(records: Mapping[str, Sequence[Record]], *, replicates: int, seed: int, workers: int = 1) -> Comparison:
     """Every real source against the simulated films, and against every other real one."""
     measured = {name: learnable(name, of) for name, of in records.items() if _any_measured(of)}
-    real = [films for name, films in measured.items() if name != SIMULATED]
+    real = [name for name in measured if name != SIMULATED]
+    pairs: list[Pairing] = []
+    for name in real if SIMULATED in measured else ():
+        grades = measured[name].grades
+        pairs.append((name, SIMULATED, ()))
+        pairs += [
+            (name, SIMULATED, high) for high in TASKS if np.isin(grades, [0]).any() and np.isin(grades, high).any()
+        ]
+    pairs += [(name, other, ()) for index, name in enumerate(real) for other in real[index + 1 :]]
+    shared = {"measured": measured, "replicates": replicates, "seed": seed}
+    # One process, whose linear algebra then has one thread: small models take three times as long on two.
+    made = ordered_map(_compared, pairs, shared=shared)
+    return Comparison(*([row for rows in one for row in rows] for one in zip(_NOTHING, *made, strict=True)))
+
+
+def _compared(pair: Pairing, *, measured: Mapping[str, Films], replicates: int, seed: int) -> Comparison:
+    """Two sources told apart, or where grades are named what is learnt on the second carried over to the first."""
+    name, other, high = pair
+    first, second = measured[name], measured[other]
     chance = {"replicates": replicates, "seed": seed}
-    made = Comparison(domains=[], transfer=[], features=[], groups=[])
-    for films in real if SIMULATED in measured else ():
-        simulated = measured[SIMULATED]
-        made.domains.extend(told_apart(films, simulated, **chance))
-        for high in TASKS:
-            if np.isin(films.grades, [0]).any() and np.isin(films.grades, high).any():
-                made.transfer.extend(transferred(films, simulated, low=0, high=high, **chance))
-                of_features, of_groups = effects(films, simulated, low=0, high=high, **chance)
-                made.features.extend(of_features)
-                made.groups.extend(of_groups)
-    for index, films in enumerate(real):
-        for other in real[index + 1 :]:
-            made.domains.extend(told_apart(films, other, **chance))
-    return made
+    if not high:
+        return _NOTHING._replace(domains=told_apart(first, second, **chance))
+    carried = transferred(first, second, low=0, high=high, **chance)
+    of_features, of_groups = effects(first, second, low=0, high=high, **chance)
+    return Comparison(domains=[], transfer=carried, features=of_features, groups=of_groups)
 
 
 def found_rows(records: Mapping[str, Sequence[Record]]) -> list[Row]:

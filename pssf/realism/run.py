@@ -45,6 +45,7 @@ SHOWN = {
     "bones": ("bones", "bones_forms"),
     "films": ("films_found", "films_domains", "films_transfer", "films_effects"),
 }
+_FILMS_FOLDER = "simulated"
 # Read as text wherever films are listed.
 _TEXT = ("sha256", "key", "file", "source", "subject", "status", "side", "polarity", "pixel_from", "reason")
 _CONTOURS = (
@@ -96,7 +97,8 @@ def measure(
 
     films         folder of real films, or of folders of them, one a source; see `io.films.list_films`
     bones_folder  of real bones; see `io.bones.read_bones`
-    cohort        folder of a cohort, whose radiographs under `protocol` the contours are then of
+    cohort        folder of a cohort, whose radiographs under `protocol` the contours are of; None: those that the films
+                  are of, or without films of drawn knees
     protocol      that simulated knees are seen under, by name or path; films are takings of it (`draw_exposure`)
     knees         that are drawn, the grades alike
     grades        table that they are drawn by; see `draw_knee`
@@ -114,6 +116,7 @@ def measure(
     if sources:
         plan = plan_cohort("quick", seed=seed, overrides=_drawn(protocol, knees, grades, count))
         of_films = [_films(out, sources, plan, FilmTables(localisation(), looks()), execution)]
+        cohort = cohort or out / _FILMS_FOLDER
     with execution.timer.stage("contours", "knees", knees):
         if cohort is None:
             # Labels of a left knee mirror those of a right one. Readers took people's joint spaces.
@@ -215,7 +218,7 @@ def _bones(
 def _films(out: Path, sources: Sequence[Source], plan: Plan, tables: FilmTables, execution: Execution) -> Section:
     with execution.stage("templates", "knees", 1):
         templates = standard_templates("scanline")
-    simulated = _simulated(out / "simulated", plan, tables.looks, execution)
+    simulated = _simulated(out / _FILMS_FOLDER, plan, tables.looks, execution)
     records = {source.name: _measured(source, out, templates, tables.localisation, execution) for source in sources}
     simulated = _as_large(simulated, records, plan.seed)
     records[SIMULATED] = _measured(simulated, out, templates, tables.localisation, execution)
