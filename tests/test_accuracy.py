@@ -282,12 +282,13 @@ def located(case, status, kind="study", **measures):
 def test_limits_of_localisation_lie_between_what_is_right_and_what_is_wrong_on_purpose(monkeypatch):
     made = [located("right", "found", scale=scale) for scale in (0.8, 1.0)]
     made += [located("without bones", "no knee", score=both, both=both, way_evidence=-0.1) for both in (0.3, 0.4)]
-    made += [located("wrong side", "wrong side", side_evidence=-0.08)]
+    made += [located("wrong side", "wrong side", side_evidence=-0.08), located("right, no pitch", "found", both=0.6)]
+    made += [located("without bones, no pitch", "no knee", both=0.45, side_evidence=-0.3)]
     made += [located("pitch x 1.5", "wrong scale", scale=1.44), located("pitch x 0.5", "wrong scale", scale=0.2)]
     monkeypatch.setattr(localisation, "_located", lambda count, workers, modes, table: made)
     limits = {row["limit"]: row["simulations"] for row in localisation.limit_rows(2, 1)}
     assert limits == {
-        "both": 0.4, "side": 0.08, "way": 0.1, "apart_mm": 1.0,
+        "both": 0.4, "doubtful": 0.45, "sided": 0.3, "clear": 0.45, "sure": 0.6, "side": 0.08, "way": 0.1, "apart_mm": 1.0,
         "scale, least": 0.4, "scale, greatest": 1.2,
     }  # fmt: skip
     rows = {row["case"]: row for row in localisation.localisation_rows(2, 1)}
@@ -308,5 +309,5 @@ def test_a_knee_is_located_in_every_case(monkeypatch):
     rows = localisation._of_knee(0, templates=(), modes=0, table=None)
     assert [row["case"] for row in rows] == list(localisation._CASES)
     means = dict(seen)
-    assert means["without bones"] > means["right"]
+    assert means[localisation._CASES["without bones"]] > means[localisation._CASES["right"]]
     assert rows[0]["error_mm"] > 100

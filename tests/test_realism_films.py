@@ -13,7 +13,6 @@ import pssf
 from pssf.core.blocks import area_mean, block_mean
 from pssf.io.films import Film
 from pssf.realism import domains, films_section
-from pssf.realism import run as realism_run
 from pssf.realism.blind import blind_test
 from pssf.realism.effects import effects
 from pssf.realism.films import Source, centred, measured
@@ -22,6 +21,7 @@ from pssf.realism.outline import cheapest_path, trace_outline
 from pssf.realism.page import Section, Table, render
 from pssf.realism.shape_features import plateau_edges, shape_groups
 from pssf.realism.sheets import sheet
+from pssf.realism.simulated import in_pixels_as_large
 from pssf.study.report.page import Picture
 
 HALF_MM = PLATEAU_MM / 2
@@ -123,10 +123,10 @@ def test_simulated_films_are_made_smaller_to_pitches_of_the_largest_real_source(
     simulated = Source(name="simulated", folder=Path(), films=films)
     clinic = [{"status": "found", "pitch_mm": mm} for mm in (0.4, 0.45, 0.5)] + [{"status": "no knee"}]
     records = {"few": [{"status": "found", "pitch_mm": 9.0}], "clinic": clinic}
-    made = [film.coarse_mm for film in realism_run._as_large(simulated, records, 3).films]
+    made = [film.coarse_mm for film in in_pixels_as_large(simulated, records, 3).films]
     assert set(made) == {0.4, 0.45, 0.5}
-    assert made == [film.coarse_mm for film in realism_run._as_large(simulated, records, 3).films]
-    assert realism_run._as_large(simulated, {}, 3) is simulated
+    assert made == [film.coarse_mm for film in in_pixels_as_large(simulated, records, 3).films]
+    assert in_pixels_as_large(simulated, {}, 3) is simulated
 
 
 def test_a_place_off_by_centimetres_and_a_wrong_pitch_are_mended():

@@ -2,12 +2,13 @@
 
 import dataclasses
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..anatomy import build
+from ..core.blocks import block_mean
 from ..core.checks import InputError
 from ..core.parallel import ordered_map
 from ..data.localisation import Localisation, localisation
@@ -31,15 +32,34 @@ STUDY = ("reference", "low_dose", "geometry_shift")
 OTHERS = ("long_distance", "caudal_beam", "scatter_grid", "high_kv", "gos_screen", "large_focus")
 _SIDE_PX, _REGION_PX = 512, 128
 _SOFT = ("skin", "adipose", "muscle")
-# Case -> the reason that it should be refused for, and the pitch that is said over the true one.
+# Of those without a pitch: pixels that are taken as one, as crops are made smaller.
+_BINNED_PX = 2
+
+
+class _Case(NamedTuple):
+    """How a simulation is shown; the reason that it should be refused for; the pitch that is said over the true one.
+
+    pitch  None: it is not said, and neither is the side
+    """
+
+    meant: str
+    pitch: float | None = 1.0
+    bones: bool = True
+    upright: bool = True
+    mirrored: bool = False
+
+
 _CASES = {
-    "right": ("found", 1.0),
-    "wrong side": ("wrong side", 1.0),
-    "upside down": ("upside down", 1.0),
-    "without bones": ("no knee", 1.0),
-    "pitch x 2": ("wrong scale", 2.0),
-    "pitch x 1.5": ("wrong scale", 1.5),
-    "pitch x 0.5": ("wrong scale", 0.5),
+    "right": _Case("found"),
+    "wrong side": _Case("wrong side", mirrored=True),
+    "upside down": _Case("upside down", upright=False),
+    "without bones": _Case("no knee", bones=False),
+    "pitch x 2": _Case("wrong scale", 2.0),
+    "pitch x 1.5": _Case("wrong scale", 1.5),
+    "pitch x 0.5": _Case("wrong scale", 0.5),
+    "right, no pitch": _Case("found", None),
+    "upside down, no pitch": _Case("upside down", None, upright=False),
+    "without bones, no pitch": _Case("no knee", None, bones=False),
 }
 _MEASURES = (
     *("score", "narrow", "both", "side_margin", "side_evidence", "way_margin", "way_evidence", "scale", "apart_mm"),
@@ -71,6 +91,12 @@ def limit_rows(count: int, workers: int) -> list[Row]:
     right, enlarged = values("right", "scale", ("study",)), values("pitch x 1.5", "scale", ("study",))
     rules = [
         ("both", values("without bones", "both").max(), limits.both, "highest without bones"),
+        ("doubtful", np.quantile(values("without bones, no pitch", "both"), 0.99), limits.doubtful,
+         "99 % of those without bones and pitch"),
+        ("sided", np.quantile(np.abs(values("without bones, no pitch", "side_evidence")), 0.99), limits.sided,
+         "99 % of those without bones and pitch"),
+        ("clear", values("without bones, no pitch", "both").max(), limits.clear, "above the highest without bones"),
+        ("sure", values("right, no pitch", "both").min(), limits.sure, "about the least of right ones without pitch"),
         ("side", -np.quantile(values("wrong side", "side_evidence"), 0.99), limits.side, "99 % of wrong sides"),
         ("way", np.abs(values("without bones", "way_evidence")).max(), limits.way, "highest without bones"),
         ("apart_mm", sum(values(case, "apart_mm").max() for case in ("right", "without bones")) / 2, limits.apart_mm,
@@ -87,14 +113,14 @@ def limit_rows(count: int, workers: int) -> list[Row]:
 
 
 def _row(case: str, kind: str, located: list[Row]) -> Row:
-    meant = _CASES[case][0]
+    meant, is_right = _CASES[case].meant, case.startswith("right")
     errors = np.array([one["error_mm"] for one in located if one["status"] == "found"])
     row: Row = {
         "case": case, "knees_of": kind, "radiographs": len(located),
         "found": sum(one["status"] == "found" for one in located),
         "as_meant": sum(one["status"] == meant for one in located), "meant": meant,
-        "mean_error_mm": round(float(errors.mean()), 2) if case == "right" and len(errors) else "",
-        "p95_error_mm": round(float(np.quantile(errors, 0.95)), 2) if case == "right" and len(errors) else "",
+        "mean_error_mm": round(float(errors.mean()), 2) if is_right and len(errors) else "",
+        "p95_error_mm": round(float(np.quantile(errors, 0.95)), 2) if is_right and len(errors) else "",
     }  # fmt: skip
     for name in _MEASURES:
         values = [one[name] for one in located]
@@ -125,8 +151,8 @@ def _of_knee(number: int, *, templates: "tuple[Template, ...]", modes: int, tabl
     assert whole.truth is not None
     rows = []
     for case in _CASES:
-        pixels = bare.pixels if case == "without bones" else whole.pixels
-        joint = _find(case, pixels, knee, protocol, templates, table)
+        pixels = whole.pixels if _CASES[case].bones else bare.pixels
+        joint = _find(_CASES[case], pixels, knee, protocol, templates, table)
         away = np.subtract((joint.row, joint.col), whole.truth.medial_joint_line_px)
         error_mm = float(np.hypot(*away)) * protocol.pixel_mm / magnification(view_of(protocol))
         measures = {name: getattr(joint, name) for name in _MEASURES}
@@ -135,21 +161,25 @@ def _of_knee(number: int, *, templates: "tuple[Template, ...]", modes: int, tabl
 
 
 def _find(
-    case: str,
+    case: _Case,
     pixels: NDArray[np.uint16],
     knee: Knee,
     protocol: Protocol,
     templates: "tuple[Template, ...]",
     table: Localisation,
 ) -> "Located":
+    """The joint, in pixels of the image."""
+    from ..radiomics.aspect import locate_film
     from ..radiomics.locate import find_joint
+    from ..radiomics.patches import density_of
 
-    side = knee.side
-    if case == "wrong side":
-        side = "left" if side == "right" else "right"
-    if case == "upside down":
-        pixels = pixels[::-1]
-    pixel_mm = protocol.pixel_mm * _CASES[case][1]
+    pixels = pixels if case.upright else pixels[::-1]
+    if case.pitch is None:
+        joint = locate_film(density_of(block_mean(pixels, _BINNED_PX)), templates, table)
+        row, col = (at * _BINNED_PX + (_BINNED_PX - 1) / 2 for at in (joint.row, joint.col))
+        return dataclasses.replace(joint, row=row, col=col)
+    side = {"right": "left", "left": "right"}[knee.side] if case.mirrored else knee.side
+    pixel_mm = protocol.pixel_mm * case.pitch
     return find_joint(pixels, templates, table, side=side, pixel_mm=pixel_mm, region_px=_REGION_PX)
 
 

@@ -1,33 +1,29 @@
 """The meter: what is given is measured, and one page says how far simulated knees are from people's."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ..anatomy.joint import defining_protocol
-from ..cohort import Plan, make_cohort, plan_cohort
+from ..cohort import Plan
 from ..core.checks import Array, InputError, require_whole
 from ..core.execution import Execution
 from ..data.anatomy import AnatomyTables, anatomy_tables
 from ..data.code import code_digest
 from ..data.landmarks import LandmarkReference, landmark_reference
 from ..data.localisation import Localisation, localisation
-from ..data.looks import Looks, looks
+from ..data.looks import looks
 from ..data.records import encoded
 from ..experiment import standard_templates
 from ..io import results
 from ..io.atomic import folder
 from ..io.bones import read_bones
-from ..io.films import Film, list_films, read_film
-from ..io.records import read_manifest
+from ..io.films import list_films, read_film
 from ..model.draw import DrawLaws, draw_knees, draw_laws
 from ..model.exposure import draw_exposure
 from ..model.knee import Knee
-from ..model.look import drawn_look
 from ..model.protocol import load_protocol
 from ..radiomics.patches import Template
 from ..study.report.page import Picture
@@ -38,6 +34,7 @@ from .films_section import SIMULATED, films_section
 from .forms import compare_forms
 from .kept import CODE, KeptPart, KeptRows, facts_of_bones, key_of, known_rows, save_rows
 from .page import Row, Section, Table, render
+from .simulated import films_plan, in_pixels_as_large, simulated_films
 
 # Tables that the READMEs show, by what must be given for them.
 SHOWN = {
@@ -54,8 +51,6 @@ _CONTOURS = (
     "standard deviation of people's, a spread between 0.7 and 1.4 of theirs. Of each drawn knee a taking of the "
     "protocol given above is seen, or its radiographs of a cohort; people's films were PA in fixed flexion."
 )
-# Of the chance that looks and sizes of pixels are drawn by, beside the cohort's own.
-_LOOKS, _PITCHES = 301, 302
 # Of drawn knees: so many as their spread is told by.
 _MOST_BONES = 50
 _BONES = (
@@ -114,7 +109,7 @@ def measure(
     # First, since a folder that holds another cohort is refused then, and not after minutes.
     of_films = []
     if sources:
-        plan = plan_cohort("quick", seed=seed, overrides=_drawn(protocol, knees, grades, count))
+        plan = films_plan(protocol, knees, grades, count, seed)
         of_films = [_films(out, sources, plan, FilmTables(localisation(), looks()), execution)]
         cohort = cohort or out / _FILMS_FOLDER
     with execution.timer.stage("contours", "knees", knees):
@@ -218,9 +213,9 @@ def _bones(
 def _films(out: Path, sources: Sequence[Source], plan: Plan, tables: FilmTables, execution: Execution) -> Section:
     with execution.stage("templates", "knees", 1):
         templates = standard_templates("scanline")
-    simulated = _simulated(out / _FILMS_FOLDER, plan, tables.looks, execution)
+    simulated = simulated_films(out / _FILMS_FOLDER, plan, tables.looks, execution)
     records = {source.name: _measured(source, out, templates, tables.localisation, execution) for source in sources}
-    simulated = _as_large(simulated, records, plan.seed)
+    simulated = in_pixels_as_large(simulated, records, plan.seed)
     records[SIMULATED] = _measured(simulated, out, templates, tables.localisation, execution)
     with execution.stage("models", "parts", 1):
         return films_section(records, partial(_read, {one.name: one for one in (*sources, simulated)}), seed=plan.seed)
@@ -232,48 +227,6 @@ def _measured(
     path = out / f"films_{source.name}.csv"
     known = known_rows(path, "sha256", _TEXT)
     return measure_films(source, templates, table, execution, known=known, save=partial(save_rows, path))
-
-
-def _as_large(simulated: Source, records: Mapping[str, Sequence[Record]], seed: int) -> Source:
-    """Simulated films in pixels as large as those of the real source of which most were found, whatever their grade.
-
-    What a film is made smaller by blurs it, and tells it from one that was not. Crops are made smaller to one number of
-    pixels, so that how large these are, over the knee, hangs on each crop: a pitch is drawn from the real ones.
-    """
-    pitches = [sorted(float(one["pitch_mm"]) for one in of if one["status"] == "found") for of in records.values()]
-    known = max(pitches, key=len, default=[])
-    if not known:
-        return simulated
-    chance = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_PITCHES,)))
-    drawn = chance.choice(known, len(simulated.films)).tolist()
-    films = (replace(film, coarse_mm=mm) for film, mm in zip(simulated.films, drawn, strict=True))
-    return replace(simulated, films=tuple(films))
-
-
-def _drawn(protocol: str, knees: int, grades: str, count: int) -> dict[str, Any]:
-    """Of a plan of drawn knees, so many grades alike: takings of a protocol, as people's films are."""
-    each = [knees // count + (index < knees % count) for index in range(count)]
-    return {"knees": each, "protocols": [protocol], "exposures": "drawn", "grades": grades}
-
-
-def _simulated(where: Path, plan: Plan, known: Looks, execution: Execution) -> Source:
-    """The cohort as films, each shown as a site of its own shows them."""
-    with execution.stage("simulated films", "radiographs", sum(len(case.exposures) for case in plan.cases)) as stage:
-        manifest = read_manifest(make_cohort(
-            plan,
-            where,
-            workers=execution.workers,
-            scheduler=execution.scheduler,
-            progress=stage.advance,
-            kept=stage.keep,
-        ))  # fmt: skip
-    columns = ["file", "grade", "subject", "side", "pixel_mm", "sha256"]
-    films = []
-    for number, row in enumerate(manifest[columns].to_dict("records")):
-        chance = np.random.SeedSequence(plan.seed, spawn_key=(_LOOKS, number))
-        look = drawn_look(known, rng=np.random.default_rng(chance))
-        films.append(Film(**{**row, "subject": str(row["subject"]), "look": look}))
-    return Source(name=SIMULATED, folder=where, films=tuple(films))
 
 
 def _read(sources: Mapping[str, Source], name: str, file: str) -> Array:
