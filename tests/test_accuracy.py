@@ -289,7 +289,7 @@ def test_limits_of_localisation_lie_between_what_is_right_and_what_is_wrong_on_p
     limits = {row["limit"]: row["simulations"] for row in localisation.limit_rows(2, 1)}
     assert limits == {
         "both": 0.4, "doubtful": 0.45, "sided": 0.3, "clear": 0.45, "sure": 0.6, "side": 0.08,
-        "way": 0.1, "apart_mm": 1.0,        "scale, least": 0.4, "scale, greatest": 1.2,
+        "way": 0.1, "apart_mm": 1.0, "scale, least": 0.4, "scale, greatest": 1.2,
     }  # fmt: skip
     rows = {row["case"]: row for row in localisation.localisation_rows(2, 1)}
     assert (rows["right"]["found"], rows["right"]["mean_error_mm"]) == (2, 0.5)

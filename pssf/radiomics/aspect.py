@@ -34,15 +34,17 @@ def locate_film(
     """
     if pixel_mm is not None:
         return locate(film, templates, table, side=side, pixel_mm=pixel_mm)
-    limits, heights, large = table.thresholds, (1.0, *table.search.pixel_heights), table.search.large_share
+    limits, heights, large = table.thresholds, table.search.pixel_heights, table.search.large_share
     looked = partial(_looked, film, templates, table, side)
-    best = looked(1.0, large)
-    if best.both >= limits.sure:
-        return best
-    if best.status == "found" and best.both >= limits.clear:
-        return _better(best, looked(1.0, large, severe=True), table)
+    best = square = looked(1.0, large)
+    if square.both >= limits.sure:
+        return square
+    if square.status == "found" and square.both >= limits.clear:
+        return _better(square, looked(1.0, large, severe=True), table)
     for least_share in (large, 0.0):
-        usual, severe = (_best([looked(one, least_share, severe=of) for one in heights], table) for of in (False, True))
+        square = square if least_share == large else looked(1.0, 0.0)
+        usual = _best([square, *(looked(one, least_share) for one in heights)], table)
+        severe = _best([looked(one, least_share, severe=True) for one in (1.0, *heights)], table)
         best = _better(usual, severe, table)
         if best.status == "found":
             break

@@ -227,7 +227,9 @@ def _units(
         return [pixel_mm / scale for scale in _steps(smallest, largest, table)]
     plateau_mm = _plateau_mm(template)
     shares = (share for share in _steps(*table.search.plateau_share, table) if share >= least_share)
-    return [plateau_mm / (share * shape[1]) for share in shares]
+    units = (plateau_mm / (share * shape[1]) for share in shares)
+    # What is coarser than the whole joint's template holds no place to within millimetres.
+    return [unit_mm for unit_mm in units if unit_mm <= table.wide.pitch_mm]
 
 
 def _smaller(pixel_mm: float, table: Localisation) -> list[float]:

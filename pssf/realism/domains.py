@@ -15,6 +15,7 @@ from sklearn.preprocessing import StandardScaler
 
 from ..core.checks import Array
 from ..study.statistics.metrics import auc, percentiles, weighted_auc
+from .films import BETWEEN, FINE, TONE, Record
 
 Row = dict[str, Any]
 ALL = "all"
@@ -45,6 +46,20 @@ class Films:
         return Films(
             name=self.name, features=self.features[here], grades=self.grades[here], subjects=self.subjects[here]
         )
+
+
+def learnable(name: str, records: Sequence[Record]) -> Films:
+    """The films with a joint found, and the features that may be learnt from."""
+    table = pd.DataFrame([record for record in records if record["status"] == "found"])
+    columns = [name for name in table if BETWEEN in name and name.split(BETWEEN)[0] not in (TONE, FINE)]
+    features = table[columns].astype(float)
+    features.columns = pd.MultiIndex.from_tuples([tuple(name.split(BETWEEN)) for name in columns])
+    return Films(
+        name=name,
+        features=features.reset_index(drop=True),
+        grades=table["grade"].fillna(-1).astype(int).to_numpy(),
+        subjects=table["subject"].astype(str).to_numpy(),
+    )
 
 
 def told_apart(first: Films, second: Films, *, replicates: int, seed: int) -> list[Row]:

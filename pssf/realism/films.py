@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from ..core.checks import Array, InputError
 from ..core.execution import Execution
@@ -20,7 +19,6 @@ from ..io.films import Film, read_film
 from ..radiomics.aspect import locate_film, with_square_pixels
 from ..radiomics.patches import Template
 from ..radiomics.table import SAVE_SECONDS
-from .domains import Films
 from .form import PITCH_MM, PLATEAU_MM, Place, field_of, joint_pixel, made_smaller, stretched
 from .grey_features import grey_groups
 from .kept import key_of
@@ -33,7 +31,7 @@ Record = dict[str, Any]
 CODE = ("anatomy/truth.py", "core", "data", "detector", "io", "radiomics", "realism")
 # Group and feature make the name of a column; these two groups are told, and not learnt from.
 TONE, FINE = "tone", "fine texture"
-_BETWEEN = "|"
+BETWEEN = "|"
 _TO_MIDDLE = 0.25  # of the plateau's width, from the medial joint line
 # How much wider a field the joint is centred in, turn by turn; and by how much a turn, or all, may change its size.
 _ZOOMS = (0.8, 0.9, 1.0)
@@ -166,7 +164,7 @@ def measured(film: Array, near: Place, pixel_mm: float, binned: float = 1) -> Re
     own = place.binned(1 / binned)
     groups |= {TONE: tone(shown, field, outline, place), FINE: fine_texture(film, outline, own, pixel_mm)}
     values: Record = {"joint_row_px": own.row, "joint_col_px": own.col, "pitch_mm": own.pitch_mm}
-    return values | {f"{group}{_BETWEEN}{name}": value for group, of in groups.items() for name, value in of.items()}
+    return values | {f"{group}{BETWEEN}{name}": value for group, of in groups.items() for name, value in of.items()}
 
 
 def centred(film: Array, near: Place) -> Place:
@@ -194,20 +192,6 @@ def _plateau_mm(templates: Sequence[Template]) -> float:
     if width is None:
         raise InputError("template plateau_mm = None; allowed: the width of its plateau at the detector, mm")
     return width
-
-
-def learnable(name: str, records: Sequence[Record]) -> Films:
-    """The films with a joint found, and the features that may be learnt from."""
-    table = pd.DataFrame([record for record in records if record["status"] == "found"])
-    columns = [name for name in table if _BETWEEN in name and name.split(_BETWEEN)[0] not in (TONE, FINE)]
-    features = table[columns].astype(float)
-    features.columns = pd.MultiIndex.from_tuples([tuple(name.split(_BETWEEN)) for name in columns])
-    return Films(
-        name=name,
-        features=features.reset_index(drop=True),
-        grades=table["grade"].fillna(-1).astype(int).to_numpy(),
-        subjects=table["subject"].astype(str).to_numpy(),
-    )
 
 
 def _shown_key(key: str, film: Film) -> str:

@@ -12,9 +12,9 @@ from ..core.parallel import ordered_map
 from ..radiomics.aspect import with_square_pixels
 from ..study.report.page import Picture
 from .blind import blind_test
-from .domains import ALL, Films, told_apart, transferred
+from .domains import ALL, Films, learnable, told_apart, transferred
 from .effects import effects
-from .films import FINE, TONE, Record, learnable
+from .films import FINE, TONE, Record
 from .form import Place, field_of, made_smaller, stretched
 from .page import Section, Table
 from .sheets import sheet

@@ -4,8 +4,8 @@ import numpy as np
 from scipy import stats
 from skimage.feature import graycomatrix, graycoprops
 
-from ..accuracy.texture import texture
 from ..core.checks import Array
+from ..radiomics.texture import texture
 from .form import PITCH_MM
 from .outline import Outline
 from .shape_features import Features, plateau_edges, plateau_shares

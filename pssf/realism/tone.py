@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from ..accuracy.texture import texture
 from ..core.checks import Array
+from ..radiomics.texture import texture
 from .form import PITCH_MM, Place, joint_pixel
 from .grey_features import PATCH_MM, PATCHES, patch_base, patch_of
 from .outline import Outline

@@ -1,0 +1,42 @@
+"""How trabeculae look: power spectrum and grey values of a patch."""
+
+import numpy as np
+from scipy import stats
+
+from ..core.checks import Array
+
+
+def texture(patch: Array, pixel_mm: float) -> dict[str, float]:
+    """What a square patch measures once its quadratic trend is taken off, under a Hann window.
+
+    slope_*               of the radially averaged power spectrum in the log-log plane, over so many cycles/mm
+    vertical_over_horizontal  power of vertical over horizontal lines (within 30 deg), 0.3 to 1.5 cycles/mm
+    sd_over_mean, skewness, excess_kurtosis
+    patch  (side, side)  linear pixels, DN
+    """
+    side = len(patch)
+    row, col = (part.ravel() for part in np.mgrid[:side, :side] / side)
+    basis = np.stack((np.ones_like(row), row, col, row**2, col**2, row * col), axis=1)
+    flat = patch.ravel() - basis @ np.linalg.lstsq(basis, patch.ravel(), rcond=None)[0]
+    power = np.abs(np.fft.fft2(flat.reshape(side, side) * np.outer(np.hanning(side), np.hanning(side)))) ** 2
+    fx, fy = np.meshgrid(*2 * [np.fft.fftfreq(side, pixel_mm)])
+    radius, angle = np.hypot(fx, fy), np.rad2deg(np.arctan2(np.abs(fy), np.abs(fx)))
+    band = (radius > 0.3) & (radius < 1.5)
+    return {
+        "slope_0.2_2": _slope(power, radius, 0.2, 2.0),
+        "slope_0.2_0.8": _slope(power, radius, 0.2, 0.8),
+        "slope_0.8_2": _slope(power, radius, 0.8, 2.0),
+        "vertical_over_horizontal": float(power[band & (angle < 30)].mean() / power[band & (angle > 60)].mean()),
+        "sd_over_mean": float(flat.std() / patch.mean()),
+        "skewness": float(stats.skew(flat)),
+        "excess_kurtosis": float(stats.kurtosis(flat)),
+    }
+
+
+def _slope(power: Array, radius: Array, low: float, high: float) -> float:
+    step = radius[0, 1]
+    ring = np.rint(radius / step).astype(int)
+    mean = np.bincount(ring.ravel(), power.ravel()) / np.bincount(ring.ravel())
+    centres = np.arange(len(mean)) * step
+    inside = (centres >= low) & (centres <= high)
+    return float(np.polyfit(np.log(centres[inside]), np.log(mean[inside]), 1)[0])
