@@ -206,6 +206,13 @@ def test_a_severe_knee_is_taken_where_it_matches_better_or_no_usual_one_is_found
     assert (joint.status, joint.both) == (severe if of_severe else usual)
 
 
+def test_a_severe_knee_whose_edges_are_of_the_other_side_is_not_taken():
+    joint = replace(joint_of(phantom(150, 165)), score=0.5, narrow=0.5)
+    severe = replace(joint, score=0.6, side_evidence=-0.1)
+    assert aspect._better(joint, severe, TABLE) is severe
+    assert aspect._better(joint, replace(severe, side_evidence=-0.2), TABLE) is joint
+
+
 def test_without_a_pitch_a_match_as_on_a_leg_without_bones_needs_a_side():
     joint = replace(joint_of(phantom(150, 165)), pixel_from="plateau", score=0.455, narrow=0.455, side_evidence=0.3)
     assert _status(joint, SHAPE, None, TABLE) == "no knee"

@@ -23,7 +23,7 @@ from pssf.io.films import Film
 from pssf.io.records import sha256
 from pssf.io.results import load_table
 from pssf.radiomics.table import TEXT
-from pssf.study.learn.modelfile import SavedModel, differences, unpack
+from pssf.study.learn.modelfile import SavedModel, _packed, _place, _template, differences, unpack
 from pssf.study.learn.saving import unzipped, zipped
 from pssf.study.reading import read_films
 
@@ -75,6 +75,14 @@ def test_a_model_file_says_all_that_a_film_is_read_by(files):
         assert differences(model.card) == ""
     assert (linear.card.pixel_mm, linear.card.region_px) == (0.6, 80)
     assert_allclose(shown.card.pixel_mm * shown.card.region_px, 48.0, atol=shown.card.pixel_mm / 2)
+
+
+@pytest.mark.parametrize("severe", [False, True])
+def test_a_template_comes_back_as_it_was_kept(severe):
+    kept = dataclasses.replace(drawn.TEMPLATE, pixels=drawn.TEMPLATE.pixels.astype(np.float32), severe=severe)
+    back = _template(_place(kept), _packed(kept.pixels.tobytes()))
+    for field in dataclasses.fields(kept):
+        assert np.array_equal(getattr(back, field.name), getattr(kept, field.name)), field.name
 
 
 def test_whoever_has_skops_alone_loads_the_pipeline(files):

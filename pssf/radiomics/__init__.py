@@ -14,6 +14,7 @@ features.extract      region, pixel_mm      -> feature name -> value, by pyradio
 backends              which of them is taken; by_pyradiomics, by_mirp: what each measures; shape2d: what MIRP lacks
 ibsi.tag_of           feature               -> which feature of the IBSI it is; departure_of: how it departs
 display.measure_display  job, film           -> record of a radiograph as displayed, brought to a pitch and a tone
+texture.texture       patch, pixel_mm       -> slopes of its spectrum, direction of its lines, grey values
 compact.compact       template              -> what localisation reads of it
 table.extract_all     jobs, how to load     -> one record a radiograph, in the order of the jobs
 """

@@ -68,9 +68,10 @@ def _looked(
 
 
 def _better(usual: Located, severe: Located, table: Localisation) -> Located:
-    """The severe knee where one is found that matches better, or no usual one is found."""
-    better = usual.status != "found" or severe.both > usual.both
-    return severe if better and severe.status == "found" and severe.both >= table.thresholds.many_looks else usual
+    """The severe knee where one is found that matches better, or no usual one is, and its edges are of its side."""
+    limits = table.thresholds
+    sound = severe.status == "found" and severe.both >= limits.many_looks and severe.side_evidence >= -limits.side
+    return severe if sound and (usual.status != "found" or severe.both > usual.both) else usual
 
 
 def _best(looks: Sequence[Located], table: Localisation) -> Located:

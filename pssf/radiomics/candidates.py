@@ -100,13 +100,10 @@ def _refined(image: Pyramid, templates: tuple[Template, ...], wide: Match, table
     """The best narrow match within reach of the wide one."""
     law, best = table.narrow, replace(wide, score=-1.0)
     ours = [pose for pose in poses(templates, law) if (pose.side, pose.way) == (wide.side, wide.way)]
-    beside_mm = table.search.reach_mm + 2 * law.tile_mm
+    extent_mm = max(law.up_mm, law.down_mm, law.lateral_mm, law.medial_mm) + table.search.reach_mm + 2 * law.tile_mm
     (top, bottom), (left, right) = (
-        (max(0, int(at - extent / wide.unit_mm)), int(at + extent / wide.unit_mm) + 2)
-        for at, extent in (
-            (wide.row, max(law.lateral_mm, law.medial_mm) + beside_mm),
-            (wide.col, max(law.lateral_mm, law.medial_mm) + beside_mm),
-        )
+        (max(0, int(at - extent_mm / wide.unit_mm)), int(at + extent_mm / wide.unit_mm) + 2)
+        for at in (wide.row, wide.col)
     )
     near = Pyramid(image.levels[0][top:bottom, left:right])
     sign = 1.0 if wide.polarity == "bone bright" else -1.0

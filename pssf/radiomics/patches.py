@@ -30,7 +30,7 @@ class Template:
     row, col    its medial joint line, pixels
     pixel_mm    pitch of the detector
     plateau_mm  of its tibial plateau, width at the detector; None where it is not known
-    severe      whether it is of a knee so unlike others that it is looked for only where none of these is clear
+    severe      whether it is of a knee so unlike others that it is looked for only where no usual one is sure
     raises      InputError for a joint line outside the image, or a pitch or width out of range
     """
 
