@@ -84,9 +84,9 @@ def _best(looks: Sequence[Located], table: Localisation) -> Located:
     def beyond_square(look: Located) -> float:
         return look.both - (limits.stretched if look is not looks[0] else 0.0)
 
-    found = [look for look in looks if look.status == "found" and (look is looks[0] or look.both >= limits.many_looks)]
+    joints = [look for look in looks if look.status == "found" and (look is looks[0] or look.both >= limits.many_looks)]
     against = [look for look in looks if look.way != WAYS[0]]
-    return max((*found, *against), key=beyond_square, default=looks[0])
+    return max((*joints, *against), key=beyond_square, default=looks[0])
 
 
 def with_square_pixels(film: NDArray[np.integer | np.floating], height: float) -> Array:

@@ -98,7 +98,7 @@ def films_section(
     )  # fmt: skip
 
 
-def compare(records: Mapping[str, Sequence[Record]], *, replicates: int, seed: int, workers: int = 1) -> Comparison:
+def compare(records: Mapping[str, Sequence[Record]], *, replicates: int, seed: int) -> Comparison:
     """Every real source against the simulated films, and against every other real one."""
     measured = {name: learnable(name, of) for name, of in records.items() if _any_measured(of)}
     real = [name for name in measured if name != SIMULATED]
