@@ -134,10 +134,9 @@ def locate(
     """
     if side is not None:
         require_choice("side", side, SIDES)
-    templates = [template for template in templates if severe or not template.severe]
-    if not templates:
+    if all(template.severe for template in templates):
         raise InputError("templates = none; allowed: one or more")
-    search, of_sides = searched(density, templates, table, pixel_mm, least_share)
+    search, of_sides = searched(density, templates, table, pixel_mm, least_share, severe)
     for_right = side_evidence(search.image, of_sides, table)
     chosen = side or _side_of(of_sides, for_right, table)
     best, mirrored = of_sides[chosen], SIDES[1 - SIDES.index(chosen)]
@@ -170,6 +169,7 @@ def searched(
     table: Localisation,
     pixel_mm: float | None,
     least_share: float = 0.0,
+    severe: bool = False,
 ) -> tuple[Candidates, dict[str, Pair]]:
     """All matches of the whole joint, and of each side the best, with its medial compartment.
 
@@ -178,9 +178,9 @@ def searched(
     raises  InputError for a pitch out of range, or an image that cannot hold a joint
     """
     image = Pyramid(density)
-    usual = [template for template in templates if not template.severe] or templates
-    severe = [template for template in templates if template.severe]
-    whole = poses(tuple(dict.fromkeys((usual[0], usual[-1], *severe))), table.wide)
+    usual = tuple(template for template in templates if not template.severe)
+    added = tuple(template for template in templates if severe and template.severe)
+    whole = poses(tuple(dict.fromkeys((usual[0], usual[-1], *added))), table.wide)
     units = _units(density.shape, usual[0], pixel_mm, table, least_share)
     matched = list(matches(image, units, whole, table.wide, table.search.least_seen))
     if pixel_mm is None:
@@ -188,7 +188,7 @@ def searched(
     if not matched:
         raise InputError(f"image of {density.shape} pixels of {pixel_mm} mm; allowed: one that holds a knee joint")
     chance = _rise(pixel_mm, table)
-    search = Candidates(image=image, templates=tuple(templates), matches=matched, table=table, rise=chance)
+    search = Candidates(image=image, templates=(*usual, *added), matches=matched, table=table, rise=chance)
     of_sides = _upright_or_not(search)
     if pixel_mm is not None and max(pair.both for pair in of_sides.values()) < table.thresholds.both:
         matched += matches(image, _smaller(pixel_mm, table), whole, table.wide, table.search.least_seen)
