@@ -30,8 +30,12 @@ if TYPE_CHECKING:
 
 # What the READMEs show of a study.
 SHOWN = ("scores", "reliability", "claims", "cost")
-# Medial joint space and flexion, from a healthy joint to one narrower than the paper's grades have, straight and bent.
-_SPACES = ((5.0, 0.0), (3.5, 0.0), (2.0, 0.0), (5.0, 15.0), (2.0, 15.0))
+# Medial joint space, from a healthy joint to one narrower than the paper's grades have, as the two views show it:
+# the plateau's rims lie under each other in one and apart in the other.
+_SPACES = {
+    "reference": (Knee(jsw_medial_mm=5.0), Knee(jsw_medial_mm=3.5), Knee(jsw_medial_mm=2.0)),
+    "fixed_flexion": (Knee(jsw_as="read", jsw_medial_mm=4.5), Knee(jsw_as="read", jsw_medial_mm=2.0)),
+}
 # One whose medial joint space is gone, with lips all round, a bowed leg and a hard plate, as people of KL 4 have it.
 _SEVERE = Knee(
     jsw_as="read",
@@ -199,31 +203,31 @@ def _given(experiment: Experiment, execution: Execution) -> tuple[Any, ...]:
 
 
 def standard_templates(engine: str = "embree") -> "tuple[Template, ...]":
-    """The standard knee, the same with narrower medial joint spaces and bent, and a severe one: what joints are looked
-    for with.
+    """The standard knee, the same with narrower medial joint spaces and in another view, and a severe one: what joints
+    are looked for with.
 
-    Without noise, under the protocol `reference`.
+    Without noise.
     """
+    usual = [_template(knee, protocol, engine) for protocol, knees in _SPACES.items() for knee in knees]
+    return (*usual, _template(_SEVERE, "fixed_flexion", engine, severe=True))
+
+
+def _template(knee: Knee, name: str, engine: str, *, severe: bool = False) -> "Template":
     from .radiomics.patches import Template
 
-    protocol = replace(load_protocol("reference"), noise="none")
-
-    def template(knee: Knee, severe: bool = False) -> Template:
-        radiograph = simulate(knee, protocol, engine=engine)
-        assert radiograph.truth is not None
-        row, col = radiograph.truth.medial_joint_line_px
-        edges = [radiograph.truth.landmarks_px[f"{side}_plateau_edge"][1] for side in ("medial", "lateral")]
-        return Template(
-            pixels=radiograph.pixels,
-            row=row,
-            col=col,
-            pixel_mm=protocol.pixel_mm,
-            plateau_mm=abs(edges[0] - edges[1]) * protocol.pixel_mm,
-            severe=severe,
-        )
-
-    usual = (template(Knee(jsw_medial_mm=jsw, flexion_deg=flexion)) for jsw, flexion in _SPACES)
-    return (*usual, template(_SEVERE, severe=True))
+    protocol = replace(load_protocol(name), noise="none")
+    radiograph = simulate(knee, protocol, engine=engine)
+    assert radiograph.truth is not None
+    row, col = radiograph.truth.medial_joint_line_px
+    edges = [radiograph.truth.landmarks_px[f"{side}_plateau_edge"][1] for side in ("medial", "lateral")]
+    return Template(
+        pixels=radiograph.pixels,
+        row=row,
+        col=col,
+        pixel_mm=protocol.pixel_mm,
+        plateau_mm=abs(edges[0] - edges[1]) * protocol.pixel_mm,
+        severe=severe,
+    )
 
 
 def _made(plan: Plan, out: Path, name: str, engine: str, execution: Execution) -> "pd.DataFrame":
