@@ -62,7 +62,7 @@ DOORS = {
 # the package as its users do.
 FORMULAS = (
     *("geometry", "anatomy", "raycast", "xray", "scatter", "detector", "stages.py", "radiomics", "quality"),
-    *("realism/bones.py", "realism/contours.py", "realism/forms.py", "realism/shape_"),
+    *("realism/bone_fit.py", "realism/bones.py", "realism/contours.py", "realism/forms.py", "realism/shape_"),
     *("study/learn", "study/statistics", "study/external.py", "study/measuring.py", "study/questions.py"),
 )
 # Of numbers; a share and a probability are of 1, and "unit" is of "a unit vector", "any unit" or "its own unit".

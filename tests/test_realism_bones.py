@@ -11,8 +11,7 @@ from pssf.data.anatomy import anatomy_tables
 from pssf.geometry.mesh import Mesh
 from pssf.io.bones import read_bones
 from pssf.model.draw import draw_laws
-from pssf.realism import bones
-from pssf.realism.forms import compare_forms
+from pssf.realism import bone_fit, bones
 from pssf.realism.surfaces import Similarity, fit_similarity, measured, surface_distance, trimmed
 
 
@@ -92,12 +91,12 @@ def test_the_nearest_place_is_the_nearest_on_all_triangles():
 
 def test_a_cut_at_another_height_is_no_distance_between_the_heights():
     long, short = measured(shaft(95.0)), measured(shaft(70.0))
-    heights = bones.heights_mm(short.mesh, "femur")
+    heights = bone_fit.heights_mm(short.mesh, "femur")
     assert_allclose(heights[1], 65.0)
     assert surface_distance(long, short, heights_mm=heights).rms_mm < 0.02
     assert surface_distance(long, short).rms_mm > 3.0
-    assert bones.heights_mm(moved(short.mesh, 0.0, -1.0), "tibia")[0] == pytest.approx(-65.0)
-    assert bones.heights_mm(short.mesh, "patella") == (-np.inf, np.inf)
+    assert bone_fit.heights_mm(moved(short.mesh, 0.0, -1.0), "tibia")[0] == pytest.approx(-65.0)
+    assert bone_fit.heights_mm(short.mesh, "patella") == (-np.inf, np.inf)
 
 
 def test_a_trimmed_mesh_ends_at_the_heights_and_a_distant_one_is_refused():
@@ -191,8 +190,8 @@ def test_built_bones_are_closed_and_differ_by_what_is_drawn():
         assert_array_equal(mesh[1].vertices, drawn[name][1].vertices)
     tilted = bones.built_bones(dataclasses.replace(pssf.Knee(), tibial_slope_deg=9.0), anatomy_tables())["tibia"]
     plain = bones.built_bones(pssf.Knee(), anatomy_tables())["tibia"]
-    near = [measured(bones.near_joint(mesh, "tibia")) for mesh in (tilted, plain)]
-    heights = bones.heights_mm(near[1].mesh, "tibia")
+    near = [measured(bone_fit.near_joint(mesh, "tibia")) for mesh in (tilted, plain)]
+    heights = bone_fit.heights_mm(near[1].mesh, "tibia")
     assert 0.2 < surface_distance(*near, fit_similarity(*near, heights_mm=heights), heights).rms_mm < 1.5
 
 
@@ -263,8 +262,8 @@ def test_forms_of_the_same_bones_are_alike_and_a_stretched_one_is_off():
         name: [bones.built_bones(pssf.Knee(shape=(score,)), anatomy_tables())[name] for score in (-1.0, 1.0)]
         for name in bones.BONES
     }
-    for row in compare_forms(drawn, built, drawn):
+    for row in bones.compare(drawn, built, drawn).forms:
         assert abs(row["off_sd"]) < 1e-9 or row["sd"] < 1e-9
     high = {**drawn, "patella": [Mesh(one.vertices * [1.0, 1.0, 1.2], one.faces) for one in drawn["patella"]]}
-    row = next(r for r in compare_forms(drawn, built, high) if r["measure"] == "patella's height over width")
+    row = next(r for r in bones.compare(drawn, built, high).forms if r["measure"] == "patella's height over width")
     assert row["drawn_mean"] / row["mean"] == pytest.approx(1.2, rel=0.02)

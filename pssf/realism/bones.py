@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import trimesh
@@ -17,46 +17,34 @@ from ..geometry.mesh import Mesh
 from ..model.draw import DrawLaws, draw_knees
 from ..model.knee import Knee
 from . import bone_figure
-from .surfaces import MeasuredSurface, Similarity, fit_similarity, measured, surface_distance, trimmed
+from .bone_fit import BONES, BoneFit, fit_bone, heights_mm, near_joint, start_of
+from .forms import form_rows, forms_of
+from .surfaces import MeasuredSurface, fit_similarity, measured, surface_distance
 
 Row = dict[str, Any]
 Bones = Mapping[str, Sequence[Mesh]]
-BONES = ("femur", "tibia", "patella")
-# +1: the joint is at the bone's upper end; -1: at its lower one; 0: no end is cut.
-_JOINT_END = {"femur": -1, "tibia": +1, "patella": 0}
-# Of a shaft this much is compared, and nothing so near its cut, whose plane is no part of the bone.
-_REACH_MM, _FROM_CUT_MM = 100.0, 5.0
-# Of a joint's end, by which a fit begins; and of a shaft, what is kept at all, for bones of any size.
-_END_MM, _KEPT_MM = 40.0, 140.0
 _MEAN_ROUNDS = 3
 # Where the colours of the picture end.
 _MOST_MM = 6.0
+_GIVEN, _DRAWN = "given about their mean", "drawn about built mean"
 _COLUMNS = (
     "bone", "what", "bones", "rms_mm", "p99_mm", "mean_mm", "scale", "rms_least_mm", "rms_most_mm", "scale_sd",
 )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class BoneFit:
-    """The built mean bone where it lies closest to the mean of the given ones, at their size.
-
-    placed      the built bone, without what is not compared
-    off_mm      (n,)  distance of its vertices from the given mean; positive: the built bone stands out
-    heights_mm  between which the given mean is compared
-    """
-
-    placed: Mesh
-    off_mm: Array
-    fit: Similarity
-    heights_mm: tuple[float, float]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Spread:
-    """Bones of several knees, and their means."""
+class _Kind:
+    """Bones of several knees, and the surfaces that they differ from."""
 
     bones: Bones
     centres: Mapping[str, MeasuredSurface]
+
+
+class _OneBone(NamedTuple):
+    """RMS, 99th percentile and scale of a bone about its mean, and its measures of form."""
+
+    about: tuple[float, float, float]
+    forms: dict[str, float]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,11 +53,13 @@ class BoneComparison:
 
     rows    bone, what, bones, rms_mm, p99_mm, and then of means: mean_mm (positive: the built one stands out), scale
             (given over built size); of spreads: least and most RMS of a bone, scale_sd (of sizes)
+    forms   of `forms.form_rows`, of bones that are given and drawn more than once
     fits    bone -> how the built mean lies on the given one
     figure  PNG: the built mean with its distance from the given one as colour
     """
 
     rows: list[Row]
+    forms: list[Row]
     fits: dict[str, BoneFit]
     figure: bytes
 
@@ -120,7 +110,7 @@ def compare(given: Bones, built: Mapping[str, Mesh], drawn: Bones, workers: int 
 
     Distances are surface to surface, both ways, after a similarity fit, in millimetres at the given bones' mean size;
     the flat cut of a shaft is left out. Spreads are of each bone about its mean by that one measure: people about the
-    mean of people, drawn knees about the built mean.
+    mean of people, drawn knees about the built mean. Forms are of each bone laid onto the built mean one.
     raises  InputError for no bone that is known
     """
     names = [name for name in BONES if given.get(name)]
@@ -129,73 +119,23 @@ def compare(given: Bones, built: Mapping[str, Mesh], drawn: Bones, workers: int 
     means = {name: measured(mean_of(given[name], name)) for name in names}
     fits = {name: fit_bone(built[name], means[name], name) for name in names}
     sized = {name: measured(_sized(built[name], fits[name], name)) for name in names}
-    spreads = {
-        "given about their mean": _Spread(bones=given, centres=means),
-        "drawn about built mean": _Spread(bones=drawn, centres=sized),
-    }
-    tasks = [(what, name, bone) for what, of in spreads.items() for name in names for bone in of.bones[name]]
-    centres = {(what, name): of.centres[name] for what, of in spreads.items() for name in names}
-    distances = ordered_map(_about, tasks, shared={"centres": centres}, workers=workers)
-    rows = list[Row]()
+    kinds = {_GIVEN: _Kind(bones=given, centres=means), _DRAWN: _Kind(bones=drawn, centres=sized)}
+    tasks = [(what, name, bone) for what, kind in kinds.items() for name in names for bone in kind.bones[name]]
+    centres = {(what, name): kind.centres[name] for what, kind in kinds.items() for name in names}
+    models = {name: measured(near_joint(built[name], name)) for name in names}
+    each = ordered_map(_of_bone, tasks, shared={"centres": centres, "models": models}, workers=workers)
+    rows, forms = list[Row](), list[Row]()
     for name in names:
+        of = {what: [one for one, task in zip(each, tasks, strict=True) if task[:2] == (what, name)] for what in kinds}
         rows.append(_mean_row(name, len(given[name]), sized[name], means[name], fits[name]))
-        for what in spreads:
-            about = [one for one, task in zip(distances, tasks, strict=True) if task[:2] == (what, name)]
-            rows += [{"bone": name, "what": what} | _spread_row(np.array(about))] if len(about) > 1 else []
+        several = {what: bones for what, bones in of.items() if len(bones) > 1}
+        rows += [{"bone": name, "what": what} | _spread_row(bones) for what, bones in several.items()]
+        if several.keys() == kinds.keys():
+            forms += form_rows(name, [one.forms for one in of[_GIVEN]], [one.forms for one in of[_DRAWN]])
     figure = bone_figure.draw({name: (fit.placed, fit.off_mm) for name, fit in fits.items()}, _MOST_MM)
-    return BoneComparison(rows=[dict.fromkeys(_COLUMNS, "") | row for row in rows], fits=fits, figure=figure)
-
-
-def fit_bone(bone: Mesh, onto: MeasuredSurface, name: str) -> BoneFit:
-    """How one bone lies closest on another of its kind.
-
-    name  femur | tibia | patella: which end is the joint
-    """
-    heights, near = heights_mm(onto.mesh, name), near_joint(bone, name)
-    fit = fit_similarity(measured(near), onto, start_of(near, onto.mesh, name), heights)
-    placed = trimmed(Mesh(fit.apply(near.vertices), near.faces), *heights)
-    away, outward = onto.nearest(placed.vertices)
-    off = np.linalg.norm(placed.vertices - away, axis=1)
-    off *= np.where(((placed.vertices - away) * outward).sum(axis=1) < 0, -1.0, 1.0)
-    return BoneFit(placed=placed, off_mm=off, fit=fit, heights_mm=heights)
-
-
-def heights_mm(bone: Mesh, name: str) -> tuple[float, float]:
-    """Between which heights (z) a bone is compared: within 100 mm of the joint, and 5 mm clear of a cut."""
-    low, high = bone.vertices[:, 2].min(), bone.vertices[:, 2].max()
-    if _JOINT_END[name] < 0:
-        return (-np.inf, float(min(high - _FROM_CUT_MM, low + _REACH_MM)))
-    if _JOINT_END[name] > 0:
-        return (float(max(low + _FROM_CUT_MM, high - _REACH_MM)), np.inf)
-    return (-np.inf, np.inf)
-
-
-def near_joint(bone: Mesh, name: str) -> Mesh:
-    """A bone without what of its shaft is farther than 140 mm from the joint, for the sake of time."""
-    low, high = bone.vertices[:, 2].min(), bone.vertices[:, 2].max()
-    if not _JOINT_END[name] or high - low <= _KEPT_MM:
-        return bone
-    return trimmed(bone, -np.inf, low + _KEPT_MM) if _JOINT_END[name] < 0 else trimmed(bone, high - _KEPT_MM, np.inf)
-
-
-def start_of(bone: Mesh, onto: Mesh, name: str) -> Similarity:
-    """A first guess: as wide as the other near the joint, and there in the same place; turned as it is."""
-    box, box_onto = _end_box(bone, name), _end_box(onto, name)
-    scale = float(np.ptp(box_onto[:, 0]) / np.ptp(box[:, 0]))
-    middle, middle_onto = box.mean(axis=0), box_onto.mean(axis=0)
-    if _JOINT_END[name]:
-        end = 0 if _JOINT_END[name] < 0 else 1
-        middle[2], middle_onto[2] = box[end, 2], box_onto[end, 2]
-    return Similarity(rotation=np.eye(3), scale=scale, shift_mm=middle_onto - scale * middle)
-
-
-def _end_box(mesh: Mesh, name: str) -> Array:
-    """(2, 3)  corners of the box around a joint's end"""
-    points, end = mesh.vertices, _JOINT_END[name]
-    if end:
-        outward = points[:, 2] * end
-        points = points[outward > outward.max() - _END_MM]
-    return np.stack((points.min(axis=0), points.max(axis=0)))
+    return BoneComparison(
+        rows=[dict.fromkeys(_COLUMNS, "") | row for row in rows], forms=forms, fits=fits, figure=figure
+    )
 
 
 def _sized(built: Mesh, fit: BoneFit, name: str) -> Mesh:
@@ -209,11 +149,10 @@ def _mean_row(name: str, count: int, built: MeasuredSurface, given: MeasuredSurf
     return row | {"p99_mm": both.p99_mm, "mean_mm": both.mean_mm, "scale": fit.fit.scale}
 
 
-def _spread_row(about: Array) -> Row:
-    """Of RMS, 99th percentile and scale (n, 3) of bones about their mean."""
-    rms, p99, scale = about.T
+def _spread_row(bones: Sequence[_OneBone]) -> Row:
+    rms, p99, scale = np.array([bone.about for bone in bones]).T
     return {
-        "bones": len(about),
+        "bones": len(bones),
         "rms_mm": float(np.sqrt((rms**2).mean())),
         "p99_mm": float(np.sqrt((p99**2).mean())),
         "rms_least_mm": float(rms.min()),
@@ -222,15 +161,18 @@ def _spread_row(about: Array) -> Row:
     }
 
 
-def _about(
-    task: tuple[str, str, Mesh], centres: Mapping[tuple[str, str], MeasuredSurface]
-) -> tuple[float, float, float]:
+def _of_bone(
+    task: tuple[str, str, Mesh],
+    centres: Mapping[tuple[str, str], MeasuredSurface],
+    models: Mapping[str, MeasuredSurface],
+) -> _OneBone:
     what, name, bone = task
-    centre, near = centres[what, name], near_joint(bone, name)
-    heights, surface = heights_mm(centre.mesh, name), measured(near)
+    near = near_joint(bone, name)
+    surface, centre = measured(near), centres[what, name]
+    heights = heights_mm(centre.mesh, name)
     fit = fit_similarity(surface, centre, start_of(near, centre.mesh, name), heights)
     distance = surface_distance(surface, centre, fit, heights)
-    return distance.rms_mm, distance.p99_mm, fit.scale
+    return _OneBone((distance.rms_mm, distance.p99_mm, fit.scale), forms_of(surface, models[name], name))
 
 
 def _procrustes_mean(meshes: Sequence[Mesh]) -> Array:

@@ -1,44 +1,35 @@
 """Named measures of form of people's bones and of drawn ones, in one frame and at one size."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from ..core.parallel import ordered_map
 from ..geometry.mesh import Mesh
-from .bones import BONES, Bones, heights_mm, near_joint, start_of
+from .bone_fit import heights_mm, start_of
 from .shape_measures import measures
-from .surfaces import MeasuredSurface, fit_similarity, measured
+from .surfaces import MeasuredSurface, fit_similarity
 
 Row = dict[str, Any]
-_Task = tuple[str, str, Mesh]
 
 
-def compare_forms(given: Bones, built: Mapping[str, Mesh], drawn: Bones, workers: int = 1) -> list[Row]:
-    """One row a measure: its mean and standard deviation of given bones and of drawn ones.
+def forms_of(surface: MeasuredSurface, model: MeasuredSurface, bone: str) -> dict[str, float]:
+    """Measures of a bone's form, laid onto a model by a similarity first, which takes size and pose out.
 
-    Every bone is laid onto the built mean one by a similarity first, which takes size and pose out.
+    surface, model  near their joint, see `bone_fit.near_joint`
+    """
+    near = surface.mesh
+    fit = fit_similarity(surface, model, start_of(near, model.mesh, bone), heights_mm(model.mesh, bone))
+    return measures({bone: Mesh(fit.apply(near.vertices), near.faces)})
+
+
+def form_rows(bone: str, given: Sequence[Mapping[str, float]], drawn: Sequence[Mapping[str, float]]) -> list[Row]:
+    """One row a measure: its mean and standard deviation of given bones and of drawn ones, two or more of each.
 
     off_sd        how far the drawn mean is off, over people's standard deviation
     spread_ratio  of the standard deviations, drawn over given
     """
-    names = [name for name in BONES if len(given.get(name, ())) > 1]
-    tasks = [
-        (what, name, bone) for what, of in (("given", given), ("drawn", drawn)) for name in names for bone in of[name]
-    ]
-    onto = {name: measured(near_joint(built[name], name)) for name in names}
-    measures = ordered_map(_measures_of, tasks, shared={"onto": onto}, workers=workers)
-    rows = list[Row]()
-    for name in names:
-        people, ours = (
-            [one for one, task in zip(measures, tasks, strict=True) if task[:2] == (what, name)]
-            for what in ("given", "drawn")
-        )
-        rows += [
-            _row(name, what, *(np.array([one[what] for one in of]) for of in (people, ours))) for what in people[0]
-        ]
-    return rows
+    return [_row(bone, what, *(np.array([one[what] for one in of]) for of in (given, drawn))) for what in given[0]]
 
 
 def _row(bone: str, what: str, people: np.ndarray, ours: np.ndarray) -> Row:
@@ -48,10 +39,3 @@ def _row(bone: str, what: str, people: np.ndarray, ours: np.ndarray) -> Row:
         "drawn_mean": float(drawn_mean), "drawn_sd": float(drawn_sd), "off_sd": float((drawn_mean - mean) / sd),
         "spread_ratio": float(drawn_sd / sd),
     }  # fmt: skip
-
-
-def _measures_of(task: _Task, onto: Mapping[str, MeasuredSurface]) -> dict[str, float]:
-    _, name, bone = task
-    near, surface = near_joint(bone, name), onto[name]
-    fit = fit_similarity(measured(near), surface, start_of(near, surface.mesh, name), heights_mm(surface.mesh, name))
-    return measures({name: Mesh(fit.apply(near.vertices), near.faces)})

@@ -31,7 +31,6 @@ from . import bones, contours
 from .cohort_landmarks import cohort_landmarks
 from .films import FilmTables, Record, Source, measure_films
 from .films_section import SIMULATED, films_section
-from .forms import compare_forms
 from .kept import CODE, KeptPart, KeptRows, facts_of_bones, key_of, known_rows, save_rows
 from .page import Row, Section, Table, render
 from .simulated import films_plan, in_pixels_as_large, simulated_films
@@ -187,7 +186,7 @@ def _bones(
         drawn = bones.drawn_bones(laws, tables, knees, seed)
         built = bones.built_bones(Knee(), tables)
         compared = bones.compare(given, built, drawn, execution.workers)
-        return (compared.rows, compare_forms(given, built, drawn, execution.workers)), compared.figure
+        return (compared.rows, compared.forms), compared.figure
 
     with execution.timer.stage("bones", "knees", knees):
         key = key_of(code_digest(CODE), facts_of_bones(given), encoded(laws, knees, seed))

@@ -22,7 +22,7 @@ from ..geometry.freeform import Lattice
 from ..geometry.mesh import Mesh
 from ..io.bones import read_bones
 from ..io.results import save_text
-from .bones import BONES
+from .bone_fit import BONES
 from .shape_modes import MeanFit, Modes, fit_knees, fit_mean, modes_of
 from .shape_names import ModeName, measured_knees, name_modes
 

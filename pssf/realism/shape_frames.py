@@ -15,7 +15,7 @@ from ..data.anatomy import AnatomyTables
 from ..geometry.freeform import Lattice, with_displacements
 from ..geometry.mesh import Mesh
 from ..model.knee import Knee
-from .bones import fit_bone
+from .bone_fit import fit_bone
 from .surfaces import MeasuredSurface, Similarity, measured
 
 Frame = Callable[[Array], Array]

@@ -12,7 +12,8 @@ from ..core.parallel import ordered_map
 from ..data.anatomy import AnatomyTables
 from ..geometry.freeform import Lattice, basis_matrix, with_displacements
 from ..geometry.mesh import Mesh
-from .bones import BONES, heights_mm, mean_of
+from .bone_fit import BONES, heights_mm
+from .bones import mean_of
 from .freeform_fit import DeformableBone, deformable, fit_lattice, lattice_around
 from .shape_frames import Frame, in_frame, mean_bones, mean_man, own_frames, pose_of
 from .surfaces import MeasuredSurface, Similarity, measured

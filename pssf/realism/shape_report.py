@@ -19,7 +19,7 @@ from ..geometry.mesh import Mesh
 from ..io.bones import read_bones
 from ..io.results import save_bytes, save_table
 from . import bones
-from .bones import BONES, heights_mm, near_joint, start_of
+from .bone_fit import BONES, heights_mm, near_joint, start_of
 from .shape_figure import draw_modes
 from .shape_frames import stand
 from .shape_modes import (
