@@ -206,13 +206,14 @@ def standard_templates(engine: str = "embree") -> "tuple[Template, ...]":
     """The standard knee, the same with narrower medial joint spaces and in another view, and a severe one: what joints
     are looked for with.
 
-    Without noise.
+    Without noise; all as wide at the detector as the first.
     """
-    usual = [_template(knee, protocol, engine) for protocol, knees in _SPACES.items() for knee in knees]
-    return (*usual, _template(_SEVERE, "fixed_flexion", engine, severe=True))
+    knees = [(knee, protocol, False) for protocol, of in _SPACES.items() for knee in of]
+    first, *others = (_template(*one, engine) for one in (*knees, (_SEVERE, "fixed_flexion", True)))
+    return (first, *(other.as_wide_as(first) for other in others))
 
 
-def _template(knee: Knee, name: str, engine: str, *, severe: bool = False) -> "Template":
+def _template(knee: Knee, name: str, severe: bool, engine: str) -> "Template":
     from .radiomics.patches import Template
 
     protocol = replace(load_protocol(name), noise="none")

@@ -225,7 +225,7 @@ def _units(
         require("pixel_mm", pixel_mm, 0.001, 50, "mm")
         smallest, largest = table.search.known_scale
         return [pixel_mm / scale for scale in _steps(smallest, largest, table)]
-    plateau_mm = _plateau_mm(template)
+    plateau_mm = template.known_plateau_mm
     shares = (share for share in _steps(*table.search.plateau_share, table) if share >= least_share)
     units = (plateau_mm / (share * shape[1]) for share in shares)
     # What is coarser than the whole joint's template holds no place to within millimetres.
@@ -241,17 +241,11 @@ def _steps(low: float, high: float, table: Localisation) -> list[float]:
     return [float(value) for value in np.geomspace(low, high, count)]
 
 
-def _plateau_mm(template: Template) -> float:
-    if template.plateau_mm is None:
-        raise InputError("template plateau_mm = None; allowed: its width, mm, where the pitch of a film is not known")
-    return template.plateau_mm
-
-
 def _size(best: Match, template: Template, pixel_mm: float | None, table: Localisation) -> tuple[float, str, float]:
     """Pitch, where it is from, and the size of the knee over the standard one."""
     if pixel_mm is not None:
         return pixel_mm, "given", pixel_mm / best.unit_mm
-    scale = table.plateau.mean_mm / _plateau_mm(template)
+    scale = table.plateau.mean_mm / template.known_plateau_mm
     return best.unit_mm * scale, "plateau", scale
 
 

@@ -1,6 +1,6 @@
 """Edge patches cut out of templates, as they look in a right or left knee, upright or upside down."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage
 
 from ..core.blocks import block_mean
-from ..core.checks import Array, require
+from ..core.checks import Array, InputError, require
 from ..data.localisation import PatchLaw
 from .edges import edge_field
 
@@ -47,6 +47,23 @@ class Template:
         require("template pixel_mm", self.pixel_mm, 0.001, 50, "mm")
         if self.plateau_mm is not None:
             require("template plateau_mm", self.plateau_mm, 10, 1000, "mm")
+
+    @property
+    def known_plateau_mm(self) -> float:
+        """`plateau_mm`; raises InputError where it is not known."""
+        if self.plateau_mm is None:
+            raise InputError(
+                "template plateau_mm = None; allowed: its width, mm, where the pitch of a film is not known"
+            )
+        return self.plateau_mm
+
+    def as_wide_as(self, other: "Template") -> "Template":
+        """The same at another magnification: its plateau as wide at the detector as another's.
+
+        raises  InputError where the width of either is not known
+        """
+        larger = other.known_plateau_mm / self.known_plateau_mm
+        return replace(self, pixel_mm=self.pixel_mm * larger, plateau_mm=other.plateau_mm)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

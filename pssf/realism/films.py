@@ -138,7 +138,7 @@ def measure_film(
         return record
     square = with_square_pixels(image.pixels, joint.pixel_height)
     bright = square if joint.polarity == "bone bright" else 1 - square
-    plateau_mm = _plateau_mm(templates) * joint.scale
+    plateau_mm = templates[0].known_plateau_mm * joint.scale
     lateral = -1 if joint.side == "right" else 1
     middle = joint.col + lateral * _TO_MIDDLE * plateau_mm / joint.pixel_mm
     pitch_mm = joint.pixel_mm * PLATEAU_MM / plateau_mm
@@ -185,13 +185,6 @@ def centred(film: Array, near: Place) -> Place:
         pitch_mm = float(np.clip(wide.pitch_mm * size, near.pitch_mm / _RESIZED, near.pitch_mm * _RESIZED))
         place = replace(moved, pitch_mm=pitch_mm)
     return place
-
-
-def _plateau_mm(templates: Sequence[Template]) -> float:
-    width = templates[0].plateau_mm
-    if width is None:
-        raise InputError("template plateau_mm = None; allowed: the width of its plateau at the detector, mm")
-    return width
 
 
 def _shown_key(key: str, film: Film) -> str:
