@@ -11,8 +11,10 @@ from phantoms import PIXEL_MM, SHAPE, TEMPLATE, phantom
 from scipy.ndimage import gaussian_filter, zoom
 
 import pssf
+from pssf.accuracy.localisation import on_fewer_pixels
 from pssf.core.checks import InputError
 from pssf.data.localisation import localisation
+from pssf.experiment import standard_templates
 from pssf.radiomics import aspect
 from pssf.radiomics.aspect import locate_film, with_square_pixels
 from pssf.radiomics.candidates import Candidates, Pair
@@ -107,6 +109,11 @@ def simulated(built, small):
     row, col = standard.truth.medial_joint_line_px
     template = Template(pixels=standard.kept["noise_free"], row=row, col=col, pixel_mm=small.pixel_mm, plateau_mm=94.0)
     return whole, bare.pixels, [template]
+
+
+@pytest.fixture(scope="module")
+def standard():
+    return standard_templates("scanline")
 
 
 def test_a_simulated_joint_is_found_with_side_and_pitch_or_without(simulated):
@@ -243,6 +250,28 @@ def test_a_leg_without_bones_holds_no_knee_and_neither_does_noise(simulated):
     assert find_joint(bare, templates, TABLE, side="right", pixel_mm=1.2).status == "no knee"
     noise = np.random.default_rng(0).integers(1000, 2000, bare.shape).astype(np.uint16)
     assert find_joint(noise, templates, TABLE, side="right", pixel_mm=1.2).status == "no knee"
+
+
+@pytest.mark.parametrize("name", ["reference", "fixed_flexion"])
+def test_of_standard_templates_all_are_as_wide_and_a_leg_without_bones_is_as_none_of_them(standard, name):
+    assert len({template.plateau_mm for template in standard}) == 1
+    protocol = on_fewer_pixels(pssf.load_protocol(name))
+    built = pssf.build(pssf.Knee(), protocol)
+    soft = pssf.Scene([surface for surface in built.scene.surfaces if surface.name in ("skin", "adipose", "muscle")])
+    whole, bare = (pssf.simulate(what, protocol, engine="scanline") for what in (built, soft))
+    assert locate(density_of(bare.pixels), standard, TABLE, severe=True).both < TABLE.thresholds.doubtful
+    assert locate(density_of(whole.pixels), standard, TABLE).both > TABLE.thresholds.clear
+    joint = find_joint(whole.pixels, standard, TABLE, side="right", pixel_mm=protocol.pixel_mm, region_px=64)
+    away_px = np.subtract((joint.row, joint.col), whole.truth.medial_joint_line_px)
+    assert np.hypot(*away_px) * protocol.pixel_mm < 4.0
+
+
+def test_a_template_that_is_larger_on_its_detector_is_the_same_at_another_pitch():
+    larger = replace(TEMPLATE, pixel_mm=1.3 * TEMPLATE.pixel_mm, plateau_mm=1.3 * TEMPLATE.plateau_mm)
+    assert larger.as_wide_as(TEMPLATE).pixel_mm == pytest.approx(TEMPLATE.pixel_mm)
+    assert larger.as_wide_as(TEMPLATE).plateau_mm == TEMPLATE.plateau_mm
+    with pytest.raises(InputError, match="template plateau_mm = None"):
+        larger.as_wide_as(replace(TEMPLATE, plateau_mm=None))
 
 
 def test_the_wrong_side_is_refused(simulated):
