@@ -4,6 +4,7 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from .checks import Array
 
@@ -40,14 +41,18 @@ def area_mean(image: Array, side: float) -> Array:
     image  (rows, cols)  any unit
     side   1 or more, not whole in general
     """
-    for axis in (0, 1):
-        ends = np.arange(int(image.shape[axis] / side + 1e-9) + 1) * side
-        whole = np.minimum(ends.astype(int), image.shape[axis] - 1)
-        part = (ends - whole) if axis else (ends - whole)[:, None]
-        sums = np.cumsum(image, axis=axis) - image  # of what lies before each pixel
-        sums = np.take(sums, whole, axis) + part * np.take(image, whole, axis)
-        image = np.diff(sums, axis=axis) / side
-    return image
+    down, across = (_shares(length, side) for length in image.shape)
+    return np.asarray((across @ (down @ image).T).T)
+
+
+def _shares(length: int, side: float) -> sparse.csr_array:
+    """(length // side, length)  share of each pixel in each mean along an axis"""
+    count = int(length / side + 1e-9)
+    first, last = (np.arange(count)[:, None] + ends for ends in (0, 1))
+    pixels = np.arange(int(np.ceil(side)) + 1) + (first * side).astype(int)
+    parts = np.clip(np.minimum(pixels + 1, last * side) - np.maximum(pixels, first * side), 0.0, None)
+    rows, kept = np.broadcast_to(first, pixels.shape), (parts > 0) & (pixels < length)
+    return sparse.csr_array((parts[kept] / side, (rows[kept], pixels[kept])), shape=(count, length))
 
 
 def _whole_blocks(image: NDArray[np.integer | np.floating], step: int) -> Array:

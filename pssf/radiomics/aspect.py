@@ -1,8 +1,8 @@
 """Films whose pixels are not square: crops that were resized into one shape, and nothing in them says so."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from scipy.ndimage import zoom
 
 from ..core.checks import Array
 from ..data.localisation import Localisation
+from .edges import Pyramid
 from .locate import Located, locate
 from .patches import WAYS, Template
 
@@ -35,7 +36,8 @@ def locate_film(
     if pixel_mm is not None:
         return locate(film, templates, table, side=side, pixel_mm=pixel_mm)
     limits, heights, large = table.thresholds, table.search.pixel_heights, table.search.large_share
-    looked = partial(_looked, film, templates, table, side)
+    seen = cache(lambda height: Pyramid(with_square_pixels(film, height)))
+    looked = partial(_looked, seen, templates, table, side)
     best = square = looked(1.0, large)
     if square.both >= limits.sure:
         return square
@@ -52,7 +54,7 @@ def locate_film(
 
 
 def _looked(
-    film: Array,
+    film: Callable[[float], Pyramid],
     templates: Sequence[Template],
     table: Localisation,
     side: str | None,
@@ -62,8 +64,7 @@ def _looked(
     severe: bool = False,
 ) -> Located:
     """`locate` on a film whose pixels are so high over their width."""
-    seen = with_square_pixels(film, height)
-    joint = locate(seen, templates, table, side=side, least_share=least_share, severe=severe)
+    joint = locate(film(height), templates, table, side=side, least_share=least_share, severe=severe)
     return replace(joint, row=(joint.row + 0.5) / height - 0.5, pixel_height=height)
 
 

@@ -109,16 +109,16 @@ def _refined(image: Pyramid, templates: tuple[Template, ...], wide: Match, table
     sign = 1.0 if wide.polarity == "bone bright" else -1.0
     for scale in table.search.narrow_scales:
         zoom = wide.unit_mm / scale / law.pitch_mm
-        at_pitch = near.at(zoom)
+        field = near.edges(zoom, law.tile_mm / law.pitch_mm)
         rows, cols = (
             (np.arange(length) + 0.5) / zoom - 0.5 + start
-            for length, start in zip(at_pitch.shape, (top, left), strict=True)
+            for length, start in zip(field.shape[1:], (top, left), strict=True)
         )
         reach = table.search.reach_mm / wide.unit_mm
         within = (_span(rows, wide.row, reach), _span(cols, wide.col, reach))
         rows, cols = rows[within[0]], cols[within[1]]
         away = np.hypot(rows[:, None] - wide.row, cols - wide.col)
-        for _, maps, _ in score_maps(at_pitch, ours, law, within):
+        for _, maps, _ in score_maps(field, ours, within):
             allowed = np.where(away <= reach, sign * maps, -1.0)
             patch, row, col = (int(at) for at in np.unravel_index(np.argmax(allowed), allowed.shape))
             peak = allowed[patch]

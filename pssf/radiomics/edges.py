@@ -28,13 +28,26 @@ def edge_field(density: Array, tile_px: float) -> NDArray[np.float32]:
 
 
 class Pyramid:
-    """An image that is asked for at one pitch after another.
+    """An image that is asked for at one pitch after another, and for its edges there, which are kept.
 
     density  (rows, cols)  of any pitch, which counts as 1
     """
 
     def __init__(self, density: Array) -> None:
         self.levels = [np.asarray(density, np.float64)]
+        self._edges: dict[tuple[float, float], NDArray[np.float32]] = {}
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(rows, cols) of the image."""
+        return self.levels[0].shape
+
+    def edges(self, zoom: float, tile_px: float) -> NDArray[np.float32]:
+        """(2, rows, cols)  `edge_field` of the image `zoom` times as large"""
+        asked = (zoom, tile_px)
+        if asked not in self._edges:
+            self._edges[asked] = edge_field(self.at(zoom), tile_px)
+        return self._edges[asked]
 
     def at(self, zoom: float) -> Array:
         """(rows, cols)  the image `zoom` times as large, without aliases; pixel i lies at (i + 0.5) / zoom - 0.5"""
@@ -43,7 +56,7 @@ class Pyramid:
             self.levels.append(_pyramid_down(self.levels[-1]))
         level = min(level, len(self.levels) - 1)
         image, rest = self.levels[level], zoom * 2**level
-        shape = [max(1, round(length * zoom)) for length in self.levels[0].shape]
+        shape = [max(1, round(length * zoom)) for length in self.shape]
         # What halving has left between 1 and 2 source pixels a target pixel.
         soft = ndimage.gaussian_filter(image, 0.5 * np.sqrt(max(1.0 / rest**2 - 1.0, 0.0)), mode="nearest")
         places = [(np.arange(length) + 0.5) / rest - 0.5 for length in shape]

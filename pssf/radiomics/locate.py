@@ -102,7 +102,7 @@ def find_joint(
 
 
 def locate(
-    density: Array,
+    density: Array | Pyramid,
     templates: Sequence[Template],
     table: Localisation,
     *,
@@ -121,14 +121,14 @@ def locate(
     of the few that is taken which is best by both. What is given is checked against what is found.
 
     density    (rows, cols) bone bright, any unit that is monotone: minus the logarithm of a signal, or a film as
-               displayed; row 0 proximal, and a right knee's fibula on the left
-    templates  standard knees: the first, the last and severe ones are looked for whole, all in the medial compartment
+               displayed; row 0 proximal, and a right knee's fibula on the left; or a pyramid of it, see `searched`
+    templates  standard knees: the first and last or severe ones are looked for whole, all in the medial compartment
     table      by which it is looked for, and refused
     side       right | left; None where it is not known
     pixel_mm   pitch at the film; None where it is not known, and it is estimated
     region_px  side of the region that must fit into the image around the joint line
     least_share  of the film's width, which the plateau takes at least where the pitch is not known
-    severe     whether severe knees are looked for too
+    severe     whether severe knees are looked for, and usual ones in the medial compartment alone
     raises     InputError for an unknown side, a pitch out of range, no template, or one without its plateau's
                width where the pitch is not known
     """
@@ -164,7 +164,7 @@ def locate(
 
 
 def searched(
-    density: Array,
+    density: Array | Pyramid,
     templates: Sequence[Template],
     table: Localisation,
     pixel_mm: float | None,
@@ -173,14 +173,14 @@ def searched(
 ) -> tuple[Candidates, dict[str, Pair]]:
     """All matches of the whole joint, and of each side the best, with its medial compartment.
 
-    density    (rows, cols) bone bright, any unit that is monotone
+    density    (rows, cols) bone bright, any unit that is monotone; or a pyramid of it, which keeps what is seen of it
     templates  and what else is given: as in `locate`
     raises  InputError for a pitch out of range, or an image that cannot hold a joint
     """
-    image = Pyramid(density)
+    image = density if isinstance(density, Pyramid) else Pyramid(density)
     usual = tuple(template for template in templates if not template.severe)
     added = tuple(template for template in templates if severe and template.severe)
-    whole = poses(tuple(dict.fromkeys((usual[0], usual[-1], *added))), table.wide)
+    whole = poses(added or tuple(dict.fromkeys((usual[0], usual[-1]))), table.wide)
     units = _units(density.shape, usual[0], pixel_mm, table, least_share)
     matched = list(matches(image, units, whole, table.wide, table.search.least_seen))
     if pixel_mm is None:

@@ -115,9 +115,7 @@ def density_of(pixels: NDArray[np.generic]) -> Array:
 def poses(templates: tuple[Template, ...], law: PatchLaw) -> tuple[Pose, ...]:
     """Right and left, upright and upside down."""
     up, down, lateral, medial = reach_px(law)
-    plain = [
-        _field(template, law, turn, (up, down, lateral, medial)) for template in templates for turn in law.turns_deg
-    ]
+    plain = [_field(template, law, turn) for template in templates for turn in law.turns_deg]
     height = np.exp(-0.5 * (np.arange(-up, down + 1) * law.pitch_mm / law.height_mm) ** 2)
     weight = np.repeat(height[:, None], lateral + medial + 1, axis=1).astype(np.float32)
     patches = []
@@ -146,28 +144,29 @@ def spectra(pose: Pose, shape: tuple[int, int]) -> Spectra:
     return Spectra(fields=transformed(np.stack(pose.fields)), weight=transformed(pose.weight))
 
 
-def _field(template: Template, law: PatchLaw, turn_deg: float, sides: tuple[int, int, int, int]) -> Field:
+@lru_cache(maxsize=64)  # templates are looked for alone and beside others
+def _field(template: Template, law: PatchLaw, turn_deg: float) -> Field:
     """(2, rows, cols)  edges of a template about its joint line, turned"""
-    up, down, lateral, medial = sides
+    up, down, lateral, medial = reach_px(law)
     margin = int(np.ceil(_MARGIN_TILES * law.tile_mm / law.pitch_mm))
-    density, row, col, pixel_mm = _dense(template)
+    soft, row, col, pixel_mm = _soft(template, law)
     rows = np.arange(-up - margin, down + margin + 1) * law.pitch_mm / pixel_mm
     cols = np.arange(-lateral - margin, medial + margin + 1) * law.pitch_mm / pixel_mm
     down_px, right_px = np.meshgrid(rows, cols, indexing="ij")
     cosine, sine = np.cos(np.deg2rad(turn_deg)), np.sin(np.deg2rad(turn_deg))
     places = [row + cosine * down_px - sine * right_px, col + sine * down_px + cosine * right_px]
-    soft = ndimage.gaussian_filter(density, 0.5 * law.pitch_mm / pixel_mm, mode="nearest")
     cut = ndimage.map_coordinates(soft, places, order=1, mode="nearest")
     return edge_field(cut, law.tile_mm / law.pitch_mm)[:, margin:-margin, margin:-margin]
 
 
-@lru_cache(maxsize=8)
-def _dense(template: Template) -> tuple[Array, float, float, float]:
-    """Density (rows, cols) of a template at a pitch that is fine enough, its joint line there, and that pitch."""
+@lru_cache(maxsize=16)
+def _soft(template: Template, law: PatchLaw) -> tuple[Array, float, float, float]:
+    """Density (rows, cols) of a template as soft as a law's pitch asks, its joint line there, and its own pitch."""
     step = max(1, int(LINEAR_MM / template.pixel_mm))
     density = density_of(block_mean(template.pixels, step))
     row, col = ((at - (step - 1) / 2) / step for at in (template.row, template.col))
-    return density, row, col, template.pixel_mm * step
+    pixel_mm = template.pixel_mm * step
+    return ndimage.gaussian_filter(density, 0.5 * law.pitch_mm / pixel_mm, mode="nearest"), row, col, pixel_mm
 
 
 def posed(plain: Field, side: str, way: str) -> Field:

@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from ..core.checks import Array
 from ..data.localisation import PatchLaw
-from .edges import Pyramid, edge_field
+from .edges import Pyramid
 from .patches import Pose, spectra
 
 # Transforms are of lengths in these steps, so that a few serve all sizes.
@@ -57,23 +56,22 @@ def matches(
     patches = tuple(patches)
     for unit_mm in units_mm:
         zoom = unit_mm / law.pitch_mm
-        at_pitch = image.at(zoom)
-        if min(at_pitch.shape) >= _LEAST_PX:
-            for pose, score, seen in score_maps(at_pitch, patches, law):
+        field = image.edges(zoom, law.tile_mm / law.pitch_mm)
+        if min(field.shape[1:]) >= _LEAST_PX:
+            for pose, score, seen in score_maps(field, patches):
                 yield from _best(score, seen, least_seen, pose, zoom, unit_mm)
 
 
 def score_maps(
-    at_pitch: Array, patches: Iterable[Pose], law: PatchLaw, within: Window | None = None
+    field: NDArray[np.float32], patches: Iterable[Pose], within: Window | None = None
 ) -> Iterator[tuple[Pose, NDArray[np.float32], NDArray[np.float32]]]:
     """Of each pose the score of every patch at pixels of the image, and the share of the patch that is within.
 
     The denominator is the patch's own power where the image has less: air and plain muscle match nothing well.
 
-    at_pitch  (rows, cols)  density at the pitch of the patches, any unit
+    field     (2, rows, cols)  edges down and right at the pitch of the patches
     within    rows and columns that scores are wanted of; None: all
     """
-    field = edge_field(at_pitch, law.tile_mm / law.pitch_mm)
     places = within or (slice(0, field.shape[1]), slice(0, field.shape[2]))
     parts = np.stack([*field, (field**2).sum(axis=0), np.ones(field.shape[1:], np.float32)])
     seen_by, spectrum = None, parts

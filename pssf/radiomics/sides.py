@@ -10,7 +10,7 @@ from ..core.blocks import block_mean
 from ..core.checks import Array
 from ..data.localisation import Localisation, PatchLaw
 from .candidates import Pair
-from .edges import Pyramid, edge_field
+from .edges import Pyramid
 from .patches import SIDES, WAYS, posed, reach_px
 from .search import POLARITIES, Match
 
@@ -37,7 +37,7 @@ def _edges(image: Pyramid, match: Match, law: PatchLaw, block: int) -> NDArray[n
     """(2, rows, cols)  means over blocks of the edges about a match, turned to a right knee upright; 0 off the film"""
     zoom = match.unit_mm / law.pitch_mm
     sign = 1.0 if match.polarity == POLARITIES[0] else -1.0
-    field = edge_field(sign * image.at(zoom), law.tile_mm / law.pitch_mm)
+    field = sign * image.edges(zoom, law.tile_mm / law.pitch_mm)
     up, down, lateral, medial = reach_px(law)
     rows = _span(up, down, match.way == WAYS[0]) + (match.row + 0.5) * zoom - 0.5
     cols = _span(lateral, medial, match.side == SIDES[0]) + (match.col + 0.5) * zoom - 0.5
