@@ -100,12 +100,19 @@ def test_all_that_is_given_is_measured_once_and_the_page_tells_it(phantoms_for_k
     assert again.page.read_text() == page
 
 
+def measured(sources):
+    """Records of the films of one source."""
+    known = {source.name: {} for source in sources}
+    (records,) = films.measure_films(
+        sources, (TEMPLATE,), localisation(), Execution(), known=known, save=lambda name, records: None
+    ).values()
+    return records
+
+
 def test_a_film_that_cannot_be_read_is_counted_and_the_rest_measured(tmp_path):
     given = clinic(tmp_path / "clinic", 2)
     (given / "0" / "torn1R.png").write_bytes(b"\x89PNG torn")
-    records = films.measure_films(
-        run.sources_of(given)[0], (TEMPLATE,), localisation(), Execution(), known={}, save=lambda records: None
-    )
+    records = measured(run.sources_of(given))
     status = {record["file"].split("/")[-1]: record["status"] for record in records}
     assert status["torn1R.png"] == "unreadable"
     assert status["p0001R.png"] == "found"
@@ -115,9 +122,7 @@ def test_a_film_that_cannot_be_read_is_counted_and_the_rest_measured(tmp_path):
 def test_an_inverted_film_measures_what_it_does_upright(tmp_path):
     for name, inverted in (("a1R.png", False), ("b1R.png", True)):
         picture(tmp_path / name, 5, 2.5, inverted=inverted)
-    plain, inverted = films.measure_films(
-        run.sources_of(tmp_path)[0], (TEMPLATE,), localisation(), Execution(), known={}, save=lambda records: None
-    )
+    plain, inverted = measured(run.sources_of(tmp_path))
     assert (plain["polarity"], inverted["polarity"]) == ("bone bright", "bone dark")
     assert inverted["joint space|medial_mean"] == pytest.approx(plain["joint space|medial_mean"], abs=0.01)
     assert plain["pixel_from"] == "plateau"

@@ -69,7 +69,7 @@ def score_maps(
 
     The denominator is the patch's own power where the image has less: air and plain muscle match nothing well.
 
-    field     (2, rows, cols)  edges down and right at the pitch of the patches
+    field     (2, rows, cols)  edges down and right at the pitch of the patches, dimensionless
     within    rows and columns that scores are wanted of; None: all
     """
     places = within or (slice(0, field.shape[1]), slice(0, field.shape[2]))

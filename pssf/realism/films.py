@@ -60,50 +60,56 @@ class Source:
 
 
 def measure_films(
-    source: Source,
+    sources: Sequence[Source],
     templates: Sequence[Template],
     table: Localisation,
     execution: Execution,
     *,
-    known: Mapping[str, Record],
-    save: Callable[[list[Record]], None],
-) -> list[Record]:
-    """One record a film, in their order; those of an earlier run are kept where neither code nor templates changed.
+    known: Mapping[str, Mapping[str, Record]],
+    save: Callable[[str, list[Record]], None],
+) -> dict[str, list[Record]]:
+    """Source -> one record a film, in their order; those of an earlier run are kept where neither code nor templates
+    changed.
 
     table  by which the joint is looked for
-    known  sha256 -> record
-    save   is given all records so far now and then, so that a run that breaks off can go on from there, and at the end
+    known  source -> sha256 -> record
+    save   is given all records of a source so far now and then, so that a run that breaks off can go on from there, and
+           at the end
     """
     code = code_digest(CODE)
     key = key_of(code, *(np.ascontiguousarray(template.pixels).tobytes() for template in templates))
-    records: list[Record | None] = []
-    for film in source.films:
-        record = known.get(film.sha256)
-        records.append(record if record is not None and record["key"] == _shown_key(key, film) else None)
-    missing = [index for index, record in enumerate(records) if record is None]
-    with execution.stage(f"films: {source.name}", "films", len(records)) as stage:
-        stage.keep(len(records) - len(missing))
-
+    records = {source.name: _kept(source, key, known[source.name]) for source in sources}
+    missing = [(source, n) for source in sources for n, one in enumerate(records[source.name]) if one is None]
+    count = sum(len(source.films) for source in sources)
+    with execution.stage(f"films: {', '.join(records)}", "films", count) as stage:
+        stage.keep(count - len(missing))
         due = seldom(SAVE_SECONDS)
 
         def arrived(nth: int, record: Record) -> None:
-            index = missing[nth]
-            records[index] = {"key": _shown_key(key, source.films[index]), **record}
+            source, n = missing[nth]
+            records[source.name][n] = {"key": _shown_key(key, source.films[n]), **record}
             stage.advance()
             if due():
-                save(_with_source(records, source))
+                save(source.name, _with_source(records[source.name], source))
 
         ordered_map(
             measure_film,
-            [source.films[index] for index in missing],
-            shared={"folder": source.folder, "templates": templates, "table": table, "code": code},
+            [(source.folder, source.films[n]) for source, n in missing],
+            shared={"templates": templates, "table": table, "code": code},
             workers=execution.workers,
             scheduler=execution.scheduler,
             arrived=arrived,
         )
-    done = _with_source(records, source)
-    save(done)
+    done = {source.name: _with_source(records[source.name], source) for source in sources}
+    for name, of in done.items():
+        save(name, of)
     return done
+
+
+def _kept(source: Source, key: str, known: Mapping[str, Record]) -> list[Record | None]:
+    """Of each film the record of an earlier run, where that still holds."""
+    of_films = ((film, known.get(film.sha256)) for film in source.films)
+    return [record if record and record["key"] == _shown_key(key, film) else None for film, record in of_films]
 
 
 def _with_source(records: Sequence[Record | None], source: Source) -> list[Record]:
@@ -113,15 +119,17 @@ def _with_source(records: Sequence[Record | None], source: Source) -> list[Recor
 
 
 def measure_film(
-    film: Film, *, folder: Path, templates: Sequence[Template], table: Localisation, code: Mapping[str, str]
+    of_folder: tuple[Path, Film], *, templates: Sequence[Template], table: Localisation, code: Mapping[str, str]
 ) -> Record:
     """What one film measures: status, place, side, pitch, and group|feature -> value where a joint was found.
 
+    of_folder  that the film's name starts from, and the film
     table   by which the joint is looked for
     code    of `code_digest` where the run started
     raises  InputError where the code is another here
     """
     require_code(code)
+    folder, film = of_folder
     record: Record = {"sha256": film.sha256, "side": film.side or "", "reason": ""}
     try:
         image = read_film(folder / film.file, film.look)

@@ -213,19 +213,21 @@ def _films(out: Path, sources: Sequence[Source], plan: Plan, tables: FilmTables,
     with execution.stage("templates", "knees", 1):
         templates = standard_templates("scanline")
     simulated = simulated_films(out / _FILMS_FOLDER, plan, tables.looks, execution)
-    records = {source.name: _measured(source, out, templates, tables.localisation, execution) for source in sources}
+    records = _measured(sources, out, templates, tables.localisation, execution)
     simulated = in_pixels_as_large(simulated, records, plan.seed)
-    records[SIMULATED] = _measured(simulated, out, templates, tables.localisation, execution)
+    records |= _measured((simulated,), out, templates, tables.localisation, execution)
     with execution.stage("models", "parts", 1):
         return films_section(records, partial(_read, {one.name: one for one in (*sources, simulated)}), seed=plan.seed)
 
 
 def _measured(
-    source: Source, out: Path, templates: Sequence[Template], table: Localisation, execution: Execution
-) -> list[Record]:
-    path = out / f"films_{source.name}.csv"
-    known = known_rows(path, "sha256", _TEXT)
-    return measure_films(source, templates, table, execution, known=known, save=partial(save_rows, path))
+    sources: Sequence[Source], out: Path, templates: Sequence[Template], table: Localisation, execution: Execution
+) -> dict[str, list[Record]]:
+    paths = {source.name: out / f"films_{source.name}.csv" for source in sources}
+    known = {name: known_rows(path, "sha256", _TEXT) for name, path in paths.items()}
+    return measure_films(
+        sources, templates, table, execution, known=known, save=lambda name, rows: save_rows(paths[name], rows)
+    )
 
 
 def _read(sources: Mapping[str, Source], name: str, file: str) -> Array:
