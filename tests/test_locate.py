@@ -163,9 +163,9 @@ def looks_of(monkeypatch, looks):
     known = joint_of(phantom(150, 165))
 
     def look(seen, *_, severe=False, **__):
-        status, both = looks.get((len(seen), severe), ("no knee", 0.3))
+        status, both = looks.get((seen.shape[0], severe), ("no knee", 0.3))
         way = "upside down" if status == "upside down" else "upright"
-        return replace(known, status=status, way=way, score=both, narrow=both, row=0.4 * len(seen))
+        return replace(known, status=status, way=way, score=both, narrow=both, row=0.4 * seen.shape[0])
 
     monkeypatch.setattr(aspect, "locate", look)
     return locate_film(np.zeros((100, 80)), [TEMPLATE], TABLE)
