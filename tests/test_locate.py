@@ -223,7 +223,7 @@ def test_a_severe_knee_whose_edges_are_of_the_other_side_is_not_taken():
 def test_without_a_pitch_a_match_as_on_a_leg_without_bones_needs_a_side():
     joint = replace(joint_of(phantom(150, 165)), pixel_from="plateau", score=0.455, narrow=0.455, side_evidence=0.3)
     assert _status(joint, SHAPE, None, TABLE) == "no knee"
-    for other in ({"side_evidence": -0.5}, {"score": 0.5}, {"pixel_from": "given"}):
+    for other in ({"side_evidence": -0.8}, {"score": 0.52}, {"pixel_from": "given"}):
         assert _status(replace(joint, **other), SHAPE, None, TABLE) == "found"
 
 
