@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -107,6 +108,32 @@ def measured(sources):
         sources, (TEMPLATE,), localisation(), Execution(), known=known, save=lambda name, records: None
     ).values()
     return records
+
+
+def test_while_films_are_measured_those_of_every_source_are_saved(tmp_path, monkeypatch):
+    for name in ("a", "b"):
+        picture(tmp_path / name / "1R.png", 5, 2.5)
+    sources, saved = run.sources_of(tmp_path), []
+    monkeypatch.setattr(films, "seldom", lambda seconds: lambda: True)
+    known = {source.name: {} for source in sources}
+    films.measure_films(
+        sources, (TEMPLATE,), localisation(), Execution(), known=known,
+        save=lambda name, records: saved.append((name, len(records))),
+    )  # fmt: skip
+    assert saved == [("a", 1), ("b", 0), ("a", 1), ("b", 1), ("a", 1), ("b", 1)]
+
+
+def test_a_template_at_another_pitch_is_another_template(tmp_path):
+    picture(tmp_path / "1R.png", 5, 2.5)
+    (source,) = run.sources_of(tmp_path)
+    other = replace(TEMPLATE, pixel_mm=1.1 * TEMPLATE.pixel_mm)
+    keys = {
+        films.measure_films(
+            (source,), (template,), localisation(), Execution(), known={source.name: {}}, save=lambda *_: None
+        )[source.name][0]["key"]
+        for template in (TEMPLATE, TEMPLATE, other)
+    }
+    assert len(keys) == 2
 
 
 def test_a_film_that_cannot_be_read_is_counted_and_the_rest_measured(tmp_path):

@@ -57,6 +57,16 @@ class Template:
             )
         return self.plateau_mm
 
+    @property
+    def facts(self) -> tuple[float | bool | None, ...]:
+        """All but the pixels: what a record depends on that was made with it."""
+        return self.row, self.col, self.pixel_mm, self.plateau_mm, self.severe
+
+    @property
+    def content(self) -> bytes:
+        """The pixels, row by row."""
+        return np.ascontiguousarray(self.pixels).tobytes()
+
     def as_wide_as(self, other: "Template") -> "Template":
         """The same at another magnification: its plateau as wide at the detector as another's.
 

@@ -161,12 +161,12 @@ def measure(
 
 def settings_key(templates: Sequence[Template], how: Any) -> str:
     """Short text that changes with anything but the pixels that a record depends on, code and libraries included."""
-    at = [(t.row, t.col, t.pixel_mm, t.plateau_mm) for t in templates]
     libraries = (*_LIBRARIES, *BACKENDS[how.backend].libraries)
+    at = [template.facts for template in templates]
     facts = [vars(how), at, code_digest(_CODE), {name: version(name) for name in libraries}]
     digest = hashlib.sha256(json.dumps(facts).encode())
     for template in templates:
-        digest.update(np.ascontiguousarray(template.pixels).tobytes())
+        digest.update(template.content)
     return digest.hexdigest()[:16]
 
 

@@ -38,12 +38,17 @@ def fit_bone(bone: Mesh, onto: MeasuredSurface, name: str) -> BoneFit:
     name  femur | tibia | patella: which end is the joint
     """
     heights, near = heights_mm(onto.mesh, name), near_joint(bone, name)
-    fit = fit_similarity(measured(near), onto, start_of(near, onto.mesh, name), heights)
+    fit = laid_onto(measured(near), onto, name)
     placed = trimmed(Mesh(fit.apply(near.vertices), near.faces), *heights)
     away, outward = onto.nearest(placed.vertices)
     off = np.linalg.norm(placed.vertices - away, axis=1)
     off *= np.where(((placed.vertices - away) * outward).sum(axis=1) < 0, -1.0, 1.0)
     return BoneFit(placed=placed, off_mm=off, fit=fit, heights_mm=heights)
+
+
+def laid_onto(surface: MeasuredSurface, onto: MeasuredSurface, name: str) -> Similarity:
+    """The similarity that lays a bone, near its joint, closest on another of its kind."""
+    return fit_similarity(surface, onto, _start_of(surface.mesh, onto.mesh, name), heights_mm(onto.mesh, name))
 
 
 def heights_mm(bone: Mesh, name: str) -> tuple[float, float]:
@@ -64,7 +69,7 @@ def near_joint(bone: Mesh, name: str) -> Mesh:
     return trimmed(bone, -np.inf, low + _KEPT_MM) if _JOINT_END[name] < 0 else trimmed(bone, high - _KEPT_MM, np.inf)
 
 
-def start_of(bone: Mesh, onto: Mesh, name: str) -> Similarity:
+def _start_of(bone: Mesh, onto: Mesh, name: str) -> Similarity:
     """A first guess: as wide as the other near the joint, and there in the same place; turned as it is."""
     box, box_onto = _end_box(bone, name), _end_box(onto, name)
     scale = float(np.ptp(box_onto[:, 0]) / np.ptp(box[:, 0]))

@@ -17,9 +17,9 @@ from ..geometry.mesh import Mesh
 from ..model.draw import DrawLaws, draw_knees
 from ..model.knee import Knee
 from . import bone_figure
-from .bone_fit import BONES, BoneFit, fit_bone, heights_mm, near_joint, start_of
+from .bone_fit import BONES, BoneFit, fit_bone, heights_mm, laid_onto, near_joint
 from .forms import form_rows, forms_of
-from .surfaces import MeasuredSurface, fit_similarity, measured, surface_distance
+from .surfaces import MeasuredSurface, measured, surface_distance
 
 Row = dict[str, Any]
 Bones = Mapping[str, Sequence[Mesh]]
@@ -167,11 +167,9 @@ def _of_bone(
     models: Mapping[str, MeasuredSurface],
 ) -> _OneBone:
     what, name, bone = task
-    near = near_joint(bone, name)
-    surface, centre = measured(near), centres[what, name]
-    heights = heights_mm(centre.mesh, name)
-    fit = fit_similarity(surface, centre, start_of(near, centre.mesh, name), heights)
-    distance = surface_distance(surface, centre, fit, heights)
+    surface, centre = measured(near_joint(bone, name)), centres[what, name]
+    fit = laid_onto(surface, centre, name)
+    distance = surface_distance(surface, centre, fit, heights_mm(centre.mesh, name))
     return _OneBone((distance.rms_mm, distance.p99_mm, fit.scale), forms_of(surface, models[name], name))
 
 
@@ -194,10 +192,9 @@ def _nearest_mean(meshes: Sequence[Mesh], bone: str) -> Array:
     surfaces = [measured(mesh) for mesh in meshes]
     for _ in range(_MEAN_ROUNDS - 1):
         centre = measured(Mesh(mean, meshes[0].faces))
-        heights = heights_mm(centre.mesh, bone)
         places, scales = [], []
         for surface in surfaces:
-            fit = fit_similarity(surface, centre, start_of(surface.mesh, centre.mesh, bone), heights)
+            fit = laid_onto(surface, centre, bone)
             places.append(fit.apply(surface.nearest(fit.undo(mean))[0]))
             scales.append(fit.scale)
         average = np.mean(places, axis=0)

@@ -73,11 +73,11 @@ def measure_films(
 
     table  by which the joint is looked for
     known  source -> sha256 -> record
-    save   is given all records of a source so far now and then, so that a run that breaks off can go on from there, and
-           at the end
+    save   is given all records of each source so far, now and then and at the end, so that a run that breaks off can
+           go on from there
     """
     code = code_digest(CODE)
-    key = key_of(code, *(np.ascontiguousarray(template.pixels).tobytes() for template in templates))
+    key = key_of(code, repr([template.facts for template in templates]).encode(), *(one.content for one in templates))
     records = {source.name: _kept(source, key, known[source.name]) for source in sources}
     missing = [(source, n) for source in sources for n, one in enumerate(records[source.name]) if one is None]
     count = sum(len(source.films) for source in sources)
@@ -85,12 +85,18 @@ def measure_films(
         stage.keep(count - len(missing))
         due = seldom(SAVE_SECONDS)
 
+        def saved() -> dict[str, list[Record]]:
+            done = {source.name: _with_source(records[source.name], source) for source in sources}
+            for name, of in done.items():
+                save(name, of)
+            return done
+
         def arrived(nth: int, record: Record) -> None:
             source, n = missing[nth]
             records[source.name][n] = {"key": _shown_key(key, source.films[n]), **record}
             stage.advance()
             if due():
-                save(source.name, _with_source(records[source.name], source))
+                saved()
 
         ordered_map(
             measure_film,
@@ -100,10 +106,7 @@ def measure_films(
             scheduler=execution.scheduler,
             arrived=arrived,
         )
-    done = {source.name: _with_source(records[source.name], source) for source in sources}
-    for name, of in done.items():
-        save(name, of)
-    return done
+        return saved()
 
 
 def _kept(source: Source, key: str, known: Mapping[str, Record]) -> list[Record | None]:

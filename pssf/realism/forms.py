@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from ..geometry.mesh import Mesh
-from .bone_fit import heights_mm, start_of
+from .bone_fit import laid_onto
 from .shape_measures import measures
-from .surfaces import MeasuredSurface, fit_similarity
+from .surfaces import MeasuredSurface
 
 Row = dict[str, Any]
 
@@ -18,8 +18,7 @@ def forms_of(surface: MeasuredSurface, model: MeasuredSurface, bone: str) -> dic
 
     surface, model  near their joint, see `bone_fit.near_joint`
     """
-    near = surface.mesh
-    fit = fit_similarity(surface, model, start_of(near, model.mesh, bone), heights_mm(model.mesh, bone))
+    fit, near = laid_onto(surface, model, bone), surface.mesh
     return measures({bone: Mesh(fit.apply(near.vertices), near.faces)})
 
 

@@ -19,7 +19,7 @@ from ..geometry.mesh import Mesh
 from ..io.bones import read_bones
 from ..io.results import save_bytes, save_table
 from . import bones
-from .bone_fit import BONES, heights_mm, near_joint, start_of
+from .bone_fit import BONES, heights_mm, laid_onto, near_joint
 from .shape_figure import draw_modes
 from .shape_frames import stand
 from .shape_modes import (
@@ -33,7 +33,7 @@ from .shape_modes import (
     scores_of,
 )  # fmt: skip
 from .shape_names import ModeName, formed, measured_knees, name_modes
-from .surfaces import fit_similarity, measured, surface_distance
+from .surfaces import measured, surface_distance
 
 Row = dict[str, Any]
 Fitted = Mapping[str, Array]
@@ -67,8 +67,7 @@ def reached(mean: MeanFit, displacements_mm: Sequence[Fitted], given: Given, wor
 def _distance(task: tuple[str, Mesh, Mesh]) -> tuple[float, float]:
     name, formed_bone, given = task
     own, onto = measured(formed_bone), measured(near_joint(given, name))
-    heights = heights_mm(onto.mesh, name)
-    both = surface_distance(own, onto, fit_similarity(own, onto, start_of(own.mesh, onto.mesh, name), heights), heights)
+    both = surface_distance(own, onto, laid_onto(own, onto, name), heights_mm(onto.mesh, name))
     return both.rms_mm, both.p99_mm
 
 
