@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from .cohort import Plan, make_cohort, plan_cohort, plan_retest
 from .core.checks import require_choice
 from .core.execution import Execution
+from .core.parallel import ordered_map
 from .io import films as film_files
 from .io.atomic import sweep
 from .io.images import load
@@ -197,27 +198,32 @@ def measure_experiment(experiment: Experiment, execution: Execution) -> Path:
 
 def _given(experiment: Experiment, execution: Execution) -> tuple[Any, ...]:
     with execution.timer.stage("templates"):
-        templates = standard_templates(experiment.engine)
+        templates = standard_templates(experiment.engine, workers=execution.workers)
     load_pixels = partial(radiograph_pixels, experiment.out.absolute())
     return experiment.manifest, load_pixels, templates, experiment.settings, experiment.out
 
 
-def standard_templates(engine: str = "embree") -> "tuple[Template, ...]":
+def standard_templates(engine: str = "embree", *, workers: int = 1) -> "tuple[Template, ...]":
     """The standard knee, the same with narrower medial joint spaces and in another view, and a severe one: what joints
     are looked for with.
 
     Without noise; all as wide at the detector as the first.
+    workers  processes; with one, its two threads
     """
-    knees = [(knee, protocol, False) for protocol, of in _SPACES.items() for knee in of]
-    first, *others = (_template(*one, engine) for one in (*knees, (_SEVERE, "fixed_flexion", True)))
+    usual = [(knee, protocol, False) for protocol, of in _SPACES.items() for knee in of]
+    seen = [*usual, (_SEVERE, "fixed_flexion", True)]
+    shared = {"engine": engine, "threads": 2 if workers == 1 else 1}
+    first, *others = ordered_map(_template, seen, shared=shared, workers=workers)
     return (first, *(other.as_wide_as(first) for other in others))
 
 
-def _template(knee: Knee, name: str, severe: bool, engine: str) -> "Template":
+def _template(seen: tuple[Knee, str, bool], engine: str, threads: int) -> "Template":
+    """Of a knee under a protocol, and whether it is severe."""
     from .radiomics.patches import Template
 
+    knee, name, severe = seen
     protocol = replace(load_protocol(name), noise="none")
-    radiograph = simulate(knee, protocol, engine=engine)
+    radiograph = simulate(knee, protocol, engine=engine, workers=threads)
     assert radiograph.truth is not None
     row, col = radiograph.truth.medial_joint_line_px
     edges = [radiograph.truth.landmarks_px[f"{side}_plateau_edge"][1] for side in ("medial", "lateral")]

@@ -49,7 +49,7 @@ def tiny(tmp_path_factory):
     path.write_text("".join(f"{name} = {json.dumps(value)}\n" for name, value in fields.items()))
     templates, wanted = (template(),), {**FEW, "protocols": (str(path),)}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(make, "standard_templates", lambda: templates)
+        patch.setattr(make, "standard_templates", lambda workers: templates)
         result = make_benchmark(folder / "out", Execution(workers=1), overrides=wanted)
         before = digests(result.folder)
         execution = Execution(workers=1)

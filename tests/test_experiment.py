@@ -88,7 +88,7 @@ def result_in(out) -> StudyResult:
 
 def test_a_finished_run_is_given_back_and_nothing_is_done_again(tmp_path, monkeypatch):
     asked, execution = made(tmp_path, tiny(tmp_path))
-    monkeypatch.setattr(experiment, "standard_templates", lambda engine: None)
+    monkeypatch.setattr(experiment, "standard_templates", lambda engine, workers: None)
     runs = []
     monkeypatch.setattr(experiment, "run", lambda *given, **how: runs.append(1) or result_in(asked.out))
     first = run_experiment(asked, execution)

@@ -57,7 +57,7 @@ def phantoms_for_knees(monkeypatch, tmp_path):
         assert protocol == "reference"
         return made_up(count=6)
 
-    monkeypatch.setattr(run, "standard_templates", lambda engine: (TEMPLATE,))
+    monkeypatch.setattr(run, "standard_templates", lambda engine, workers: (TEMPLATE,))
     monkeypatch.setattr(run, "simulated_films", simulated)
     monkeypatch.setattr(run, "cohort_landmarks", contours_of)
 

@@ -130,7 +130,7 @@ def _row(case: str, kind: str, located: list[Row]) -> Row:
 
 @lru_cache(maxsize=1)  # both tables are of the same simulations
 def _located(count: int, workers: int, modes: int, table: Localisation) -> list[Row]:
-    shared = {"templates": standard_templates("scanline"), "modes": modes, "table": table}
+    shared = {"templates": standard_templates("scanline", workers=workers), "modes": modes, "table": table}
     return [row for rows in ordered_map(_of_knee, list(range(count)), shared=shared, workers=workers) for row in rows]
 
 

@@ -49,7 +49,7 @@ def learnt(
     from sklearn.linear_model import LogisticRegression
     from sklearn.model_selection import KFold
 
-    shared = {"templates": standard_templates("scanline"), "modes": modes, "table": table}
+    shared = {"templates": standard_templates("scanline", workers=workers), "modes": modes, "table": table}
     made = ordered_map(_of_knee, list(range(count)), shared=shared, workers=workers)
     edges = np.array([one for one in made if one is not None])
     flat = edges.reshape(len(edges), -1)

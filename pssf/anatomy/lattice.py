@@ -1,5 +1,6 @@
 """lattice: a seed -> the struts of a knee, a periodic block of relative bone content made by FFT."""
 
+from functools import lru_cache
 from threading import Lock
 
 import numpy as np
@@ -11,6 +12,8 @@ from ..data.spongy import Lattice
 Block = NDArray[np.uint8]
 # Beyond this the exponential leaves nothing of 255, and it overflows beyond 88.
 _EMPTY = np.float32(80.0)
+# Planes at a time: nothing as large as the block is held in float32, and what is stays in the cache.
+_PART = 8
 # No person is farther off than so many deviations.
 _MOST_SD = 2.0
 _MAKING = Lock()
@@ -50,19 +53,20 @@ def _made(seed: int, table: Lattice) -> tuple[Block, float]:
         wave *= amplitude[across[i], up]
     waves = fft.ifft2(waves, axes=(0, 1), norm="forward", workers=2, overwrite_x=True)
     block = np.empty((nx + 1, nz + 1, ny), np.uint8)
-    for i in range(0, nx, 32):  # in parts, so that nothing as large as the block is held in float32
-        field = fft.irfft(waves[i : i + 32], ny, axis=2, norm="forward", workers=2)
+    for i in range(0, nx, _PART):
+        field = fft.irfft(waves[i : i + _PART], ny, axis=2, norm="forward", workers=2)
         field -= np.float32(table.cut)
         field *= np.float32(-1 / table.softness)
         np.minimum(field, _EMPTY, out=field)
         np.exp(field, out=field)
         field += 1
-        block[i : i + 32, :nz] = np.rint(np.divide(255, field, out=field), out=field)
+        block[i : i + _PART, :nz] = np.rint(np.divide(255, field, out=field), out=field)
     block[nx], block[:, nz] = block[0], block[:, 0]
     block.setflags(write=False)
     return block, 1 / float(block[:nx, :nz].mean())
 
 
+@lru_cache(maxsize=2)
 def _powers(table: Lattice) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """(nx / 2 + 1, nz / 2 + 1, waves along y) each  of fields of struts and of patches, with variance 1;
     frequencies not negative

@@ -116,7 +116,7 @@ def _baselines(
     splits = splits_of(manifest, settings)
     results.save_table(out / "splits.csv", splits)
     with execution.timer.stage("templates"):
-        templates = standard_templates()
+        templates = standard_templates(workers=execution.workers)
     load_pixels = partial(radiograph_pixels, out.absolute())
     run = Run(load_pixels, templates, settings, out, execution, study_tables())
     table, names, _ = measured(run, manifest, None)

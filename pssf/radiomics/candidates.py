@@ -118,7 +118,7 @@ def _refined(image: Pyramid, templates: tuple[Template, ...], wide: Match, table
         within = (_span(rows, wide.row, reach), _span(cols, wide.col, reach))
         rows, cols = rows[within[0]], cols[within[1]]
         away = np.hypot(rows[:, None] - wide.row, cols - wide.col)
-        for _, maps, _ in score_maps(field, ours, within):
+        for _, maps in score_maps(field, ours, within):
             allowed = np.where(away <= reach, sign * maps, -1.0)
             patch, row, col = (int(at) for at in np.unravel_index(np.argmax(allowed), allowed.shape))
             peak = allowed[patch]

@@ -1,5 +1,7 @@
 """Edges of a radiograph by direction, apart from its tone: what templates are matched by."""
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -22,9 +24,16 @@ def edge_field(density: Array, tile_px: float) -> NDArray[np.float32]:
     """
     blurred = [ndimage.gaussian_filter(density, _BLUR_PX, order=order, mode="nearest") for order in ((1, 0), (0, 1))]
     squared = blurred[0] ** 2 + blurred[1] ** 2
-    usual = ndimage.gaussian_filter(squared, tile_px, mode="nearest") + _FAINT * squared.mean()
+    down, across = (_window(length, tile_px) for length in squared.shape)
+    usual = down @ squared @ across.T + _FAINT * squared.mean()
     strength = np.sqrt(squared + usual + np.finfo(np.float32).tiny)
     return np.stack(blurred / strength).astype(np.float32)
+
+
+@lru_cache(maxsize=128)  # of a few lengths
+def _window(length: int, sd_px: float) -> Array:
+    """(length, length)  what a Gaussian filter makes of values (length,): a product takes a third of the time"""
+    return np.asarray(ndimage.gaussian_filter1d(np.eye(length), sd_px, axis=0, mode="nearest"))
 
 
 class Pyramid:
@@ -59,8 +68,20 @@ class Pyramid:
         shape = [max(1, round(length * zoom)) for length in self.shape]
         # What halving has left between 1 and 2 source pixels a target pixel.
         soft = ndimage.gaussian_filter(image, 0.5 * np.sqrt(max(1.0 / rest**2 - 1.0, 0.0)), mode="nearest")
-        places = [(np.arange(length) + 0.5) / rest - 0.5 for length in shape]
-        return ndimage.map_coordinates(soft, np.meshgrid(*places, indexing="ij"), order=1, mode="nearest")
+        down, across = ((np.arange(length) + 0.5) / rest - 0.5 for length in shape)
+        return _between(_between(soft, down).T, across).T
+
+
+def _between(values: Array, places: Array) -> Array:
+    """(k, m)  rows between those of values (n, m), linearly; beyond the first and last as these
+
+    places  (k,)  row numbers
+    """
+    within = np.clip(places, 0, len(values) - 1)
+    first = np.minimum(within.astype(np.int64), max(0, len(values) - 2))
+    share = (within - first)[:, None]
+    last = np.minimum(first + 1, len(values) - 1)
+    return np.asarray(values[first] * (1 - share) + values[last] * share)
 
 
 def _pyramid_down(image: Array) -> Array:

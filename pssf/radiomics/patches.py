@@ -141,7 +141,7 @@ def poses(templates: tuple[Template, ...], law: PatchLaw) -> tuple[Pose, ...]:
     return tuple(patches)
 
 
-@lru_cache(maxsize=256)  # of all sizes of one image
+@lru_cache(maxsize=512)  # of all sizes of images of a few shapes
 def spectra(pose: Pose, shape: tuple[int, int]) -> Spectra:
     """Transforms at a shape that holds the patches."""
     to_anchor = [at + 1 - side for side, at in zip(pose.weight.shape, pose.anchor, strict=True)]

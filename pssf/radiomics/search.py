@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,33 +59,46 @@ def matches(
         zoom = unit_mm / law.pitch_mm
         field = image.edges(zoom, law.tile_mm / law.pitch_mm)
         if min(field.shape[1:]) >= _LEAST_PX:
-            for pose, score, seen in score_maps(field, patches):
-                yield from _best(score, seen, least_seen, pose, zoom, unit_mm)
+            for pose, score in score_maps(field, patches):
+                yield from _best(score, _seen(field.shape[1:], pose), least_seen, pose, zoom, unit_mm)
 
 
 def score_maps(
     field: NDArray[np.float32], patches: Iterable[Pose], within: Window | None = None
-) -> Iterator[tuple[Pose, NDArray[np.float32], NDArray[np.float32]]]:
-    """Of each pose the score of every patch at pixels of the image, and the share of the patch that is within.
+) -> Iterator[tuple[Pose, NDArray[np.float32]]]:
+    """Of each pose the score of every patch at pixels of the image.
 
     The denominator is the patch's own power where the image has less: air and plain muscle match nothing well.
 
     field     (2, rows, cols)  edges down and right at the pitch of the patches, dimensionless
     within    rows and columns that scores are wanted of; None: all
     """
-    places = within or (slice(0, field.shape[1]), slice(0, field.shape[2]))
-    parts = np.stack([*field, (field**2).sum(axis=0), np.ones(field.shape[1:], np.float32)])
+    places = within or _everywhere(field.shape[1:])
+    parts = np.stack([*field, (field**2).sum(axis=0)])
     seen_by, spectrum = None, parts
     for pose in patches:
         near, wanted, shape = _region(field.shape[1:], pose, places)
         if seen_by != (near, shape):
             seen_by, spectrum = (near, shape), fft.rfft2(parts[:, *near], shape)
-        down, right, squares, inside = spectrum
+        down, right, squares = spectrum
         ready = spectra(pose, shape)
-        power, seen = fft.irfft2(np.stack([squares, inside]) * ready.weight, shape)[:, *wanted]
+        power = fft.irfft2(squares * ready.weight, shape)[wanted]
         alike = fft.irfft2(down * ready.fields[:, 0] + right * ready.fields[:, 1], shape)[:, *wanted]
         own = np.array(pose.power, np.float32)[:, None, None]
-        yield pose, alike / np.sqrt(own * np.maximum(power, own)), seen / pose.weight.sum()
+        yield pose, alike / np.sqrt(own * np.maximum(power, own))
+
+
+@lru_cache(maxsize=256)  # of the sizes of one image, and others are mostly as large
+def _seen(image: tuple[int, ...], pose: Pose) -> NDArray[np.float32]:
+    """(rows, cols)  share of the patch's weight that is within an image of such a shape, by where its joint line is"""
+    _, wanted, shape = _region(image, pose, _everywhere(image))
+    inside = fft.rfft2(np.ones(image, np.float32), shape)
+    return np.asarray(fft.irfft2(inside * spectra(pose, shape).weight, shape)[wanted] / pose.weight.sum())
+
+
+def _everywhere(image: tuple[int, ...]) -> Window:
+    rows, cols = image
+    return slice(0, rows), slice(0, cols)
 
 
 def _region(image: tuple[int, ...], pose: Pose, places: Window) -> tuple[Window, Window, tuple[int, int]]:

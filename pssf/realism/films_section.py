@@ -1,6 +1,7 @@
 """The part on films: what the records of real and simulated ones say, as tables and figures of the page."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -8,10 +9,11 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from ..core.checks import Array
+from ..core.execution import Execution
 from ..core.parallel import ordered_map
 from ..radiomics.aspect import with_square_pixels
 from ..study.report.page import Picture
-from .blind import blind_test
+from .blind import blind_choice, blind_test
 from .domains import ALL, Films, learnable, told_apart, transferred
 from .effects import effects
 from .films import FINE, TONE, Record
@@ -24,6 +26,12 @@ Row = dict[str, Any]
 Reading = Callable[[str, str], Array]
 # Two sources, and the grades that are told from grade 0; none where the sources are told apart.
 Pairing = tuple[str, str, tuple[int, ...]]
+# A film in the standard form, as it is shown.
+Form = NDArray[np.uint8]
+# Source of a film, and its record.
+Shown = tuple[str, Record]
+# A grade, and its rows of films under their captions.
+SheetOfGrade = tuple[int, list[tuple[str, list[Shown]]]]
 SIMULATED = "simulated"
 # What is to be told apart: grade 0 from these.
 TASKS = ((2,), (3, 4))
@@ -67,14 +75,23 @@ _NOTHING = Comparison(domains=[], transfer=[], features=[], groups=[])
 
 
 def films_section(
-    records: Mapping[str, Sequence[Record]], read: Reading, *, replicates: int = 1000, seed: int = 0
+    records: Mapping[str, Sequence[Record]],
+    read: Reading,
+    execution: Execution,
+    *,
+    replicates: int = 1000,
+    seed: int = 0,
 ) -> Section:
     """What films say; the simulated ones are called SIMULATED, all others are real.
 
-    records  source -> one record a film, as `measure_films` gives them
+    records    source -> one record a film, as `measure_films` gives them
+    execution  whose processes compare sources and read the films that are shown; with more than one, `read` must be
+               picklable
     """
-    compared, fates = compare(records, replicates=replicates, seed=seed), found_rows(records)
-    figures, key = blind_test(records, SIMULATED, lambda name, one: _form(read(name, one["file"]), one), seed)
+    sheets, order = contact_sheets(records), blind_choice(records, SIMULATED, seed)
+    shown = [*order, *(one for _, rows in sheets for _, chosen in rows for one in chosen)]
+    compared, forms = _made(records, shown, read, execution, replicates=replicates, seed=seed)
+    fates, (figures, key) = found_rows(records), blind_test(order, lambda name, one: forms[name, one["file"]])
     tables = (
         Table(name="films_found", rows=fates, caption="Films of each source, and what became of them."),
         Table(name="films_domains", rows=compared.domains, caption=_CAPTIONS["domains"]),
@@ -91,16 +108,42 @@ def films_section(
         line=summary_line(compared),
         text=_TEXT,
         tables=tuple(table for table in tables if table.rows),
-        figures=(*contact_sheets(records, read), *figures),
+        figures=(*(_drawn(grade, rows, forms) for grade, rows in sheets), *figures),
         facts={
             "found": fates, "domains": compared.domains, "transfer": compared.transfer, "effects": compared.groups,
         },
     )  # fmt: skip
 
 
-def compare(records: Mapping[str, Sequence[Record]], *, replicates: int, seed: int) -> Comparison:
-    """Every real source against the simulated films, and against every other real one."""
+def _made(
+    records: Mapping[str, Sequence[Record]],
+    shown: Sequence[Shown],
+    read: Reading,
+    execution: Execution,
+    *,
+    replicates: int,
+    seed: int,
+) -> tuple[Comparison, dict[tuple[str, str], Form]]:
+    """What sources say of each other, and films as they are shown, by source and file: all by the same processes."""
     measured = {name: learnable(name, of) for name, of in records.items() if _any_measured(of)}
+    comparing = [
+        partial(_compared, pair, measured=measured, replicates=replicates, seed=seed) for pair in _pairings(measured)
+    ]
+    films = {(name, one["file"]): one for name, one in shown}
+    showing = [partial(_read_form, read, name, one) for (name, _), one in films.items()]
+    # A process of its own has one thread for linear algebra: small models take three times as long on two.
+    made = ordered_map(_run, [*comparing, *showing], shared={}, workers=execution.workers)
+    compared = made[: len(comparing)]
+    rows = ([row for rows in one for row in rows] for one in zip(_NOTHING, *compared, strict=True))
+    return Comparison(*rows), dict(zip(films, made[len(comparing) :], strict=True))
+
+
+def _run(part: Callable[[], Any]) -> Any:
+    return part()
+
+
+def _pairings(measured: Mapping[str, Films]) -> list[Pairing]:
+    """Every real source against the simulated films, and against every other real one."""
     real = [name for name in measured if name != SIMULATED]
     pairs: list[Pairing] = []
     for name in real if SIMULATED in measured else ():
@@ -109,11 +152,7 @@ def compare(records: Mapping[str, Sequence[Record]], *, replicates: int, seed: i
         pairs += [
             (name, SIMULATED, high) for high in TASKS if np.isin(grades, [0]).any() and np.isin(grades, high).any()
         ]
-    pairs += [(name, other, ()) for index, name in enumerate(real) for other in real[index + 1 :]]
-    shared = {"measured": measured, "replicates": replicates, "seed": seed}
-    # One process, whose linear algebra then has one thread: small models take three times as long on two.
-    made = ordered_map(_compared, pairs, shared=shared)
-    return Comparison(*([row for rows in one for row in rows] for one in zip(_NOTHING, *made, strict=True)))
+    return pairs + [(name, other, ()) for index, name in enumerate(real) for other in real[index + 1 :]]
 
 
 def _compared(pair: Pairing, *, measured: Mapping[str, Films], replicates: int, seed: int) -> Comparison:
@@ -159,23 +198,27 @@ def quantity_rows(records: Mapping[str, Sequence[Record]], group: str) -> list[R
     return rows
 
 
-def contact_sheets(records: Mapping[str, Sequence[Record]], read: Reading) -> tuple[Picture, ...]:
-    """One sheet a grade: a row of films of every source, spread over the list, at one scale."""
-    figures = []
-    grades = sorted({int(one["grade"]) for of in records.values() for one in of})
-    for grade in grades:
+def contact_sheets(records: Mapping[str, Sequence[Record]]) -> list[SheetOfGrade]:
+    """Of each grade its rows: films of every source, spread over the list."""
+    sheets = []
+    for grade in sorted({int(one["grade"]) for of in records.values() for one in of}):
         rows = []
         for name, of in records.items():
             chosen = _spread([one for one in of if one["status"] == "found" and int(one["grade"]) == grade])
             if chosen:
-                rows.append((f"{name}, {_called(grade)}", [_form(read(name, one["file"]), one) for one in chosen]))
+                rows.append((f"{name}, {_called(grade)}", [(name, one) for one in chosen]))
         if rows:
-            figures.append(Picture(
-                name=f"sheet_{'unknown' if grade < 0 else grade}", png=sheet(rows),
-                alt=f"Real and simulated knees, {_called(grade)}, in rows",
-                caption=f"(e) {_called(grade).capitalize()}: a row a source, one scale, all as right knees.",
-            ))  # fmt: skip
-    return tuple(figures)
+            sheets.append((grade, rows))
+    return sheets
+
+
+def _drawn(grade: int, rows: Sequence[tuple[str, Sequence[Shown]]], forms: Mapping[tuple[str, str], Form]) -> Picture:
+    return Picture(
+        name=f"sheet_{'unknown' if grade < 0 else grade}",
+        png=sheet([(caption, [forms[name, one["file"]] for name, one in chosen]) for caption, chosen in rows]),
+        alt=f"Real and simulated knees, {_called(grade)}, in rows",
+        caption=f"(e) {_called(grade).capitalize()}: a row a source, one scale, all as right knees.",
+    )
 
 
 def summary_line(compared: Comparison) -> str:
@@ -205,7 +248,11 @@ def _spread(records: Sequence[Record]) -> list[Record]:
     return [records[place] for place in places] if records else []
 
 
-def _form(film: Array, record: Record) -> NDArray[np.uint8]:
+def _read_form(read: Reading, source: str, record: Record) -> Form:
+    return _form(read(source, record["file"]), record)
+
+
+def _form(film: Array, record: Record) -> Form:
     film = with_square_pixels(film, float(record["pixel_height"]))
     bright = film if record["polarity"] == "bone bright" else 1 - film
     place = Place(

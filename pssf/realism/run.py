@@ -25,6 +25,7 @@ from ..model.draw import DrawLaws, draw_knees, draw_laws
 from ..model.exposure import draw_exposure
 from ..model.knee import Knee
 from ..model.protocol import load_protocol
+from ..radiomics.compact import compact
 from ..radiomics.patches import Template
 from ..study.report.page import Picture
 from . import bones, contours
@@ -211,13 +212,16 @@ def _bones(
 
 def _films(out: Path, sources: Sequence[Source], plan: Plan, tables: FilmTables, execution: Execution) -> Section:
     with execution.stage("templates", "knees", 1):
-        templates = standard_templates("scanline")
+        # Each process of films gets them, and makes them soft anew.
+        whole = standard_templates("scanline", workers=execution.workers)
+        templates = [compact(template, 0.0, tables.localisation) for template in whole]
     simulated = simulated_films(out / _FILMS_FOLDER, plan, tables.looks, execution)
     records = _measured(sources, out, templates, tables.localisation, execution)
     simulated = in_pixels_as_large(simulated, records, plan.seed)
     records |= _measured((simulated,), out, templates, tables.localisation, execution)
     with execution.stage("models", "parts", 1):
-        return films_section(records, partial(_read, {one.name: one for one in (*sources, simulated)}), seed=plan.seed)
+        read = partial(_read, {one.name: one for one in (*sources, simulated)})
+        return films_section(records, read, execution, seed=plan.seed)
 
 
 def _measured(
