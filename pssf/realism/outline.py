@@ -15,6 +15,10 @@ _COARSE_PX, _LOCAL_PX = 8.0, 12.0
 _STEEPEST = 3.0  # what is steeper counts no more
 _BEND = 0.02  # cost of a step of one row a column; it grows with the power 1.5 of the step
 _JOINT_STEPS, _SIDE_STEPS = 4, 2
+# Where bone lies on bone no edge tells where the femur ends, and one within it might be taken: each row of the joint
+# space costs as much as it is not dark. Not about the middle, over so many mm and then less, where the notch is.
+_ROW, _NOT_DARK = 0.1, 0.6
+_NOTCH_MM, _FADING_MM = 10.0, 6.0
 _REACH_MM = 36.0  # of the joint's contours to either side of its middle
 _SIDES_MM = (3.0, 24.0)  # heights below (tibia) and above (femur) the joint line at which the bones' sides are sought
 _MISSED_MM = 16.0
@@ -47,7 +51,7 @@ def trace_outline(film: Array) -> Outline:
     film  (rows, cols)  grey, standard form
     """
     row, col = joint_pixel()
-    rise, across = _steepness(film)
+    rise, across, tone = _steepness(film)
     reach = round(_REACH_MM / PITCH_MM)
     columns = np.arange(col - reach, col + reach + 1)
     rows = np.arange(len(film))[:, None]
@@ -55,6 +59,9 @@ def trace_outline(film: Array) -> Outline:
     away = (rows - row) * PITCH_MM / _MISSED_MM
     tibia = cheapest_path(-0.6 * np.clip(rise, 0, _STEEPEST)[:, columns] + 0.15 * away**2, _JOINT_STEPS - 1)
     cost = -0.6 * np.clip(-rise, 0, _STEEPEST)[:, columns] + 0.1 * (away + 0.5) ** 2
+    space = np.where(rows < tibia, np.clip(tone[:, columns], -1.0, 1.0) + _NOT_DARK, 0.0)
+    beside = np.clip((np.abs(columns - col) * PITCH_MM - _NOTCH_MM) / _FADING_MM, 0.0, 1.0)
+    cost += _ROW * beside * np.cumsum(space[::-1], axis=0)[::-1]
     cost[rows >= tibia] = 10.0
     femur = cheapest_path(cost, _JOINT_STEPS)
     below, tibia_sides = _sides(across, int(np.median(tibia)), +1)
@@ -90,13 +97,13 @@ def cheapest_path(cost: Array, step: int) -> NDArray[np.int64]:
     return path
 
 
-def _steepness(film: Array) -> tuple[Array, Array]:
-    """(rows, cols) slope of the grey downwards and to the right, over the contrast about a pixel."""
+def _steepness(film: Array) -> tuple[Array, Array, Array]:
+    """(rows, cols) slope of the grey downwards and to the right, and itself, over the contrast about a pixel."""
     detail = film - gaussian_filter(film, _COARSE_PX)
     local = np.sqrt(gaussian_filter(detail**2, _LOCAL_PX)) + 0.25
     down = gaussian_filter(film, _BLUR_PX, order=(1, 0)) / local
     right = gaussian_filter(film, _BLUR_PX, order=(0, 1)) / local
-    return down, right
+    return down, right, detail / local
 
 
 def _sides(across: Array, row: int, way: int) -> tuple[Array, Array]:
