@@ -188,7 +188,7 @@ def centred(film: Array, near: Place) -> Place:
     for zoom in _ZOOMS:
         wide = replace(place, pitch_mm=place.pitch_mm * zoom)
         row, col = joint_pixel()
-        outline = trace_outline(stretched(field_of(film, wide)))
+        outline = trace_outline(stretched(field_of(film, wide)), PLATEAU_MM * wide.pitch_mm / near.pitch_mm)
         lateral, medial = plateau_edges(outline)
         middle = float(np.mean([np.median(outline.tibia), np.median(outline.femur)]))
         moved = wide.moved(middle - row, (lateral + medial) / 2 - col)

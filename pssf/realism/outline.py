@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, median_filter
 
 from ..core.checks import Array
-from .form import PITCH_MM, joint_pixel
+from .form import PITCH_MM, PLATEAU_MM, joint_pixel
 
 _BLUR_PX = 1.2
 # Contrast is taken relative to what it is within some 4 and 6 mm: films differ in tone from bone to bone.
@@ -19,6 +19,10 @@ _JOINT_STEPS, _SIDE_STEPS = 4, 2
 # space costs as much as it is not dark. Not about the middle, over so many mm and then less, where the notch is.
 _ROW, _NOT_DARK = 0.1, 0.6
 _NOTCH_MM, _FADING_MM = 10.0, 6.0
+# A side is not sought far beyond these shares of half the plateau's width: fibula, fat and skin have edges too.
+# So many mm beyond, a place costs so much more; it grows with the square.
+_TIBIA_WITHIN, _FEMUR_WITHIN = 1.08, 1.15
+_BEYOND_MM, _BEYOND = 8.0, 0.3
 _REACH_MM = 36.0  # of the joint's contours to either side of its middle
 _SIDES_MM = (3.0, 24.0)  # heights below (tibia) and above (femur) the joint line at which the bones' sides are sought
 _MISSED_MM = 16.0
@@ -45,10 +49,11 @@ class Outline:
     femur_sides: Array
 
 
-def trace_outline(film: Array) -> Outline:
+def trace_outline(film: Array, plateau_mm: float = PLATEAU_MM) -> Outline:
     """Contours of the bones of a film.
 
-    film  (rows, cols)  grey, standard form
+    film        (rows, cols)  grey, standard form
+    plateau_mm  about how wide the plateau is there
     """
     row, col = joint_pixel()
     rise, across, tone = _steepness(film)
@@ -64,8 +69,9 @@ def trace_outline(film: Array) -> Outline:
     cost += _ROW * beside * np.cumsum(space[::-1], axis=0)[::-1]
     cost[rows >= tibia] = 10.0
     femur = cheapest_path(cost, _JOINT_STEPS)
-    below, tibia_sides = _sides(across, int(np.median(tibia)), +1)
-    above, femur_sides = _sides(across, int(np.median(femur)), -1)
+    half_mm = plateau_mm / 2
+    below, tibia_sides = _sides(across, int(np.median(tibia)), +1, _TIBIA_WITHIN * half_mm)
+    above, femur_sides = _sides(across, int(np.median(femur)), -1, _FEMUR_WITHIN * half_mm)
     return Outline(
         columns=columns.astype(float), femur=femur.astype(float), tibia=tibia.astype(float),
         tibia_rows=below, tibia_sides=tibia_sides, femur_rows=above, femur_sides=femur_sides,
@@ -101,18 +107,26 @@ def _steepness(film: Array) -> tuple[Array, Array, Array]:
     """(rows, cols) slope of the grey downwards and to the right, and itself, over the contrast about a pixel."""
     detail = film - gaussian_filter(film, _COARSE_PX)
     local = np.sqrt(gaussian_filter(detail**2, _LOCAL_PX)) + 0.25
+    # Beside a limb all is faint, and its own contrast would make of a fat line as much as of a bone's side.
+    steady = np.sqrt(local**2 + (detail**2).mean())
     down = gaussian_filter(film, _BLUR_PX, order=(1, 0)) / local
-    right = gaussian_filter(film, _BLUR_PX, order=(0, 1)) / local
+    right = gaussian_filter(film, _BLUR_PX, order=(0, 1)) / (steady * np.median(local) / np.median(steady))
     return down, right, detail / local
 
 
-def _sides(across: Array, row: int, way: int) -> tuple[Array, Array]:
-    """Rows, and the columns of a bone's lateral and medial side there; `way` +1 goes down from the joint, -1 up."""
+def _sides(across: Array, row: int, way: int, within_mm: float) -> tuple[Array, Array]:
+    """Rows, and the columns of a bone's lateral and medial side there; `way` +1 goes down from the joint, -1 up.
+
+    within_mm  of the middle, beyond which a side is less and less likely
+    """
     near, far = (round(length / PITCH_MM) for length in _SIDES_MM)
     rows = np.clip(row + way * np.arange(near, far + 1), 0, len(across) - 1)
     _, middle = joint_pixel()
     inner = round(20.0 / PITCH_MM)  # the shaft is wider than this
-    lateral = cheapest_path(-np.clip(across, 0, _STEEPEST)[rows, : middle - inner].T, _SIDE_STEPS)
-    medial = cheapest_path(-np.clip(-across, 0, _STEEPEST)[rows, middle + inner :].T, _SIDE_STEPS) + middle + inner
+    beyond_mm = np.maximum(np.abs(np.arange(across.shape[1]) - middle) * PITCH_MM - within_mm, 0.0)
+    unlikely, steep = _BEYOND * (beyond_mm / _BEYOND_MM) ** 2, across[rows]
+    costs = [unlikely - np.clip(sign * steep, 0, _STEEPEST) for sign in (1, -1)]
+    lateral = cheapest_path(costs[0][:, : middle - inner].T, _SIDE_STEPS)
+    medial = cheapest_path(costs[1][:, middle + inner :].T, _SIDE_STEPS) + middle + inner
     sides = median_filter(np.column_stack((lateral, medial)).astype(float), size=(3, 1))
     return rows.astype(float), sides
