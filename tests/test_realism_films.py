@@ -61,6 +61,33 @@ def test_contours_of_plain_shapes_are_traced_to_a_pixel(gap_mm):
     assert (medial - lateral) * PITCH_MM == pytest.approx(PLATEAU_MM, abs=2 * PITCH_MM)
 
 
+def test_where_bone_lies_on_bone_the_femur_ends_at_the_tibia_and_not_at_an_edge_within():
+    """With a sclerotic tibia, and a band of the femur that is darker than what is about it, 12 mm above the joint."""
+    film = drawn_knee(gap_mm=5.0)
+    y, x = (np.mgrid[:500, :520] - [[[249.5]], [[259.5]]]) * 0.3
+    worn = (x > 12.0) & (x < HALF_MM - 1.0)
+    film[worn & (np.abs(y) <= 3.2)] = 0.7
+    film[worn & (y > 2.5) & (y < 6.0)] = 0.9
+    film[worn & (y < -10.0) & (y > -14.0)] = 0.6
+    film = gaussian_filter(film, 1.0)
+    outline = trace_outline(stretched(field_of(film, middle_of(film, 0.3))))
+    across_mm = (outline.columns - joint_pixel()[1]) * PITCH_MM
+    gap_mm = (outline.tibia - outline.femur) * PITCH_MM
+    assert gap_mm[(across_mm > 20.0) & (across_mm < 34.0)].max() < 2.0
+    assert gap_mm[across_mm < -25.0] == pytest.approx(5.0, abs=1.5 * PITCH_MM)
+
+
+@pytest.mark.parametrize("step", [0.1, 0.15])
+def test_an_edge_of_fat_beyond_the_bone_is_no_side_of_it_though_it_is_sharper(step):
+    film = gaussian_filter(drawn_knee(), 6.0)
+    x = (np.mgrid[:500, :520][1] - 259.5) * 0.3
+    for beyond in (x - 52.0, -x - 52.0):
+        film -= step * np.clip(beyond / 0.3, 0.0, 1.0)
+    width_mm = PLATEAU_MM / 1.2
+    edges = plateau_edges(trace_outline(stretched(field_of(film, middle_of(film, 0.3, size=1.2))), width_mm))
+    assert np.ptp(edges) * PITCH_MM == pytest.approx(width_mm, abs=3 * PITCH_MM)
+
+
 def test_features_tell_the_gap_and_the_notch():
     shallow, deep = (
         shape_groups(trace_outline(stretched(field_of(film, middle_of(film, 0.3)))))
@@ -194,6 +221,9 @@ def test_what_is_learnt_carries_over_where_the_effect_is_the_same_and_not_where_
         )
         assert (row["auc"] > 0.8) == same
         assert row["real_auc"] > 0.8
+        assert row["way"] == pytest.approx((row["auc"] - 0.5) / (row["real_auc"] - 0.5), abs=2e-3)
+        assert row["way_low"] <= row["way"] <= row["way_high"]
+        assert (row["way_low"] > 0.8) == same
 
 
 def test_effects_are_alike_where_grades_act_alike_and_their_intervals_hold_them():
@@ -209,6 +239,25 @@ def test_effects_are_alike_where_grades_act_alike_and_their_intervals_hold_them(
         by_hand = real.features[real.grades == 2].mean() - real.features[real.grades == 0].mean()
         by_hand /= np.sqrt((real.features[real.grades == 2].var() + real.features[real.grades == 0].var()) / 2)
         assert_allclose([one["real"] for one in rows], by_hand, atol=1e-4)
+
+
+def test_where_real_films_teach_nothing_for_sure_no_share_of_the_way_is_told():
+    row = domains.transferred(films_of("real", 80, effect=0.0), films_of("s", 80), low=0, high=(2,), **CHANCE)[0]
+    assert row["real_low"] < 0.5
+    assert (row["way"], row["way_low"], row["way_high"]) == (None, None, None)
+
+
+@pytest.mark.parametrize(("spread", "least", "most"), [(1.5, 0.95, 1.0), (0.0, 0.0, 0.5)])
+def test_correlation_of_effects_is_seen_at_most_as_far_as_films_tell_them(spread, least, most):
+    def films(name, seed):
+        rng, shifts = np.random.default_rng(seed), np.random.default_rng(9).normal(0.0, spread, 40)
+        grades = np.repeat([0, 2], 60)
+        values = pd.DataFrame(rng.standard_normal((120, 40)) + np.outer(grades == 2, shifts))
+        values.columns = pd.MultiIndex.from_tuples([("shape", str(number)) for number in range(40)])
+        return domains.Films(name=name, features=values, grades=grades, subjects=np.arange(120).astype(str))
+
+    _, groups = effects(films("real", 1), films("simulated", 2), low=0, high=(2,), **CHANCE)
+    assert least <= groups[-1]["most"] <= most
 
 
 def test_grades_that_are_not_drawn_are_stood_for_by_the_highest_that_is():

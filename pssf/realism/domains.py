@@ -91,6 +91,8 @@ def transferred(
     """One row a group: AUC of grade `low` against `high` on real films, trained on simulated ones and on real ones.
 
     Simulated films of the highest grades that are drawn stand for those that are not.
+    way  from chance to what real films teach, the share that simulated ones go; with a 95 per cent interval of the same
+         subjects for both, and nothing where real films teach nothing that is sure
     """
     highest = [grade for grade in high if grade in simulated.grades] or [int(simulated.grades.max())]
     here, there = real.of_grades([low, *high]), simulated.of_grades([low, *highest])
@@ -106,9 +108,9 @@ def transferred(
             value = carried.predict_proba(here.features[columns].to_numpy())[:, 1]
             own = by_folds(here.features[columns], truth, here.subjects, seed)
             row |= _with_interval(truth, value, here.subjects, replicates, seed)
-            row |= {
-                f"real_{name}": one for name, one in _with_interval(truth, own, here.subjects, replicates, seed).items()
-            }
+            by_real = _with_interval(truth, own, here.subjects, replicates, seed)
+            row |= {f"real_{name}": one for name, one in by_real.items()}
+            row |= _way(truth, (value, own), here.subjects, replicates, seed) if by_real["low"] > 0.5 else _NO_WAY
         rows.append(row)
     return rows
 
@@ -159,6 +161,19 @@ def _with_interval(
 ) -> Mapping[str, float]:
     low, high = percentiles(resampled_auc(truth, value, subjects, replicates=replicates, seed=seed))
     return {"auc": round(auc(truth, value), 4), "low": round(low, 4), "high": round(high, 4)}
+
+
+_NO_WAY: dict[str, float | None] = {"way": None, "way_low": None, "way_high": None}
+
+
+def _way(
+    truth: NDArray[np.bool_], values: tuple[Array, Array], subjects: NDArray[Any], replicates: int, seed: int
+) -> Mapping[str, float]:
+    """How far the first of two AUCs is from 0.5, over how far the second is."""
+    whole = [auc(truth, value) - 0.5 for value in values]
+    drawn = [resampled_auc(truth, value, subjects, replicates=replicates, seed=seed) - 0.5 for value in values]
+    low, high = percentiles(drawn[0] / np.where(drawn[1] > 0, drawn[1], np.nan))
+    return {"way": round(whole[0] / whole[1], 3), "way_low": round(low, 3), "way_high": round(high, 3)}
 
 
 def resampled_auc(

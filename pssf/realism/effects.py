@@ -10,6 +10,9 @@ from ..core.checks import Array
 from ..study.statistics.metrics import percentiles
 from .domains import Films, Row, groups_of, times_drawn
 
+# Halvings of the subjects that reliability is the mean over, and of the chance that they are drawn by.
+_HALVINGS, _HALVES = 200, 78
+
 
 def effects(
     real: Films, simulated: Films, *, low: int, high: Sequence[int], replicates: int, seed: int
@@ -18,10 +21,13 @@ def effects(
 
     r, same_sign  correlation over the features, and the share of them that go the same way; with 95 per cent intervals
                   of a bootstrap of subjects, real and simulated
+    most          the correlation that could be seen at most if grades acted alike, since so many films tell an effect
+                  only so well: root of the product of both reliabilities (Spearman 1904)
     """
     highest = [grade for grade in high if grade in simulated.grades] or [int(simulated.grades.max())]
     ours = _standardised(simulated, low, highest, replicates, seed)
     theirs = _standardised(real, low, high, replicates, seed + 1)
+    halves = [_of_halves(films, low, of, seed) for films, of in ((real, high), (simulated, highest))]
     task = f"{low} v {'+'.join(map(str, high))}"
     label = {"source": real.name, "task": task}
     rows = [
@@ -36,8 +42,32 @@ def effects(
         for name, values in zip(("r", "same_sign"), alike.T, strict=True):
             ends = percentiles(values[1:][np.isfinite(values[1:])]) if np.isfinite(values).sum() > 2 else (np.nan,) * 2
             row |= {name: _rounded(values[0]), f"{name}_low": _rounded(ends[0]), f"{name}_high": _rounded(ends[1])}
+        reliable = [_reliability(of[:, :, of_group]) for of in halves]
+        row["most"] = _rounded(np.sqrt(np.prod(reliable)))
         summary.append(row)
     return rows, summary
+
+
+def _of_halves(films: Films, low: int, high: Sequence[int], seed: int) -> Array:
+    """(halvings, 2, features)  effects in either half of the subjects, halved at random again and again"""
+    of_grades = films.of_grades([low, *high])
+    values, without = of_grades.features.to_numpy(np.float64), of_grades.grades == low
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_HALVES,)))
+    _, of_film = np.unique(of_grades.subjects, return_inverse=True)
+    effects_of = []
+    for _ in range(_HALVINGS):
+        first = rng.permutation(of_film.max() + 1)[of_film] % 2 == 0
+        effects_of.append([_difference(values[half], without[half]) for half in (first, ~first)])
+    return np.array(effects_of)
+
+
+def _reliability(halves: Array) -> float:
+    """Of effects told by all films, from those (halvings, 2, features) told by halves (Brown 1910); 0 to 1, or NaN."""
+    r = np.array([_alike(one, other)[0] for one, other in halves])
+    if not np.isfinite(r).any():
+        return np.nan
+    mean = float(np.nanmean(r))
+    return max(0.0, 2 * mean / (1 + mean))
 
 
 def _alike(real: Array, simulated: Array) -> tuple[float, float]:
