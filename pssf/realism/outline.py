@@ -19,6 +19,11 @@ _JOINT_STEPS, _SIDE_STEPS = 4, 2
 # space costs as much as it is not dark. Not about the middle, over so many mm and then less, where the notch is.
 _ROW, _NOT_DARK = 0.1, 0.6
 _NOTCH_MM, _FADING_MM = 10.0, 6.0
+# A spine's outline is faint, and edges within it are not: each row costs that is brighter than the notch above it.
+# About the middle, and less over so many mm towards the end of the eminence.
+_ROW_PASSED, _BRIGHTER, _BRIGHTEST = 0.03, 0.3, 2.0
+_SPINES_MM, _SPINES_FADING_MM = 21.0, 14.0
+_NEVER = 10.0
 # A side is not sought far beyond these shares of half the plateau's width: fibula, fat and skin have edges too.
 # So many mm beyond, a place costs so much more; it grows with the square.
 _TIBIA_WITHIN, _FEMUR_WITHIN = 1.08, 1.15
@@ -59,16 +64,14 @@ def trace_outline(film: Array, plateau_mm: float = PLATEAU_MM) -> Outline:
     rise, across, tone = _steepness(film)
     reach = round(_REACH_MM / PITCH_MM)
     columns = np.arange(col - reach, col + reach + 1)
-    rows = np.arange(len(film))[:, None]
+    rows, x_mm = np.arange(len(film))[:, None], np.abs(columns - col) * PITCH_MM
     # Downwards: darker where the femur ends, brighter at the tibia; neither is sought far from the joint line.
     away = (rows - row) * PITCH_MM / _MISSED_MM
-    tibia = cheapest_path(-0.6 * np.clip(rise, 0, _STEEPEST)[:, columns] + 0.15 * away**2, _JOINT_STEPS - 1)
-    cost = -0.6 * np.clip(-rise, 0, _STEEPEST)[:, columns] + 0.1 * (away + 0.5) ** 2
-    space = np.where(rows < tibia, np.clip(tone[:, columns], -1.0, 1.0) + _NOT_DARK, 0.0)
-    beside = np.clip((np.abs(columns - col) * PITCH_MM - _NOTCH_MM) / _FADING_MM, 0.0, 1.0)
-    cost += _ROW * beside * np.cumsum(space[::-1], axis=0)[::-1]
-    cost[rows >= tibia] = 10.0
-    femur = cheapest_path(cost, _JOINT_STEPS)
+    brighter = -0.6 * np.clip(rise, 0, _STEEPEST)[:, columns] + 0.15 * away**2
+    darker = -0.6 * np.clip(-rise, 0, _STEEPEST)[:, columns] + 0.1 * (away + 0.5) ** 2
+    tibia = cheapest_path(brighter, _JOINT_STEPS - 1)
+    femur = cheapest_path(darker + _bone_between(tone[:, columns], tibia, x_mm), _JOINT_STEPS)
+    tibia = cheapest_path(brighter + _bone_passed(tone[:, columns], femur, x_mm), _JOINT_STEPS - 1)
     half_mm = plateau_mm / 2
     below, tibia_sides = _sides(across, int(np.median(tibia)), +1, _TIBIA_WITHIN * half_mm)
     above, femur_sides = _sides(across, int(np.median(femur)), -1, _FEMUR_WITHIN * half_mm)
@@ -76,6 +79,31 @@ def trace_outline(film: Array, plateau_mm: float = PLATEAU_MM) -> Outline:
         columns=columns.astype(float), femur=femur.astype(float), tibia=tibia.astype(float),
         tibia_rows=below, tibia_sides=tibia_sides, femur_rows=above, femur_sides=femur_sides,
     )  # fmt: skip
+
+
+def _bone_between(tone: Array, tibia: NDArray[np.int64], x_mm: Array) -> Array:
+    """(rows, cols)  what it costs the femur to end so far above the tibia: rows between that are not dark
+
+    tone   (rows, cols)  of `_steepness`
+    tibia  (cols,)  rows of its contour
+    x_mm   (cols,)  from the middle, either way
+    """
+    rows = np.arange(len(tone))[:, None]
+    space = np.where(rows < tibia, np.clip(tone, -1.0, 1.0) + _NOT_DARK, 0.0)
+    beside = np.clip((x_mm - _NOTCH_MM) / _FADING_MM, 0.0, 1.0)
+    return np.where(rows < tibia, _ROW * beside * np.cumsum(space[::-1], axis=0)[::-1], _NEVER)
+
+
+def _bone_passed(tone: Array, femur: NDArray[np.int64], x_mm: Array) -> Array:
+    """(rows, cols)  what it costs the tibia to begin so far below the femur: rows between that are brighter than the
+    darkest above them, as a spine is; arguments as above
+    """
+    rows = np.arange(len(tone))[:, None]
+    soft = gaussian_filter(tone, 1.0)
+    darkest = np.minimum.accumulate(np.where(rows > femur, soft, np.inf), axis=0)
+    passed = np.where(rows > femur + 1, np.clip(soft - darkest - _BRIGHTER, 0.0, _BRIGHTEST), 0.0)
+    about = np.clip((_SPINES_MM - x_mm) / _SPINES_FADING_MM, 0.0, 1.0)
+    return np.where(rows > femur, _ROW_PASSED * about * (np.cumsum(passed, axis=0) - passed), _NEVER)
 
 
 def cheapest_path(cost: Array, step: int) -> NDArray[np.int64]:
