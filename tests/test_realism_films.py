@@ -77,6 +77,18 @@ def test_where_bone_lies_on_bone_the_femur_ends_at_the_tibia_and_not_at_an_edge_
     assert gap_mm[across_mm < -25.0] == pytest.approx(5.0, abs=1.5 * PITCH_MM)
 
 
+def test_the_tibia_begins_at_the_faint_outline_of_its_spine_and_not_at_the_sharper_edge_at_its_foot():
+    film = drawn_knee()
+    y, x = (np.mgrid[:500, :520] - [[[249.5]], [[259.5]]]) * 0.3
+    tip_mm = 8.0
+    film[(y < 2.5) & (y > 2.5 - tip_mm + np.abs(x))] = 0.42
+    outline = trace_outline(stretched(field_of(gaussian_filter(film, 1.0), middle_of(film, 0.3))))
+    across_mm = (outline.columns - joint_pixel()[1]) * PITCH_MM
+    rise_mm = np.median(outline.tibia[np.abs(across_mm) > 20.0]) - outline.tibia
+    flank = np.abs(across_mm) < tip_mm - 3.0
+    assert_allclose(rise_mm[flank] * PITCH_MM, tip_mm - np.abs(across_mm[flank]), atol=1.0)
+
+
 @pytest.mark.parametrize("step", [0.1, 0.15])
 def test_an_edge_of_fat_beyond_the_bone_is_no_side_of_it_though_it_is_sharper(step):
     film = gaussian_filter(drawn_knee(), 6.0)
