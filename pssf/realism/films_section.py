@@ -49,7 +49,7 @@ _CAPTIONS = {
     "transfer": "(b) Grades on real films, learnt from simulated ones, beside the same learnt from real ones by folds; "
     "way is the share of what lies between chance and these, where real films teach anything for sure.",
     "effects": "(c) Standardised differences between grades, real against simulated, over the features of a group: "
-    "correlation and share of equal signs; most is the correlation that so many films show at most.",
+    "correlation and share of equal signs; most is the correlation that so many films could show.",
     "tone": "(d) Tone, in the display's values: contrasts, and greys with soft tissue as 0 and the shaft's cortex as 1 "
     "where a film holds the shaft.",
     "fine": "(d) Texture at the film's own pitch, where that is 0.25 mm or less.",
