@@ -145,3 +145,29 @@ def test_a_worker_keeps_the_memory_of_arrays_for_those_that_come():
     told = subprocess.run([sys.executable, "-c", FAULTS], capture_output=True, text=True, check=True).stdout
     given_back, kept = map(int, told.split())
     assert given_back > 100 > 10 * kept
+
+
+THREADS = """
+import os
+from manifold3d import Manifold
+from pssf.anatomy.solids import hold_to_one_thread
+
+before = os.sched_getaffinity(0), len(os.listdir("/proc/self/task"))
+if {held}:
+    hold_to_one_thread()
+ball = Manifold.sphere(1.0, 1000)
+(ball ^ ball.translate((0.5, 0.1, 0.2))).volume()
+print(before[0] == os.sched_getaffinity(0), len(os.listdir("/proc/self/task")) - before[1])
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir() or parallel.cores() < 2, reason="threads are counted on Linux")
+def test_manifold3d_is_held_to_one_thread_and_the_process_keeps_its_cores():
+    def after(held):
+        run = subprocess.run(
+            [sys.executable, "-c", THREADS.format(held=held)], capture_output=True, text=True, check=True
+        )
+        return run.stdout.split()
+
+    assert after(True) == ["True", "0"]
+    assert int(after(False)[1]) > 0

@@ -1,6 +1,7 @@
 """What every worker process keeps to, of this machine or of a cluster."""
 
 import ctypes
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -46,3 +47,17 @@ def one_thread() -> Iterator[None]:
     # The order of a sum, hence its last bit, then does not hang on the machine either.
     with threadpool_limits(1):
         yield
+
+
+@contextmanager
+def one_core() -> Iterator[None]:
+    """What counts the cores meanwhile counts one, where the system lets a process choose among them."""
+    if not hasattr(os, "sched_getaffinity"):
+        yield
+        return
+    every = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(every)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, every)

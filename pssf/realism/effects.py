@@ -66,8 +66,8 @@ def _reliability(halves: Array) -> float:
     r = np.array([_alike(one, other)[0] for one, other in halves])
     if not np.isfinite(r).any():
         return np.nan
-    mean = float(np.nanmean(r))
-    return max(0.0, 2 * mean / (1 + mean))
+    mean = max(0.0, float(np.nanmean(r)))
+    return 2 * mean / (1 + mean)
 
 
 def _alike(real: Array, simulated: Array) -> tuple[float, float]:
