@@ -23,6 +23,7 @@ FOLDS = 5
 _FEWEST = 10  # of either kind; with fewer, nothing is said
 _STRENGTH = 0.1  # of the inverse penalty: some hundred features, some hundred films
 _LEADING = 8
+_NO_WAY: dict[str, float | None] = {"way": None, "way_low": None, "way_high": None}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,7 +80,8 @@ def told_apart(first: Films, second: Films, *, replicates: int, seed: int) -> li
         row |= {"first_films": len(first.features), "second_films": len(second.features)}
         if min(np.bincount(truth, minlength=2)) >= _FEWEST:
             value = by_folds(table[columns], truth, subjects, seed)
-            row |= _with_interval(truth, value, subjects, replicates, seed)
+            drawn = resampled_auc(truth, value, subjects, replicates=replicates, seed=seed)
+            row |= _with_interval(truth, value, drawn)
             row["leading"] = "; ".join(f"{name} {one:.2f}" for name, one in leading(table[columns], truth))
         rows.append(row)
     return rows
@@ -107,10 +109,12 @@ def transferred(
             carried = model(seed).fit(there.features[columns].to_numpy(), known)
             value = carried.predict_proba(here.features[columns].to_numpy())[:, 1]
             own = by_folds(here.features[columns], truth, here.subjects, seed)
-            row |= _with_interval(truth, value, here.subjects, replicates, seed)
-            by_real = _with_interval(truth, own, here.subjects, replicates, seed)
-            row |= {f"real_{name}": one for name, one in by_real.items()}
-            row |= _way(truth, (value, own), here.subjects, replicates, seed) if by_real["low"] > 0.5 else _NO_WAY
+            drawn, drawn_own = (
+                resampled_auc(truth, one, here.subjects, replicates=replicates, seed=seed) for one in (value, own)
+            )
+            by_simulated, by_real = _with_interval(truth, value, drawn), _with_interval(truth, own, drawn_own)
+            row |= by_simulated | {f"real_{name}": one for name, one in by_real.items()}
+            row |= _way(truth, (value, own), (drawn, drawn_own)) if by_real["low"] > 0.5 else _NO_WAY
         rows.append(row)
     return rows
 
@@ -156,23 +160,17 @@ def leading(features: pd.DataFrame, truth: NDArray[np.bool_]) -> list[tuple[str,
     return sorted(alone.items(), key=lambda item: (-item[1], item[0]))[:_LEADING]
 
 
-def _with_interval(
-    truth: NDArray[np.bool_], value: Array, subjects: NDArray[Any], replicates: int, seed: int
-) -> Mapping[str, float]:
-    low, high = percentiles(resampled_auc(truth, value, subjects, replicates=replicates, seed=seed))
+def _with_interval(truth: NDArray[np.bool_], value: Array, drawn: Array) -> dict[str, float]:
+    """An AUC, and its interval from those of subjects drawn again."""
+    low, high = percentiles(drawn)
     return {"auc": round(auc(truth, value), 4), "low": round(low, 4), "high": round(high, 4)}
 
 
-_NO_WAY: dict[str, float | None] = {"way": None, "way_low": None, "way_high": None}
-
-
-def _way(
-    truth: NDArray[np.bool_], values: tuple[Array, Array], subjects: NDArray[Any], replicates: int, seed: int
-) -> Mapping[str, float]:
-    """How far the first of two AUCs is from 0.5, over how far the second is."""
+def _way(truth: NDArray[np.bool_], values: tuple[Array, Array], drawn: tuple[Array, Array]) -> Mapping[str, float]:
+    """How far the first of two AUCs is from 0.5, over how far the second is; drawn are those of the same subjects."""
     whole = [auc(truth, value) - 0.5 for value in values]
-    drawn = [resampled_auc(truth, value, subjects, replicates=replicates, seed=seed) - 0.5 for value in values]
-    low, high = percentiles(drawn[0] / np.where(drawn[1] > 0, drawn[1], np.nan))
+    beyond = drawn[1] - 0.5
+    low, high = percentiles((drawn[0] - 0.5) / np.where(beyond > 0, beyond, np.nan))
     return {"way": round(whole[0] / whole[1], 3), "way_low": round(low, 3), "way_high": round(high, 3)}
 
 
