@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy import ndimage
 
 import pssf
 from pssf import InputError
@@ -42,6 +43,17 @@ def waves(amplitude, period_px):
 def test_a_pyramid_that_is_not_changed_gives_the_image_back(rows, cols, seed, mean, contrast):
     image = np.random.default_rng(seed).normal(mean, contrast, (rows, cols)).astype(np.float32)
     assert_allclose(join(*split(image)), image, atol=1e-5 * max(1.0, contrast))
+
+
+@given(st.integers(8, 90), st.integers(8, 90), st.integers(0, 5))
+def test_a_layer_is_the_binomial_convolved_and_every_second_pixel_of_it(rows, cols, seed):
+    image = np.random.default_rng(seed).normal(0, 1, (rows, cols)).astype(np.float32)
+    binomial = np.outer(*[np.array([1, 4, 6, 4, 1]) / 16] * 2)
+    details, coarser = split(image, 1)
+    assert_allclose(coarser, ndimage.convolve(image, binomial, mode="mirror")[::2, ::2], atol=1e-6)
+    apart = np.zeros_like(image)
+    apart[::2, ::2] = 4 * coarser
+    assert_allclose(details[0], image - ndimage.convolve(apart, binomial, mode="mirror"), atol=2e-6)
 
 
 def test_an_even_image_has_no_details():

@@ -68,8 +68,10 @@ def _centre(condyle: Condyle) -> Array:
 def _condyle_norm(offset: Array, condyle: Condyle) -> Array:
     """(n,)  1 on the condyle's surface; offsets (n, 3) from its centre"""
     along = offset[:, 1] / np.where(offset[:, 1] > 0, condyle.back, condyle.front)
-    sagittal = np.hypot(along, offset[:, 2] / np.where(offset[:, 2] > 0, condyle.up, condyle.down))
-    outward = offset[:, 0] * np.sign(condyle.x) > 0
+    beyond = offset[:, 0] * np.sign(condyle.x)
+    height = offset[:, 2] - condyle.rise * np.maximum(beyond, 0.0)
+    sagittal = np.hypot(along, height / np.where(height > 0, condyle.up, condyle.down))
+    outward = beyond > 0
     across = np.abs(offset[:, 0]) / np.where(outward, condyle.outer, condyle.inner)
     power = np.where(outward, condyle.outer_power, condyle.inner_power)
     return np.asarray((across**power + sagittal**power) ** (1 / power))

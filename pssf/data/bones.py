@@ -28,7 +28,8 @@ class Notch(Record, frozen=True):
 
 
 class Condyle(Record, frozen=True):
-    """Centre, lowest height, half extents, powers of the coronal outline (2 an ellipse, more is squarer)."""
+    """Centre, lowest height, half extents, powers of the coronal outline (2 an ellipse, more is squarer), and
+    how much it rises from its middle outwards, mm a mm."""
 
     x: float
     y: float
@@ -41,6 +42,7 @@ class Condyle(Record, frozen=True):
     inner: float
     outer_power: float
     inner_power: float
+    rise: float
 
 
 class Condyles(Record, frozen=True):

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, median_filter
 
 from ..core.checks import Array
+from ..core.compiled import kernel
 from .form import PITCH_MM, PLATEAU_MM, joint_pixel
 
 _BLUR_PX = 1.2
@@ -112,18 +113,24 @@ def cheapest_path(cost: Array, step: int) -> NDArray[np.int64]:
     cost  (rows, cols)  dimensionless
     step  rows that a path may move from one column to the next
     """
+    return _path(np.ascontiguousarray(cost, np.float64), _BEND * np.arange(step + 1.0) ** 1.5)
+
+
+@kernel
+def _path(cost: Array, price: Array) -> NDArray[np.int64]:
     rows, cols = cost.shape
-    moves = np.arange(-step, step + 1)
-    price = _BEND * np.abs(moves) ** 1.5
-    source = np.arange(rows) - moves[:, None]
-    outside = (source < 0) | (source >= rows)
-    source = source.clip(0, rows - 1)
-    total, origin = cost[:, 0], np.empty((cols, rows), np.int64)
+    step = len(price) - 1
+    origin = np.empty((cols, rows), np.int64)
+    total = cost[:, 0].copy()
     for at in range(1, cols):
-        ways = np.where(outside, np.inf, total[source] + price[:, None])
-        best = ways.argmin(axis=0)
-        origin[at] = source[best, np.arange(rows)]
-        total = ways[best, np.arange(rows)] + cost[:, at]
+        before = total.copy()
+        for row in range(rows):
+            least = np.inf
+            for source in range(min(row + step, rows - 1), max(row - step, 0) - 1, -1):
+                way = before[source] + price[abs(row - source)]
+                if way < least:
+                    least, origin[at, row] = way, source
+            total[row] = least + cost[row, at]
     path = np.empty(cols, np.int64)
     path[-1] = total.argmin()
     for at in range(cols - 1, 0, -1):
