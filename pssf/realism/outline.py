@@ -116,7 +116,7 @@ def cheapest_path(cost: Array, step: int) -> NDArray[np.int64]:
     return _path(np.ascontiguousarray(cost, np.float64), _BEND * np.arange(step + 1.0) ** 1.5)
 
 
-@kernel
+@kernel()
 def _path(cost: Array, price: Array) -> NDArray[np.int64]:
     rows, cols = cost.shape
     step = len(price) - 1
