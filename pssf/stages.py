@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from .core.checks import Array
 from .core.timer import Timer
 from .detector import blur
 from .detector.marker import lead_letter
@@ -22,7 +23,7 @@ from .geometry.view import View, spot_views
 from .model.protocol import Protocol
 from .raycast import trace_strips
 from .scatter.grid import grid_of, scatter_passing, transmit_through_grid
-from .scatter.kernel import exit_gap_mm, scatter_kev
+from .scatter.kernel import exit_gaps_mm, middle_gap_mm, scatter_kev
 from .scatter.monte_carlo import scatter_monte_carlo
 from .xray.primary import Signal, primary_of
 from .xray.spectrum import beam_of
@@ -72,7 +73,7 @@ class LatentImage:
 
     path_mm: Mapping[str, Any]
     scene: Scene | None = None
-    gap_mm: float | None = None
+    gaps_mm: Array | float | None = None
     primary: Signal | None = None
     scatter: Map | None = None
     signal: Map | None = None
@@ -81,11 +82,11 @@ class LatentImage:
     pixels: NDArray[np.uint16] | None = None
     frequencies: blur.Frequencies | None = None
 
-    def exit_gap_mm(self, view: View) -> float:
+    def exit_gaps_mm(self, view: View) -> Array | float:
         """From where rays leave the object to the detector plane: for the kernel of scatter, and for a grid."""
-        if self.gap_mm is None:
-            self.gap_mm = 0.0 if self.scene is None else exit_gap_mm(self.scene, view)
-        return self.gap_mm
+        if self.gaps_mm is None:
+            self.gaps_mm = 0.0 if self.scene is None else exit_gaps_mm(self.scene, view)
+        return self.gaps_mm
 
     @property
     def straight(self) -> Signal:
@@ -144,7 +145,7 @@ def sample_focal_spot(image: LatentImage, chain: Chain) -> None:
 def scatter_by_kernel(image: LatentImage, chain: Chain) -> None:
     """Scatter by the kernel fitted to the Monte Carlo."""
     image.scatter = scatter_kev(
-        image.straight.kev, image.path_mm, image.exit_gap_mm(chain.technique.view), chain.technique, chain.workers
+        image.straight.kev, image.path_mm, image.exit_gaps_mm(chain.technique.view), chain.technique, chain.workers
     )
 
 
@@ -170,8 +171,9 @@ def pass_grid(image: LatentImage, chain: Chain) -> None:
     passed = np.divide(after.kev, before.kev, out=np.zeros_like(after.kev), where=before.kev > 0)
     image.primary = Signal(primary.kev * passed, after.photon_kev)
     if image.scatter is not None:
+        gap_mm = middle_gap_mm(image.exit_gaps_mm(technique.view))
         image.scatter = image.scatter * np.float32(
-            scatter_passing(grid, beam_of(technique), image.exit_gap_mm(technique.view), technique.material("muscle"))
+            scatter_passing(grid, beam_of(technique), gap_mm, technique.material("muscle"))
         )
 
 

@@ -26,7 +26,7 @@ CSI = detectors()["csi"]
 
 
 def exposed(path_mm, protocol, gap_mm=0.0, seed=1, keep=()):
-    image = LatentImage(path_mm=path_mm, gap_mm=gap_mm)
+    image = LatentImage(path_mm=path_mm, gaps_mm=gap_mm)
     seconds = expose(image, Chain(technique=technique_of(protocol), seed=seed, keep=frozenset(keep)))
     return image.pixels, image.kept, seconds
 

@@ -18,7 +18,7 @@ from ..geometry.scene import Scene, Surface
 from ..model.knee import Knee
 from ..model.protocol import Protocol, load_protocol
 from ..raycast import trace
-from ..scatter.kernel import exit_gap_mm, scatter_kev
+from ..scatter.kernel import exit_gaps_mm, middle_gap_mm, scatter_kev
 from ..scatter.monte_carlo import Counts, count
 from ..xray.materials import material_of
 from ..xray.primary import transmit
@@ -47,17 +47,32 @@ CHECKED: tuple[Case, ...] = (
     ("bent knee", 75, 100, 30), ("bent knee", 80, 140, 60), ("limb", 60, 120, 20), ("limb", 60, 120, 110),
     ("limb", 65, 130, 90), ("limb", 70, 120, 150), ("limb", 75, 110, 100), ("limb", 80, 120, 140),
 )  # fmt: skip
+# The same of knees that rays meet from behind: upright, and as they lean under the protocols so called.
+FITTED_PA: tuple[Case, ...] = (
+    ("knee from behind", 60, 100, 80), ("knee from behind", 70, 120, 30), ("knee from behind", 70, 130, 150),
+    ("knee from behind", 80, 110, 60), ("fixed_flexion", 60, 100, 40), ("fixed_flexion", 60, 130, 60),
+    ("fixed_flexion", 65, 120, 150), ("fixed_flexion", 70, 110, 100), ("fixed_flexion", 70, 120, 25),
+    ("fixed_flexion", 80, 120, 40), ("fixed_flexion", 80, 140, 80), ("rosenberg", 60, 110, 80),
+    ("rosenberg", 70, 120, 25), ("rosenberg", 80, 130, 60), ("lyon_schuss", 70, 120, 30), ("lyon_schuss", 75, 100, 120),
+)  # fmt: skip
+CHECKED_PA: tuple[Case, ...] = (
+    ("knee from behind", 70, 110, 100), ("fixed_flexion", 65, 110, 30), ("fixed_flexion", 70, 130, 60),
+    ("fixed_flexion", 75, 120, 90), ("rosenberg", 65, 120, 50), ("lyon_schuss", 60, 130, 40),
+)  # fmt: skip
+_LEANING, SYMMETRIC = ("fixed_flexion", "rosenberg", "lyon_schuss"), ("limb", "slab")
 # The joint region, mm on the detector: rows, columns.
 _REGION_MM = (80.0, 60.0)
 CELL_MM = 9.6
 
 
 def scatter_rows(
-    photons: int = 8_000_000, workers: int = 2, cases: tuple[Case, ...] = (*FITTED, *CHECKED)
+    photons: int = 8_000_000,
+    workers: int = 2,
+    cases: tuple[Case, ...] = (*FITTED, *FITTED_PA, *CHECKED, *CHECKED_PA),
 ) -> list[Row]:
     """One row a case: scatter over the open beam in the joint region, by Monte Carlo and by kernel.
 
-    exit_gap_mm         what the kernel is given: see `scatter.kernel.exit_gap_mm`
+    exit_gap_mm         in the middle of what the kernel is given: see `scatter.kernel.middle_gap_mm`
     error_percent       of the Monte Carlo's mean over the region, one standard deviation
     difference_percent  of the kernel's mean over the region
     worst_percent       the kernel's largest difference within it, both smoothed by 10 mm
@@ -67,9 +82,9 @@ def scatter_rows(
     for case in cases:
         run = measured(case, known_tissues, photons, workers)
         opened = float(transmit({}, beam_of(run.technique), run.technique, workers).kev.max())
-        fast = block_mean(scatter_kev(run.primary, run.path_mm, run.gap_mm, run.technique), run.counts.step) / opened
+        fast = block_mean(scatter_kev(run.primary, run.path_mm, run.gaps_mm, run.technique), run.counts.step) / opened
         slow = run.counts.scatter_kev / run.counts.pixels / opened
-        known = {"used_to_fit": case in FITTED, "exit_gap_mm": round(run.gap_mm, 1)}
+        known = {"used_to_fit": case in (*FITTED, *FITTED_PA), "exit_gap_mm": round(middle_gap_mm(run.gaps_mm), 1)}
         rows.append({**known, **_compared(case, slow, fast)})
     return rows
 
@@ -79,7 +94,7 @@ class Run:
     """A case by Monte Carlo, and what the kernel starts from: primary (keV a pixel) and path lengths, (rows, cols)."""
 
     technique: Technique
-    gap_mm: float
+    gaps_mm: Array
     counts: Counts
     primary: NDArray[np.float32]
     path_mm: Mapping[str, NDArray[np.float32]]
@@ -94,7 +109,7 @@ def measured(case: Case, known: Mapping[str, Tissue], photons: int, workers: int
     technique, paths = technique_of(protocol), trace(scene, protocol, workers=workers).path_mm
     return Run(
         technique=technique,
-        gap_mm=exit_gap_mm(scene, technique.view),
+        gaps_mm=exit_gaps_mm(scene, technique.view),
         counts=count(scene, technique, photons=photons, seed=7, workers=workers, cell_mm=CELL_MM),
         primary=transmit(paths, beam_of(technique), technique, workers).kev,
         path_mm=paths,
@@ -122,21 +137,24 @@ def _compared(case: Case, slow: Array, fast: Array) -> Row:
 
 
 def case_of(case: Case, known: Mapping[str, Tissue]) -> tuple[Scene, Protocol]:
-    """The scene and protocol of a case: SDD 1150 mm, the field of `reference` in pixels of 1.2 mm.
+    """The scene and protocol of a case: as in `reference`, or in that which it is called by, in pixels of 1.2 mm.
 
     known  tissues by name
     """
     kind, kv, thick_mm, gap_mm = case
-    if kind in ("limb", "slab"):
+    protocol = load_protocol(kind if kind in _LEANING else "reference")
+    if kind == "knee from behind":
+        protocol = replace(protocol, projection="PA")
+    if kind in SYMMETRIC:
         scene = limb(thick_mm, known) if kind == "limb" else slab(thick_mm)
-    elif kind == "knee":
-        scene = build(Knee(limb_ap_mm=thick_mm)).scene
-    else:
+    elif kind == "bent knee":
         woman = Knee(sex="female", stature_mm=1620.0, side="left", fat_mm=16.0, limb_ap_mm=thick_mm)
         scene = build(replace(woman, flexion_deg=6.0, rotation_deg=5.0, varus_deg=-3.0)).scene
-    sod_mm = 1150.0 - gap_mm - float(scene.bounds_mm[1, 1])
-    coarse = replace(load_protocol("reference"), rows=256, cols=256, pixel_mm=1.2)
-    return scene, replace(coarse, tube_kv=float(kv), sod_mm=sod_mm)
+    else:
+        built = build(Knee(limb_ap_mm=thick_mm), protocol)
+        scene, protocol = built.scene, built.aimed(protocol)
+    coarse = replace(protocol, rows=256, cols=256, pixel_mm=1.2, tube_kv=float(kv))
+    return scene, replace(coarse, sod_mm=protocol.sdd_mm - gap_mm - float(scene.bounds_mm[1, 1]))
 
 
 def limb(thick_mm: float, known: Mapping[str, Tissue]) -> Scene:

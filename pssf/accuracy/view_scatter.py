@@ -9,7 +9,7 @@ from ..core.blocks import block_mean
 from ..geometry.view import view_of
 from ..model.knee import Knee
 from ..model.protocol import Protocol, load_protocol
-from ..scatter.kernel import exit_gap_mm
+from ..scatter.kernel import exit_gaps_mm, middle_gap_mm
 from ..simulation import simulate
 from .engines import Row
 
@@ -58,7 +58,7 @@ def _row(name: str, photons: int, workers: int) -> Row:
     limb = muscle > _LEAST_MM
     return {
         "view": name,
-        "exit_gap_mm": round(exit_gap_mm(built.scene, view_of(aimed)), 1),
+        "exit_gap_mm": round(middle_gap_mm(exit_gaps_mm(built.scene, view_of(aimed))), 1),
         "scatter_over_primary": round(float(other[region].sum() / primary[region].sum()), 2),
         "off_percent": round(100 * float(one[region].sum() / other[region].sum() - 1), 4),
         "off_signal_percent": round(100 * float((one - other)[region].sum() / (primary + other)[region].sum()), 4),

@@ -21,8 +21,16 @@ class Term(Record, frozen=True):
     depth_mm: float
 
 
+class TermSum(Record, frozen=True):
+    """What scatter is the sum of, where rays go one way through a knee."""
+
+    projection: str
+    inner_power: float
+    term: tuple[Term, ...]
+
+
 class ScatterKernel(Record, frozen=True):
-    """All of `data/scatter.toml`."""
+    """All of `data/scatter.toml`; sums by projection."""
 
     reference_g_per_cm2: float
     reference_log: float
@@ -30,8 +38,11 @@ class ScatterKernel(Record, frozen=True):
     tube_kv: Pair
     most_mass: float
     logs: Pair
-    inner_power: float
-    term: tuple[Term, ...]
+    sums: tuple[TermSum, ...]
+
+    def of(self, projection: str) -> TermSum:
+        """The sum of a projection; the first for those that none was fitted for."""
+        return next((one for one in self.sums if one.projection == projection), self.sums[0])
 
 
 @cache

@@ -7,12 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
+from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates
 
 from ..core.blocks import Rows, block_mean, enlarge
 from ..core.checks import Array
 from ..data.kernels import ScatterKernel
 from ..geometry.scene import Scene
 from ..geometry.view import View
+from ..model.protocol import Protocol
 from ..raycast.scanline import crossings
 from ..raycast.sheets import BAND_ROWS, sheet_of
 from ..xray.collimator import is_collimated, open_shares
@@ -22,22 +24,31 @@ from ..xray.technique import Technique
 _COARSE_MM = 9.6
 # Rays along a side of the field that look for the exit, and those of them in its middle.
 _LOOKS, _MIDDLE = 32, slice(12, 20)
+# Gaps are taken for the same, cell by cell, between whole ones so far apart at most.
+_GAP_STEP_MM = 20.0
+# How an object leans is told over so many mm (standard deviation).
+_LEANING_MM = 20.0
 # Behind metal hardly anything is left; its logarithm is kept finite.
 _LEAST = 1e-5
 
 
 def scatter_kev(
-    primary_kev: NDArray[np.float32], path_mm: Mapping[str, Rows], gap_mm: float, technique: Technique, workers: int = 2
+    primary_kev: NDArray[np.float32],
+    path_mm: Mapping[str, Rows],
+    gaps_mm: Array | float,
+    technique: Technique,
+    workers: int = 2,
 ) -> NDArray[np.float32]:
     """(rows, cols)  mean energy absorbed from scattered photons, keV a pixel
 
     A sum of terms, each in three steps: photons scatter in proportion to powers of the mass crossed and of the primary
     that is left; they spread within the object and are weakened by what lies where they leave; and they spread
-    on across the air gap. Form, constants, and how far they hold: `data/scatter.toml` (limbs of 100 to 140 mm, gaps of
-    20 to 210 mm); for other objects there is `monte_carlo.scatter_monte_carlo`.
+    on across the air gap, each as far as it is there. Where an object leans, what counts is its thickness, not the way
+    along the rays. Form, constants, and how far they hold: `data/scatter.toml` (limbs of 100 to 140 mm, gaps of 20 to
+    210 mm); for other objects there is `monte_carlo.scatter_monte_carlo`.
     primary_kev  (rows, cols)
     path_mm      material -> (rows, cols)
-    gap_mm       from where the object ends, in the middle of the field, to the detector plane: see `exit_gap_mm`
+    gaps_mm      (32, 32)  from where the object ends to the detector plane: of `exit_gaps_mm`, or one for all
     workers      threads; the result does not depend on them
     """
     opened, mass, passed, step = coarse(primary_kev, path_mm, technique, workers)
@@ -45,7 +56,8 @@ def scatter_kev(
     if most == 0 or not mass.any():
         return np.zeros(primary_kev.shape, np.float32)
     state = Crossed(opened=opened / most, mass=mass, passed=passed, cell_mm=step * technique.protocol.pixel_mm)
-    share = shares(state, gap_mm, technique.protocol.tube_kv, technique.kernel)
+    gaps = gaps_in_cells(gaps_mm, mass.shape, step, technique.view)
+    share = shares(state, gaps, technique.protocol, technique.kernel)
     return enlarge(np.maximum(share, 0) * most, step, primary_kev.shape)
 
 
@@ -70,15 +82,13 @@ def coarse(
     return opened, np.maximum(mass, 0), np.clip(passed, _LEAST, 1.0), step
 
 
-def exit_gap_mm(scene: Scene, view: View) -> float:
-    """From where rays leave the scene to the detector plane, mm.
+def exit_gaps_mm(scene: Scene, view: View) -> Array:
+    """(32, 32)  from where rays leave the scene to the detector plane, mm, over a square around the field
 
-    The mean over rays to the middle quarter, in width and in height, of a square around the field. Those that miss the
-    scene do not count; if all do, it is the gap behind the box around the scene.
+    Of a ray that misses the scene it is that of the nearest that meets it; if all do, the gap behind the box around it.
     raises  InputError for a scene whose meshes bound no solid
     """
-    side = max(view.rows, view.cols) * view.pixel_mm / _LOOKS
-    looks = replace(view, rows=_LOOKS, cols=_LOOKS, pixel_mm=side)
+    looks = replace(view, rows=_LOOKS, cols=_LOOKS, pixel_mm=_look_mm(view))
     last = np.zeros((_LOOKS, _LOOKS))
     for surface in scene.surfaces:
         sheet = sheet_of(surface.solid, looks) if surface.outside == scene.ambient else None
@@ -92,10 +102,38 @@ def exit_gap_mm(scene: Scene, view: View) -> float:
         depth[met] = crossed.depth[crossed.starts[1:][met] - 1]
         part = last[row : row + rows, col : col + cols]
         np.maximum(part, np.minimum(depth, 1.0).reshape(rows, cols), out=part)
-    middle = last[_MIDDLE, _MIDDLE]
-    if not middle.any():
-        return max(0.0, view.centre_mm[1] - float(scene.bounds_mm[1, 1]))
-    return float((1 - middle[middle > 0].mean()) * (view.centre_mm[1] - view.source_mm[1]))
+    if not last.any():
+        return np.full_like(last, max(0.0, view.centre_mm[1] - float(scene.bounds_mm[1, 1])))
+    nearest = distance_transform_edt(last == 0, return_distances=False, return_indices=True)
+    return np.asarray((1 - last[tuple(nearest)]) * (view.centre_mm[1] - view.source_mm[1]))
+
+
+def middle_gap_mm(gaps_mm: Array | float) -> float:
+    """Mean of gaps over the middle quarter in width and in height, mm; or the one for all.
+
+    gaps_mm  (32, 32)  of `exit_gaps_mm`
+    """
+    return float(np.mean(gaps_mm[_MIDDLE, _MIDDLE] if isinstance(gaps_mm, np.ndarray) else gaps_mm))
+
+
+def _look_mm(view: View) -> float:
+    return max(view.rows, view.cols) * view.pixel_mm / _LOOKS
+
+
+def gaps_in_cells(gaps_mm: Array | float, shape: tuple[int, ...], step: int, view: View) -> Array:
+    """Gaps in the cells of the kernel.
+
+    gaps_mm  (32, 32)  of `exit_gaps_mm`, or one for all
+    shape    (rows, cols) of the cells
+    step     pixels along the side of one
+    """
+    if not isinstance(gaps_mm, np.ndarray):
+        return np.full(shape, float(gaps_mm))
+    places = [
+        ((np.arange(cells) + 0.5) * step - pixels / 2) * view.pixel_mm / _look_mm(view) + (_LOOKS - 1) / 2
+        for cells, pixels in zip(shape, (view.rows, view.cols), strict=True)
+    ]
+    return np.asarray(map_coordinates(gaps_mm, np.meshgrid(*places, indexing="ij"), order=1, mode="nearest"))
 
 
 def _open_kev(shape: tuple[int, ...], step: int, technique: Technique) -> Array:
@@ -132,25 +170,48 @@ class Crossed:
     cell_mm: float
 
 
-def shares(crossed: Crossed, gap_mm: float, tube_kv: float, kernel: ScatterKernel) -> Array:
-    """(rows, cols)  scatter over the largest of the open beam"""
+def shares(crossed: Crossed, gaps_mm: Array, protocol: Protocol, kernel: ScatterKernel) -> Array:
+    """(rows, cols)  scatter over the largest of the open beam
+
+    gaps_mm   (rows, cols)  from where the object ends to the detector plane
+    protocol  whose tube voltage and projection count
+    """
     opened, passed, plane = crossed.opened, crossed.passed, _Plane(crossed.opened.shape, crossed.cell_mm)
     # Held at the ends of what was fitted: metal is not a limb, and powers of it would grow without bound.
-    mass = np.minimum(crossed.mass / kernel.reference_g_per_cm2, kernel.most_mass)
+    straight = crossed.mass * _cosines(gaps_mm, crossed.cell_mm) / kernel.reference_g_per_cm2
+    mass = np.minimum(straight, kernel.most_mass)
     weight = opened * mass**2
     thickness = float((weight * mass).sum() / weight.sum())
     logarithm = float((weight * np.log(passed)).sum() / weight.sum())
     logarithm = float(np.clip(logarithm, *kernel.logs)) - kernel.reference_log
-    kv = (float(np.clip(tube_kv, *kernel.tube_kv)) - kernel.reference_kv) / 10.0
-    depth = plane.spectrum(np.log(passed))
-    total = np.zeros_like(plane.spectrum(opened))
-    for term in kernel.term:
+    kv = (float(np.clip(protocol.tube_kv, *kernel.tube_kv)) - kernel.reference_kv) / 10.0
+    parts, depth, fitted = _by_gap(gaps_mm), plane.spectrum(np.log(passed)), kernel.of(protocol.projection)
+    total = np.zeros_like(depth)
+    for term in fitted.term:
         made = opened * mass**term.mass_power * passed**term.primary_power
-        leaving = plane.spread(plane.spectrum(made), term.inner_mm * thickness**kernel.inner_power)
+        leaving = plane.spread(plane.spectrum(made), term.inner_mm * thickness**fitted.inner_power)
         leaving *= np.exp(term.exit_power * plane.spread(depth, term.exit_mm))
         strength = np.exp(term.log_strength + term.per_10_kv * kv + term.per_log * logarithm)
-        total += strength * plane.spectrum(leaving) * plane.gaussian(term.slope * (gap_mm + term.depth_mm))
+        for gap_mm, share in parts:
+            sigma_mm = term.slope * (gap_mm + term.depth_mm)
+            total += strength * plane.spectrum(leaving * share) * plane.gaussian(sigma_mm)
     return plane.back(total)
+
+
+def _cosines(gaps_mm: Array, cell_mm: float) -> Array:
+    """(rows, cols)  of the angle by which an object leans along the beam, by where rays leave it."""
+    slope = gaussian_filter(gaps_mm, _LEANING_MM / cell_mm, order=(1, 0), mode="nearest") / cell_mm
+    return np.asarray(1 / np.hypot(1.0, slope))
+
+
+def _by_gap(gaps_mm: Array) -> list[tuple[float, Array]]:
+    """A few gaps between the least and the most, and how much of each cell (rows, cols) belongs to either beside it."""
+    least, most = float(gaps_mm.min()), float(gaps_mm.max())
+    count = int(np.ceil((most - least) / _GAP_STEP_MM)) + 1
+    if count == 1:
+        return [(least, np.ones_like(gaps_mm))]
+    gaps = np.linspace(least, most, count)
+    return [(float(gap), np.maximum(1 - np.abs(gaps_mm - gap) / (gaps[1] - gaps[0]), 0.0)) for gap in gaps]
 
 
 class _Plane:
