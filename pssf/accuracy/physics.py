@@ -9,11 +9,12 @@ from ..core.checks import Array
 from ..data.references import references
 from ..data.tissues import tissues
 from ..model.protocol import load_protocol
-from ..scatter.kernel import scatter_kev
+from ..scatter.kernel import exit_gaps_mm, scatter_kev
 from ..xray.materials import attenuation_per_mm, material_of
 from ..xray.primary import transmit
 from ..xray.spectrum import beam_for, tube_spectrum
 from ..xray.technique import technique_of
+from .scatter import limb
 
 Row = dict[str, Any]
 # Groups of quantities, and where their references come from.
@@ -58,15 +59,16 @@ def limb_signals(kv: float, thick_mm: float, gap_mm: float) -> tuple[float, floa
         load_protocol("reference"), tube_kv=kv, rows=300, cols=180, pixel_mm=1.0, sod_mm=1150.0 - gap_mm - thick_mm / 2
     )
     technique = technique_of(protocol)
-    limb = _ellipse_chords(0.6 * thick_mm, 0.5 * thick_mm, protocol.sod_mm)
+    whole = _ellipse_chords(0.6 * thick_mm, 0.5 * thick_mm, protocol.sod_mm)
     core = _ellipse_chords(0.36 * thick_mm, 0.225 * thick_mm, protocol.sod_mm)
-    soft = limb - core
+    soft = whole - core
     parts = {"muscle": 0.7 * soft, "adipose": 0.3 * soft, "cortical_bone": 0.17 * core, "marrow": 0.83 * core}
     paths = {name: np.tile(line.astype(np.float32), (300, 1)) for name, line in parts.items()}
     beam = beam_for(technique, {name: float(lengths.max()) for name, lengths in paths.items()})
     primary = transmit(paths, beam, technique).kev
     opened = transmit({}, beam, technique).kev[150, 90]
-    scattered = scatter_kev(primary, paths, gap_mm, technique)
+    gaps_mm = exit_gaps_mm(limb(thick_mm, technique.tissues), technique.view)
+    scattered = scatter_kev(primary, paths, gaps_mm, technique)
     return float(primary[150, 90] / opened), float(scattered[150, 90] / opened)
 
 
