@@ -40,6 +40,34 @@ def test_results_come_in_order_whatever_the_number_of_workers():
     assert sorted(arrived) == list(enumerate(found))
 
 
+def number_and_shared(item, **shared):
+    time.sleep(0.2)  # so that one process does not do both
+    return os.getpid(), shared
+
+
+def test_processes_stand_between_calls_and_each_gets_what_the_next_one_shares(tmp_path, monkeypatch):
+    first = ordered_map(number_and_shared, [1, 2], shared={"offset": 1}, workers=2)
+    second = ordered_map(number_and_shared, [1, 2], shared={"scale": np.arange(3)}, workers=2)
+    assert {number for number, _ in first} == {number for number, _ in second}
+    assert len({number for number, _ in first}) == 2
+    assert [shared for _, shared in first] == [{"offset": 1}] * 2
+    assert all(list(shared) == ["scale"] and list(shared["scale"]) == [0, 1, 2] for _, shared in second)
+    monkeypatch.chdir(tmp_path)
+    elsewhere = ordered_map(number_and_shared, [1, 2], shared={}, workers=2)
+    assert not {number for number, _ in first} & {number for number, _ in elsewhere}
+
+
+class FailsToArrive:
+    def __reduce__(self):
+        return divmod, (1, 0)
+
+
+def test_what_cannot_be_taken_up_is_an_error_and_the_next_call_works():
+    with pytest.raises(ZeroDivisionError):
+        ordered_map(double, range(4), shared={"offset": FailsToArrive()}, workers=2)
+    assert ordered_map(double, range(4), shared={"offset": 1}, workers=2) == [1, 3, 5, 7]
+
+
 def die_once(item, marker):
     if item == 3 and not marker.exists():
         marker.touch()

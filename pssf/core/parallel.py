@@ -1,14 +1,19 @@
 """Work on several processes, of this machine or of a cluster, whose results do not depend on how many there are."""
 
 import os
+import pickle
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from importlib.util import find_spec
 from multiprocessing import active_children, get_context, parent_process
+from multiprocessing.process import BaseProcess
+from multiprocessing.synchronize import Barrier
 from typing import Any, TypeVar
 
 from threadpoolctl import threadpool_limits
@@ -22,7 +27,9 @@ Result = TypeVar("Result")
 # How often in a row, without a result between, workers may be killed before the work is given up.
 _PATIENCE = 3
 
-_shared: dict[str, Any] = {}  # of a worker process: set once when it starts, read only afterwards
+# Of a worker process: what is shared by the items of one call, and where it waits until all processes have that.
+_shared: dict[str, Any] = {}
+_all_here: list[Barrier] = []
 
 
 def cores() -> int:
@@ -125,12 +132,12 @@ def _one_pool(
 ) -> None:
     """As far as a pool comes; raises BrokenProcessPool after all that its workers finished has arrived."""
     broken: BrokenProcessPool | None = None
-    others = set(active_children())
-    # spawn: a forked copy of a process that has threads (ITK, OpenMP) may hang.
-    pool = ProcessPoolExecutor(min(workers, len(items)), get_context("spawn"), _begin, (shared,))
+    others = set(active_children()) - _standing.children
     try:
-        with _deaf():
-            futures = {pool.submit(_call, function, item): index for index, item in items.items()}
+        pool = _pool(workers)
+        _give(shared, pool, workers)
+        _standing.children = set(active_children()) - others
+        futures = {pool.submit(_call, function, item): index for index, item in items.items()}
         for future in as_completed(futures):
             try:
                 result = future.result()
@@ -141,11 +148,53 @@ def _one_pool(
     except KeyboardInterrupt:
         for child in set(active_children()) - others:
             child.terminate()
+        _end_pool()
         raise
-    finally:
-        pool.shutdown(cancel_futures=True)
+    except BaseException:
+        _end_pool()
+        raise
     if broken is not None:
+        _end_pool()
         raise broken
+
+
+@dataclass
+class _Standing:
+    """The pool that stands between calls, since a process takes seconds to start and to load what it computes with."""
+
+    made_for: tuple[Any, ...] = ()
+    pool: ProcessPoolExecutor | None = None
+    children: set[BaseProcess] = field(default_factory=set)
+
+
+_standing = _Standing()
+
+
+def _pool(workers: int) -> ProcessPoolExecutor:
+    """The pool that stands, if a new one would be the same; else a new one."""
+    now = (workers, os.getcwd(), tuple(sys.path), tuple(sorted(os.environ.items())))
+    if _standing.pool is None or _standing.made_for != now:
+        _end_pool()
+        # spawn: a forked copy of a process that has threads (ITK, OpenMP) may hang.
+        context = get_context("spawn")
+        _standing.pool = ProcessPoolExecutor(workers, context, _begin, (context.Barrier(workers),))
+        _standing.made_for = now
+    return _standing.pool
+
+
+def _end_pool() -> None:
+    if _standing.pool is not None:
+        _standing.pool.shutdown(cancel_futures=True)
+    _standing.pool, _standing.children = None, set()
+
+
+def _give(shared: dict[str, Any], pool: ProcessPoolExecutor, workers: int) -> None:
+    """What is shared to every process once: none takes it twice, since each waits until all have it."""
+    packed = pickle.dumps(shared)
+    with _deaf():
+        taken = [pool.submit(_take, packed) for _ in range(workers)]
+    for one in taken:
+        one.result()
 
 
 @contextmanager
@@ -161,10 +210,18 @@ def _deaf() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _begin(shared: dict[str, Any]) -> None:
+def _begin(barrier: Barrier) -> None:
     keep_memory()
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    _shared.update(shared)
+    _all_here.append(barrier)
+
+
+def _take(packed: bytes) -> None:
+    _shared.clear()
+    try:
+        _shared.update(pickle.loads(packed))
+    finally:
+        _all_here[0].wait()
 
 
 def _end_with_parent() -> None:

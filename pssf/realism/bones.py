@@ -78,7 +78,9 @@ def built_bones(knee: Knee, tables: AnatomyTables) -> dict[str, Mesh]:
     }
 
 
-def drawn_bones(laws: DrawLaws, tables: AnatomyTables, count: int, seed: int) -> dict[str, list[Mesh]]:
+def drawn_bones(
+    laws: DrawLaws, tables: AnatomyTables, count: int, seed: int, workers: int = 1
+) -> dict[str, list[Mesh]]:
     """Bones of drawn knees, osteophytes aside; knee k is the same in any number.
 
     laws    that knees are drawn by; their grades take turns
@@ -86,7 +88,8 @@ def drawn_bones(laws: DrawLaws, tables: AnatomyTables, count: int, seed: int) ->
     raises  InputError for a count below 2
     """
     require_whole("knees", count, 2, 100_000, "")
-    knees = [built_bones(knee, tables) for knee in draw_knees(laws, count, seed, side="right")]
+    drawn = draw_knees(laws, count, seed, side="right")
+    knees = ordered_map(built_bones, drawn, shared={"tables": tables}, workers=workers)
     return {name: [knee[name] for knee in knees] for name in BONES}
 
 

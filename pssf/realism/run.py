@@ -184,7 +184,7 @@ def _bones(
     out: Path, given: bones.Bones, laws: DrawLaws, tables: AnatomyTables, knees: int, seed: int, execution: Execution
 ) -> Section:
     def make() -> tuple[tuple[list[Row], list[Row]], bytes]:
-        drawn = bones.drawn_bones(laws, tables, knees, seed)
+        drawn = bones.drawn_bones(laws, tables, knees, seed, execution.workers)
         built = bones.built_bones(Knee(), tables)
         compared = bones.compare(given, built, drawn, execution.workers)
         return (compared.rows, compared.forms), compared.figure
