@@ -477,5 +477,5 @@ def test_the_frozen_cohort_is_of_1000_people_at_two_tilts_and_three_doses_each_g
         f"fixed_flexion{tilt}{dose}" for tilt in ("", "_beam5") for dose in ("", "_dose50", "_dose25")
     ]
     assert [one.beam_angle_deg for one in taken] == [10.0] * 3 + [5.0] * 3
-    assert [one.mas for one in taken] == [10.0, 5.0, 2.5] * 2
+    assert [one.mas for one in taken] == [20.0, 10.0, 5.0] * 2
     assert len({exposure.seed for case in plan.cases for exposure in case.exposures}) == 6600
