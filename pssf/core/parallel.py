@@ -145,17 +145,14 @@ def _one_pool(
                 broken = error
             else:
                 arrived(futures[future], result)
-    except KeyboardInterrupt:
-        for child in set(active_children()) - others:
-            child.terminate()
+        if broken is not None:
+            raise broken
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt):
+            for child in set(active_children()) - others:
+                child.terminate()
         _end_pool()
         raise
-    except BaseException:
-        _end_pool()
-        raise
-    if broken is not None:
-        _end_pool()
-        raise broken
 
 
 @dataclass
