@@ -25,7 +25,7 @@ from .raycast import trace_strips
 from .scatter.grid import grid_of, scatter_passing, transmit_through_grid
 from .scatter.kernel import exit_gaps_mm, middle_gap_mm, scatter_kev
 from .scatter.monte_carlo import scatter_monte_carlo
-from .xray.primary import Signal, primary_of
+from .xray.primary import Signal, primary_of, primary_through
 from .xray.spectrum import beam_of
 from .xray.technique import Technique
 
@@ -64,6 +64,7 @@ class LatentImage:
     scene          that they are of; None for an open beam
     gap_mm         from the object's exit to the detector plane; of the scene, where it is asked for, if None
     primary        signal of the straight rays
+    behind_grid    of the same rays, where the protocol has a grid
     scatter        of the others
     signal         both, without noise
     noisy          with quantum noise
@@ -75,6 +76,7 @@ class LatentImage:
     scene: Scene | None = None
     gaps_mm: Array | float | None = None
     primary: Signal | None = None
+    behind_grid: Signal | None = None
     scatter: Map | None = None
     signal: Map | None = None
     noisy: Map | None = None
@@ -133,7 +135,12 @@ def load_spectrum(image: LatentImage, chain: Chain) -> None:
 
 def attenuate(image: LatentImage, chain: Chain) -> None:
     """Primary by Beer and Lambert, along the rays from the middle of the focal spot."""
-    image.primary = primary_of(image.path_mm, chain.technique, chain.workers)
+    technique = chain.technique
+    if technique.protocol.grid_ratio > 0:
+        through = partial(transmit_through_grid, grid_of(technique.protocol))
+        image.primary, image.behind_grid = primary_through(image.path_mm, technique, through, chain.workers)
+    else:
+        image.primary = primary_of(image.path_mm, technique, chain.workers)
 
 
 def sample_focal_spot(image: LatentImage, chain: Chain) -> None:
@@ -164,12 +171,14 @@ def scatter_by_photons(image: LatentImage, chain: Chain) -> None:
 def pass_grid(image: LatentImage, chain: Chain) -> None:
     """What of primary and scatter passes a grid; the primary by its energies in each pixel."""
     technique, primary, grid = chain.technique, image.straight, grid_of(chain.technique.protocol)
-    # Rays from the middle of the spot say what share passes; along them the primary is known unless it was sampled.
-    sampled = technique.protocol.focal_spot == "sampled"
-    before = primary_of(image.path_mm, technique, chain.workers) if sampled else primary
-    after = primary_of(image.path_mm, technique, chain.workers, through=partial(transmit_through_grid, grid))
-    passed = np.divide(after.kev, before.kev, out=np.zeros_like(after.kev), where=before.kev > 0)
-    image.primary = Signal(primary.kev * passed, after.photon_kev)
+    if image.behind_grid is not None:
+        image.primary, image.behind_grid = image.behind_grid, None
+    else:
+        # Rays from the middle of the spot say what share passes of those from all over it.
+        through = partial(transmit_through_grid, grid)
+        before, after = primary_through(image.path_mm, technique, through, chain.workers)
+        passed = np.divide(after.kev, before.kev, out=np.zeros_like(after.kev), where=before.kev > 0)
+        image.primary = Signal(primary.kev * passed, after.photon_kev)
     if image.scatter is not None:
         gap_mm = middle_gap_mm(image.exit_gaps_mm(technique.view))
         image.scatter = image.scatter * np.float32(

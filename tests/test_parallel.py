@@ -178,7 +178,7 @@ def test_a_worker_keeps_the_memory_of_arrays_for_those_that_come():
 THREADS = """
 import os
 from manifold3d import Manifold
-from pssf.anatomy.solids import hold_to_one_thread
+from pssf.core.workers import hold_to_one_thread
 
 before = os.sched_getaffinity(0), len(os.listdir("/proc/self/task"))
 if {held}:

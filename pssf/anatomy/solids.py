@@ -1,7 +1,6 @@
 """Building blocks of manifold3d: lofts of sections, hulls, height fields; each checked where it is made."""
 
 from collections.abc import Callable
-from functools import cache
 
 import manifold3d
 import numpy as np
@@ -10,12 +9,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from ..core.checks import Array, InputError
-from ..core.workers import one_core
 from ..data.records import Rows
 from ..geometry.mesh import Indices, Mesh
 
-# Sides of a ball that has enough triangles for several threads.
-_MANY = 400
 # Of the superellipse that a shaft's section is.
 SHAFT_POWER = 2.3
 # Of a triangle with 1, 2 or 3 edges halved: its pieces, by corner (0 to 2) and middle (3 to 5).
@@ -37,18 +33,6 @@ def checked(solid: Manifold, name: str) -> Manifold:
             f"solid {name}: status {status.name}, volume {solid.volume():.6g} mm3; allowed: NoError, above 0 mm3"
         )
     return solid
-
-
-@cache
-def hold_to_one_thread() -> None:
-    """Let manifold3d use one thread in this process, for good; once, before its first solid.
-
-    It has no switch, and counts the cores when it first works on many triangles. Processes that have a core each would
-    be in each other's way, for 3 % of their time.
-    """
-    with one_core():
-        ball = Manifold.sphere(1.0, _MANY)
-        checked(ball ^ ball.translate((0.5, 0.1, 0.2)), "two balls")
 
 
 def solid_of(vertices_mm: Array, faces: Indices, name: str) -> Manifold:

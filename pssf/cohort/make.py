@@ -5,13 +5,11 @@ import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
-from multiprocessing import parent_process
 from pathlib import Path
 from platform import node
 from typing import Any
 
 from ..anatomy import build
-from ..anatomy.solids import hold_to_one_thread
 from ..core.checks import InputError, require_choice, require_workers
 from ..core.parallel import cores, ordered_map, require_scheduler
 from ..data.code import code_digest, data_of_pixels, require_code
@@ -110,8 +108,6 @@ def make_case(case: Case, site: Site, engine: str, threads: int, masks: str = "n
         if here != site.versions[name]:
             raise InputError(f"on {node()}: {name} = {here}; allowed: {site.versions[name]}, as where the run started")
     require_code(site.code)
-    if threads == 1 and parent_process() is not None:
-        hold_to_one_thread()
     built, paths, rows = build(case.knee, case.exposures[0].protocol), None, []
     for exposure in case.exposures:
         if built.assembly.posture != exposure.protocol.posture:

@@ -5,12 +5,17 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from importlib.util import find_spec
+from multiprocessing import parent_process
 
+from manifold3d import Manifold
 from threadpoolctl import threadpool_limits
 
 # Of mallopt (malloc.h): up to so many bytes, free memory stays with the process and arrays are made in it.
 _TRIM_THRESHOLD, _MMAP_THRESHOLD, _LARGE = -1, -3, 2**30
+# Sides of a ball that has enough triangles for several threads.
+_MANY = 400
 
 
 class WorkersLostError(RuntimeError):
@@ -36,9 +41,23 @@ def one_blas_thread() -> Iterator[None]:
         yield
 
 
+@cache
+def hold_to_one_thread() -> None:
+    """Let manifold3d use one thread in this process, for good; once, before its first solid.
+
+    It has no switch, and counts the cores when it first works on many triangles. Processes that have a core each would
+    be in each other's way, for 3 % of their time.
+    """
+    with one_core():
+        ball = Manifold.sphere(1.0, _MANY)
+        (ball ^ ball.translate((0.5, 0.1, 0.2))).volume()
+
+
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """One thread for BLAS, OpenMP and SimpleITK, since there is a process for every core."""
+    """One thread for BLAS, OpenMP, SimpleITK and manifold3d, since there is a process for every core."""
+    if parent_process() is not None:
+        hold_to_one_thread()
     if find_spec("SimpleITK"):
         # As many threads as cores in every process would wait for each other.
         import SimpleITK as sitk  # noqa: N813

@@ -1,6 +1,6 @@
 """Beer-Lambert: what passes the scene and is absorbed in each pixel, over all energies at once."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -22,7 +22,7 @@ _RUN_COLS = 256
 
 
 class _Nodes(NamedTuple):
-    """Attenuation (materials, nodes), 1/mm, and what each node (nodes,) brings to the two sums in the open beam."""
+    """Attenuation (materials, nodes), 1/mm, and what each node brings to both sums (beams, nodes) in the open."""
 
     mu: Array
     signal: Array
@@ -63,12 +63,64 @@ def transmit(
     workers    threads; the result does not depend on them
     view       of a source that is not in the middle of the focal spot; that of the technique if None
     """
-    view = view or technique.view
-    mu = np.array([attenuation_per_mm(technique.material(name), beam.energies_kev) for name in path_mm])
-    mu = mu.reshape(-1, len(beam.energies_kev))
-    kev = np.empty((view.rows, view.cols), np.float32)
-    photon_kev = np.empty((view.rows, view.cols), np.float32)
-    nodes = _Nodes(mu, beam.photons_per_mm2 * beam.signal_kev, beam.photons_per_mm2 * beam.square_kev2)
+    return _transmit_beams(path_mm, (beam,), technique, workers, view)[0]
+
+
+def primary_of(
+    path_mm: Mapping[str, Any],
+    technique: Technique,
+    workers: int = 2,
+    view: View | None = None,
+) -> Signal:
+    """Primary signal behind path lengths (rows, cols), mm, heel effect and collimator included.
+
+    view  of a source that is not in the middle of the focal spot; that of the technique if None
+    """
+    return _primaries(path_mm, (beam_behind(path_mm, technique),), technique, workers, view)[0]
+
+
+def primary_through(
+    path_mm: Mapping[str, Any],
+    technique: Technique,
+    through: Callable[[Beam], Beam],
+    workers: int = 2,
+) -> tuple[Signal, Signal]:
+    """Primary signal before and behind what the beam passes after the limb, such as a grid.
+
+    Both sums are over the same exponentials, which are nearly all of the time.
+    """
+    beam = beam_behind(path_mm, technique)
+    before, behind = _primaries(path_mm, (beam, through(beam)), technique, workers)
+    return before, behind
+
+
+def beam_behind(path_mm: Mapping[str, Any], technique: Technique) -> Beam:
+    """The beam by energies enough for path lengths (rows, cols), mm."""
+    return beam_for(technique, {name: float(lengths.max()) for name, lengths in path_mm.items()})
+
+
+def _primaries(
+    path_mm: Mapping[str, Any], beams: Sequence[Beam], technique: Technique, workers: int, view: View | None = None
+) -> list[Signal]:
+    """Signals by beams of the same energies, heel effect and collimator included."""
+    signals = _transmit_beams(path_mm, beams, technique, workers, view)
+    for signal in signals:
+        if technique.protocol.heel != "none":
+            signal.kev[:] *= heel_factor(technique)[:, None].astype(np.float32)
+        if is_collimated(technique.protocol):
+            signal.kev[:] *= field_of_view(technique)
+    return signals
+
+
+def _transmit_beams(
+    path_mm: Mapping[str, Any], beams: Sequence[Beam], technique: Technique, workers: int, view: View | None
+) -> list[Signal]:
+    view, energies_kev = view or technique.view, beams[0].energies_kev
+    mu = np.array([attenuation_per_mm(technique.material(name), energies_kev) for name in path_mm])
+    mu = mu.reshape(-1, len(energies_kev))
+    kev, photon_kev = (np.empty((len(beams), view.rows, view.cols), np.float32) for _ in range(2))
+    brought = [[beam.photons_per_mm2 * each for each in (beam.signal_kev, beam.square_kev2)] for beam in beams]
+    nodes = _Nodes(mu, *(np.array(of_all) for of_all in zip(*brought, strict=True)))
     rays = _Rays(np.asarray(view.source_mm), np.asarray(view.corner_mm), view.pixel_mm)
 
     def band(start: int) -> None:
@@ -77,32 +129,11 @@ def transmit(
         stack = np.empty((len(path_mm), stop - start, view.cols), np.float32)
         for part, lengths in zip(stack, path_mm.values(), strict=True):
             part[:] = lengths[start:stop]
-        _transmit(stack, nodes, rays, start, kev[start:stop], photon_kev[start:stop])
+        _transmit(stack, nodes, rays, start, kev[:, start:stop], photon_kev[:, start:stop])
 
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(band, range(0, view.rows, _BAND_ROWS)))
-    return Signal(kev, photon_kev)
-
-
-def primary_of(
-    path_mm: Mapping[str, Any],
-    technique: Technique,
-    workers: int = 2,
-    view: View | None = None,
-    through: Callable[[Beam], Beam] | None = None,
-) -> Signal:
-    """Primary signal behind path lengths (rows, cols), mm, heel effect and collimator included.
-
-    view     of a source that is not in the middle of the focal spot; that of the technique if None
-    through  what the beam passes before the detector, such as a grid
-    """
-    beam = beam_for(technique, {name: float(lengths.max()) for name, lengths in path_mm.items()})
-    signal = transmit(path_mm, beam if through is None else through(beam), technique, workers, view)
-    if technique.protocol.heel != "none":
-        signal.kev[:] *= heel_factor(technique)[:, None].astype(np.float32)
-    if is_collimated(technique.protocol):
-        signal.kev[:] *= field_of_view(technique)
-    return signal
+    return [Signal(*both) for both in zip(kev, photon_kev, strict=True)]
 
 
 @kernel(fastmath={"contract"})
@@ -114,19 +145,19 @@ def _transmit(
     kev: NDArray[np.float32],
     photon_kev: NDArray[np.float32],
 ) -> None:
-    """Fill the rows of a band, whose first is `start`."""
-    mu, signal, square = nodes.mu, nodes.signal, nodes.square
-    materials, count = mu.shape
-    open_signal, open_square = 0.0, 0.0
-    for k in range(count):
-        open_signal += signal[k]
-        open_square += square[k]
+    """Fill the rows (beams, rows, cols) of a band, whose first is `start`."""
+    mu, (materials, count), beams = nodes.mu, nodes.mu.shape, len(nodes.signal)
+    passed, open_beams = np.empty(count), np.zeros((beams, 2))
+    for beam in range(beams):
+        for k in range(count):
+            open_beams[beam, 0] += nodes.signal[beam, k]
+            open_beams[beam, 1] += nodes.square[beam, k]
     depth = rays.corner[1] - rays.source[1]
     exponents, areas = np.empty((count, _RUN_COLS)), np.empty(_RUN_COLS)
-    for row in range(kev.shape[0]):
+    for row in range(kev.shape[1]):
         dz = rays.corner[2] - (start + row) * rays.pixel_mm - rays.source[2]
-        for left in range(0, kev.shape[1], _RUN_COLS):
-            width = min(_RUN_COLS, kev.shape[1] - left)
+        for left in range(0, kev.shape[2], _RUN_COLS):
+            width = min(_RUN_COLS, kev.shape[2] - left)
             exponents[:] = 0.0
             for m in range(materials):
                 lengths = stack[m, row, left : left + width]
@@ -139,12 +170,16 @@ def _transmit(
                 # Inverse square from 1 m, and the pixel seen at a slant.
                 areas[n] = rays.pixel_mm * rays.pixel_mm * 1e6 / distance2 * depth / np.sqrt(distance2)
             for n in range(width):
-                first, second = open_signal, open_square
-                if exponents[0, n] != 0.0:
-                    first, second = 0.0, 0.0
+                limb = exponents[0, n] != 0.0
+                if limb:
                     for k in range(count):
-                        passed = np.exp(exponents[k, n])
-                        first += signal[k] * passed
-                        second += square[k] * passed
-                kev[row, left + n] = first * areas[n]
-                photon_kev[row, left + n] = second / first if first > 0.0 else 0.0
+                        passed[k] = np.exp(exponents[k, n])
+                for beam in range(beams):
+                    first, second = open_beams[beam]
+                    if limb:
+                        first, second = 0.0, 0.0
+                        for k in range(count):
+                            first += nodes.signal[beam, k] * passed[k]
+                            second += nodes.square[beam, k] * passed[k]
+                    kev[beam, row, left + n] = first * areas[n]
+                    photon_kev[beam, row, left + n] = second / first if first > 0.0 else 0.0
