@@ -41,7 +41,7 @@ FLAT = dict(
     scar_bvtv=0.0,
 )
 NO_STRUTS = dict(gain=0.0, gain_shaft=0.0)
-EVEN = dict(FLAT, gain=1.0, gain_shaft=1.0, sway_mm=0.0)
+EVEN = dict(FLAT, gain=1.0, gain_load=0.0, gain_shaft=1.0, sway_mm=0.0)
 
 
 def bone(name: str = "tibia", **changed) -> Trabeculae:

@@ -52,6 +52,7 @@ class Region(NamedTuple):
     rim_mm: float
     rim_per_mm: float
     gain: float
+    gain_load: float
     gain_shaft: float
     scar_x: float
     scar_y: float

@@ -86,7 +86,8 @@ def fill_nodes(lanes: Array, region: Region, struts: Struts) -> None:
         medial = x / math.sqrt(x * x + region.middle_mm * region.middle_mm)
         side = (abs(u) - region.column_mm) * region.column_per_mm
         mean = region.shaft + (region.bvtv - region.shaft) * fade
-        mean *= (1.0 + region.medial * medial) * (1.0 + region.load * (1.0 - side * side) / (1.0 + side * side))
+        column = (1.0 - side * side) / (1.0 + side * side)
+        mean *= (1.0 + region.medial * medial) * (1.0 + region.load * column)
         mean /= 1.0 + (max(abs(x) - region.margin_mm, 0.0) * region.margin_per_mm) ** 2
         surface = 0.0
         for dip in region.dips:
@@ -99,7 +100,7 @@ def fill_nodes(lanes: Array, region: Region, struts: Struts) -> None:
         rise = region.plate * (1.0 + region.plate_medial * medial)
         rise *= 1.0 - region.between * _bell((x - region.between_mm) * region.between_per_mm)
         plate = rise * _step(depth * region.plate_per_mm)
-        swing = mean * (region.gain_shaft + (region.gain - region.gain_shaft) * fade)
+        swing = mean * (region.gain_shaft + (region.gain - region.gain_shaft) * fade) * (1.0 + region.gain_load * column)
         swing *= (1.0 + region.plate_struts * plate * fade) * (
             1.0 + region.struts * _bell(depth * region.struts_per_mm)
         )

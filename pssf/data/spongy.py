@@ -128,6 +128,7 @@ class SpongyBone(Record, frozen=True):
     rim_mm: float
     rim_half_mm: float
     gain: float
+    gain_load: float
     gain_shaft: float
     scar_mm: Pair
     scar_slope: float
