@@ -166,8 +166,8 @@ _NOISY = pytest.mark.xfail(
 )
 def test_a_drawn_knee_of_grade_0_has_texture_like_a_real_one(drawn_texture, quantity):
     row = drawn_texture[quantity]
-    # The mean lies within the band, which chance, 1.6 of its standard error, may carry it beyond. Six knees are too few:
-    # their SD over mean is .027, that of 96 is .031.
+    # The mean lies within the band, which chance, 1.6 of its standard error, may carry it beyond. Six knees would be
+    # too few: their SD over mean is .027, that of 96 is .031.
     chance = 1.6 * (row["p90"] - row["p10"]) / 2.56 / np.sqrt(row["knees"])
     assert row["real_low"] - chance <= row["mean"] <= row["real_high"] + chance
 

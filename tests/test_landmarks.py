@@ -116,12 +116,13 @@ def test_points_lie_at_their_shares_of_the_way_to_the_spine():
     assert_allclose(x["tibia_lateral_2"], -38 + 0.709 * 30, atol=0.1)
 
 
-def test_the_notch_is_taken_three_eighths_of_the_way_up():
+def test_the_notch_is_taken_at_its_side_s_share_of_the_way_up():
     femur, tibia = dished(2.0)
     spots = contour_landmarks(femur, tibia, FAR, 1)
     low = envelope(project(femur.vertices, FAR), edges_of(femur.faces), 130, 70, 1.0).max()
     top = spots["notch_top"][0]
-    assert_allclose(spots["femur_lateral_notch"][0], low + 0.375 * (top - low), atol=0.3)
+    for side, share in (("lateral", 0.355), ("medial", 0.404)):
+        assert_allclose(spots[f"femur_{side}_notch"][0], low + share * (top - low), atol=0.3)
     half_way = (spots["femur_lateral_edge"][1] + spots["femur_lateral_notch"][1]) / 2
     assert_allclose(spots["femur_lateral_condyle"][1], half_way, atol=0.06)
 

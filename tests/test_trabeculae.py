@@ -260,7 +260,10 @@ def test_bone_is_denser_at_the_plate_and_medially_and_fades_down_the_shaft():
     deep = [(x + 23, z, 22.5) for z in np.arange(-22, -6, 3)]
     medial, lateral, metaphysis = np.split(usual_bvtv(*sides, *deep), (3, 6))
     assert medial[0] > 1.15 * medial[1] > 1.15 * medial[2]
-    assert all(m > 1.1 * other for m, other in zip(medial, lateral, strict=True))
+    # Medial over lateral over the first 6 mm (J Orthop Res 2003 21:6); deeper, people's tibiae are no darker laterally on
+    # films (trabeculae.toml), and there the order alone is held.
+    assert medial[0] > 1.1 * lateral[0]
+    assert all(m > other for m, other in zip(medial, lateral, strict=True))
     assert 0.18 < medial[0] < 0.37
     assert 0.08 < medial[2] < 0.22
     assert bvtv(bone(), x, -120.0) < 0.05
@@ -313,8 +316,8 @@ def test_age_and_sex_take_bone_away():
     young, old = (bvtv(bone(age_years=age), x, -15.0) for age in (20.0, 90.0))
     assert_allclose(old / young, 1 - 0.265, atol=0.02)  # Khosla et al. 2006
     assert_allclose(bvtv(bone(sex="female"), x, -15.0) / bvtv(bone(), x, -15.0), 0.89, atol=1e-9)
-    swing = [bone(sex="female", age_years=age).region.gain for age in (20.0, 90.0)]
-    assert 0.8 < swing[0] < swing[1] <= 1.0
+    swing = [bone(sex="female", age_years=age).region.gain / bone().region.gain for age in (20.0, 90.0)]
+    assert_allclose(swing, (1 - 35 * 0.0015, 1 + 35 * 0.0015))
 
 
 def test_a_person_of_denser_bone_has_so_much_more_of_it_everywhere():

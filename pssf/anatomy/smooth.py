@@ -68,6 +68,16 @@ def _aside(across: float, up: float, region: Region) -> float:
 
 
 @callee()
+def _below_joint(x: float, y: float, z: float, region: Region) -> float:
+    """How far within the bone a place is from its nominal joint surface, mm; negative outside."""
+    surface = 0.0
+    for dip in region.dips:
+        surface += dip[2] * _bell((x - dip[0]) * dip[1])
+    high, deep = min(z - surface - region.joint[1], region.below), y - region.joint[0]
+    return region.joint[2] - math.sqrt(deep * deep + high * high)
+
+
+@callee()
 def fill_nodes(lanes: Array, region: Region, struts: Struts) -> None:
     """Fill in the far ends of pieces.
 
@@ -89,21 +99,16 @@ def fill_nodes(lanes: Array, region: Region, struts: Struts) -> None:
         column = (1.0 - side * side) / (1.0 + side * side)
         mean *= (1.0 + region.medial * medial) * (1.0 + region.load * column)
         mean /= 1.0 + (max(abs(x) - region.margin_mm, 0.0) * region.margin_per_mm) ** 2
-        surface = 0.0
-        for dip in region.dips:
-            surface += dip[2] * _bell((x - dip[0]) * dip[1])
-        high, deep = min(z - surface - region.joint[1], region.below), y - region.joint[0]
-        below = region.joint[2] - math.sqrt(deep * deep + high * high)
+        below = _below_joint(x, y, z, region)
         depth = max(below, 0.0)
         mean *= _left_in_rim(x, below, region)
         hard = region.hard_medial * (0.5 + 0.5 * medial) + region.hard_lateral * (0.5 - 0.5 * medial)
         rise = region.plate * (1.0 + region.plate_medial * medial)
         rise *= 1.0 - region.between * _bell((x - region.between_mm) * region.between_per_mm)
         plate = rise * _step(depth * region.plate_per_mm)
-        swing = mean * (region.gain_shaft + (region.gain - region.gain_shaft) * fade) * (1.0 + region.gain_load * column)
-        swing *= (1.0 + region.plate_struts * plate * fade) * (
-            1.0 + region.struts * _bell(depth * region.struts_per_mm)
-        )
+        swing = mean * (region.gain_shaft + (region.gain - region.gain_shaft) * fade)
+        swing *= (1.0 + region.plate_struts * plate * fade) * (1.0 + region.gain_load * column)
+        swing *= 1.0 + region.struts * _bell(depth * region.struts_per_mm)
         mean *= 1.0 + (plate + hard * _bell(depth * region.hard_per_mm)) * fade
         swing = min(swing, mean)
         across = (u * region.scale + _aside(u, true_z, region)) / region.squat
