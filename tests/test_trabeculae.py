@@ -260,8 +260,8 @@ def test_bone_is_denser_at_the_plate_and_medially_and_fades_down_the_shaft():
     deep = [(x + 23, z, 22.5) for z in np.arange(-22, -6, 3)]
     medial, lateral, metaphysis = np.split(usual_bvtv(*sides, *deep), (3, 6))
     assert medial[0] > 1.15 * medial[1] > 1.15 * medial[2]
-    # Medial over lateral over the first 6 mm (J Orthop Res 2003 21:6); deeper, people's tibiae are no darker laterally on
-    # films (trabeculae.toml), and there the order alone is held.
+    # Medial over lateral over the first 6 mm (J Orthop Res 2003 21:6); deeper, people's tibiae are no darker laterally
+    # on films (trabeculae.toml), and there the order alone is held.
     assert medial[0] > 1.1 * lateral[0]
     assert all(m > other for m, other in zip(medial, lateral, strict=True))
     assert 0.18 < medial[0] < 0.37
