@@ -13,9 +13,9 @@ from pssf.data.progress import progress_law
 from pssf.model.knee import knee_table
 
 GROWS = {"jsw_medial_mm": -1, "jsw_lateral_mm": -1, "subchondral_plate": 1, "age_years": 1, "osteophyte_count": 1,
-         "largest_osteophyte_mm": 1, "grade": 1}  # fmt: skip
-CHANGED = {"jsw_medial_mm", "jsw_lateral_mm", "subchondral_plate", "age_years", "varus_deg", "osteophytes", "grade",
-           "grade_read"}  # fmt: skip
+         "largest_osteophyte_mm": 1, "notch_growth_mm": 1, "effusion_mm": 1, "grade": 1}  # fmt: skip
+CHANGED = {"jsw_medial_mm", "jsw_lateral_mm", "subchondral_plate", "age_years", "varus_deg", "osteophytes",
+           "notch_growth_mm", "effusion_mm", "grade", "grade_read"}  # fmt: skip
 
 
 def drawn(grade, seed, table="people"):
@@ -64,6 +64,16 @@ def test_the_grade_steps_up_where_the_change_crosses_what_makes_one():
         assert later.grade == 2 + (lost >= 0.23) + (lost >= 0.6)
         assert later.grade_read == later.grade - 1
     assert len({later.grade for later in visits}) > 1
+
+
+@pytest.mark.parametrize("grade", range(5))
+def test_notch_and_swelling_grow_by_the_law_of_the_grade(grade):
+    law, count = progress_law(), 400
+    later = [pssf.progress(Knee(grade=grade), 1.0, np.random.default_rng(seed)) for seed in range(count)]
+    for name, (mean, sd) in (("notch_growth_mm", law.notch_mm[grade]), ("effusion_mm", law.swelling_mm[grade])):
+        assert abs(np.mean([getattr(one, name) for one in later]) - mean) < 4 * sd / np.sqrt(count)
+    held = pssf.progress(dataclasses.replace(Knee(grade=grade), effusion_mm=9.5), 20.0, np.random.default_rng(0))
+    assert held.effusion_mm == 9.5
 
 
 def test_a_side_that_falls_in_leans_the_leg_to_it():

@@ -17,7 +17,8 @@ class Step(Record, frozen=True):
 
 
 class Progress(Record, frozen=True):
-    """Of a year: laws by grade, mean and deviation, of loss, growth and plate; what they are shared and bounded by."""
+    """Of a year: laws by grade, mean and deviation, of loss, growth, plate, notch and swelling; what they are
+    shared and bounded by."""
 
     loss_mm: Laws
     other: float
@@ -31,6 +32,10 @@ class Progress(Record, frozen=True):
     least_mm: float
     plate: Laws
     most_plate: float
+    notch_mm: Laws
+    most_notch_mm: float
+    swelling_mm: Laws
+    most_swelling_mm: float
     step: Step
 
 

@@ -16,11 +16,13 @@ _SIDES = ("medial", "lateral")
 _MARGINS = ("medial_tibia", "medial_femur", "lateral_tibia", "lateral_femur")
 _MOST_GRADE, _MOST_YEARS = 4, 40
 # Fields whose change is a number.
-_CHANGED = ("jsw_medial_mm", "jsw_lateral_mm", "subchondral_plate", "varus_deg", "age_years")
+_CHANGED = (
+    "jsw_medial_mm", "jsw_lateral_mm", "subchondral_plate", "varus_deg", "notch_growth_mm", "effusion_mm", "age_years",
+)  # fmt: skip
 
 
 def progress(knee: Knee, years: float, rng: np.random.Generator) -> Knee:
-    """The same person's knee after some years: older, its spaces no wider, osteophytes and plate no smaller.
+    """The same person's knee after some years: older, its spaces no wider, what has grown or swollen no smaller.
 
     Shape, size, posture, limb, cysts and the seed of its texture are kept. Its rates are drawn before the years are
     looked at: with generators of one seed a knee has one course, of which each time is a visit.
@@ -48,7 +50,9 @@ def progress(knee: Knee, years: float, rng: np.random.Generator) -> Knee:
         knee,
         **spaces,
         osteophytes=_grown(knee, years, course, law),
-        subchondral_plate=round(max(knee.subchondral_plate, min(law.most_plate, _plate(knee, years, course))), 4),
+        subchondral_plate=_risen(knee.subchondral_plate, years * course.plate, law.most_plate),
+        notch_growth_mm=_risen(knee.notch_growth_mm, years * course.notch_mm, law.most_notch_mm),
+        effusion_mm=_risen(knee.effusion_mm, years * course.swelling_mm, law.most_swelling_mm),
         varus_deg=_held(varus_deg, of_varus),
         age_years=round(knee.age_years + years, 4),
     )
@@ -60,8 +64,8 @@ def progress(knee: Knee, years: float, rng: np.random.Generator) -> Knee:
 
 
 def true_change(before: Knee, after: Knee) -> dict[str, float]:
-    """Field -> by how much it has grown (less than 0: shrunk), of spaces, plate, varus and age; the largest osteophyte
-    and how many there are; and the KL grade, where both have one.
+    """Field -> by how much it has grown (less than 0: shrunk), of spaces, plate, varus, growth into the notch, effusion
+    and age; the largest osteophyte and how many there are; and the KL grade, where both have one.
     """
     change = {name: round(getattr(after, name) - getattr(before, name), 4) for name in _CHANGED}
     sizes = [[one.size_mm for one in knee.osteophytes] for knee in (before, after)]
@@ -74,7 +78,8 @@ def true_change(before: Knee, after: Knee) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class _Course:
-    """Of a year: loss of the side that narrows, growth and thickening; of each osteophyte a factor of the growth.
+    """Of a year: loss of the side that narrows, growth, thickening, and growth into the notch and swelling; of each
+    osteophyte a factor of the growth.
 
     arises_years  (4,)  when an osteophyte comes up at each margin that has none
     factors       (osteophytes + 4,)  those that there are, then the margins'
@@ -86,6 +91,8 @@ class _Course:
     plate: float
     arises_years: Array
     factors: Array
+    notch_mm: float
+    swelling_mm: float
 
 
 def _draw_course(law: Progress, knee: Knee, grade: int, lost: dict[str, float], rng: np.random.Generator) -> _Course:
@@ -100,6 +107,8 @@ def _draw_course(law: Progress, knee: Knee, grade: int, lost: dict[str, float], 
         plate=plate,
         arises_years=rng.exponential(1 / law.new_a_year[grade], len(_MARGINS)),
         factors=rng.uniform(*law.of_each, len(knee.osteophytes) + len(_MARGINS)),
+        notch_mm=_gamma(law.notch_mm[grade], rng),
+        swelling_mm=_gamma(law.swelling_mm[grade], rng),
     )
 
 
@@ -122,8 +131,9 @@ def _grown(knee: Knee, years: float, course: _Course, law: Progress) -> tuple[Os
     return tuple(grown)
 
 
-def _plate(knee: Knee, years: float, course: _Course) -> float:
-    return knee.subchondral_plate + years * course.plate
+def _risen(value: float, rise: float, most: float) -> float:
+    """No higher than `most`, unless it was."""
+    return round(max(value, min(most, value + rise)), 4)
 
 
 def _stage(knee: Knee, step: Step, cuts: OarsiCuts) -> int:
