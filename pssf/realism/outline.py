@@ -32,6 +32,9 @@ _BEYOND_MM, _BEYOND = 8.0, 0.3
 _REACH_MM = 36.0  # of the joint's contours to either side of its middle
 _SIDES_MM = (3.0, 24.0)  # heights below (tibia) and above (femur) the joint line at which the bones' sides are sought
 _MISSED_MM = 16.0
+# No eminence stands so far above the middle of the joint: medial spines are .143 (.016) of the plateau's width above
+# its edges (Tiulpin et al. 2019), which lie some 3 mm below that middle. So much does a millimetre more cost.
+_TALLEST_MM, _TOO_TALL = 12.0, 0.6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,7 +71,8 @@ def trace_outline(film: Array, plateau_mm: float = PLATEAU_MM) -> Outline:
     rows, x_mm = np.arange(len(film))[:, None], np.abs(columns - col) * PITCH_MM
     # Downwards: darker where the femur ends, brighter at the tibia; neither is sought far from the joint line.
     away = (rows - row) * PITCH_MM / _MISSED_MM
-    brighter = -0.6 * np.clip(rise, 0, _STEEPEST)[:, columns] + 0.15 * away**2
+    too_tall = _TOO_TALL * np.maximum((row - rows) * PITCH_MM - _TALLEST_MM, 0.0)
+    brighter = -0.6 * np.clip(rise, 0, _STEEPEST)[:, columns] + 0.15 * away**2 + too_tall
     darker = -0.6 * np.clip(-rise, 0, _STEEPEST)[:, columns] + 0.1 * (away + 0.5) ** 2
     tibia = cheapest_path(brighter, _JOINT_STEPS - 1)
     femur = cheapest_path(darker + _bone_between(tone[:, columns], tibia, x_mm), _JOINT_STEPS)
