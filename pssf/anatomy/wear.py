@@ -14,8 +14,8 @@ from .solids import mesh_of
 
 # Between worn bones, which touch in people.
 _CONTACT_MM = 0.02
-# So deep a plateau or a spine may be worn (OARSI's atlas has no number; judgement): a tall spine with a spike stands 6 mm
-# in the wall of a narrow notch, as bones have it whose shape is 3 deviations off in every mode.
+# So deep a plateau or a spine may be worn (OARSI's atlas has no number; judgement): a tall spine with a spike stands
+# 6 mm in the wall of a narrow notch, as bones have it whose shape is 3 deviations off in every mode.
 MOST_MM = 7.0
 # What is shared by so little is rounding.
 _NOTHING_MM3 = 1e-6
