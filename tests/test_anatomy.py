@@ -13,6 +13,7 @@ from pssf.accuracy import morphometry
 from pssf.anatomy import bones, cartilage, implicit, remesh
 from pssf.anatomy.bone_build import build_of, formed
 from pssf.anatomy.femur import mean_femur
+from pssf.anatomy.joint import defining_protocol
 from pssf.anatomy.solids import (
     checked,
     closed_edges,
@@ -70,6 +71,27 @@ def test_knees_at_the_corners_of_their_ranges_build(corner):
         osteophytes=tuple(pssf.Osteophyte(site=site, size_mm=3.0) for site in SITES),
     )  # fmt: skip
     assert_allclose(pssf.build(knee).measured_jsw_mm(REFERENCE), [2.5, 5.5], atol=0.01)
+
+
+def test_spaces_are_met_where_each_levelling_of_the_joint_moves_the_landmarks_that_it_goes_by():
+    shape = (-0.5514, 1.7933, 0.8158, -0.8964, 1.297, -0.7099, -1.356, -1.4932, 0.8587, 0.9509, -0.5973, 1.4226, 1.1711)
+    knee = pssf.Knee(
+        side="right", sex="female", stature_mm=1554.93, jsw_medial_mm=3.1801, jsw_lateral_mm=5.2881, jsw_as="read",
+        shape=shape, bone_scale=1.01, varus_deg=1.1735, flexion_deg=1.4828, rotation_deg=1.9911, lean_deg=4.4212,
+        tibial_slope_deg=4.6709, notch_growth_mm=0.4442,
+    )  # fmt: skip
+    by = defining_protocol(knee)
+    assert_allclose(pssf.build(knee, by).measured_jsw_mm(by), [3.1801, 5.2881], atol=1e-3)
+
+
+def test_a_spiked_spine_in_the_wall_of_a_narrow_notch_is_worn_off():
+    shape = (3.0, -3.0, -3.0, -3.0, 3.0, 3.0, -3.0, 3.0, 3.0, -3.0, -3.0, 3.0, -3.0)
+    knee = pssf.Knee(
+        side="right", sex="female", stature_mm=1949.0, jsw_medial_mm=5.472, jsw_lateral_mm=4.555, shape=shape,
+        osteophytes=(pssf.Osteophyte(site="medial_spine", size_mm=2.9),), bone_scale=1.095, varus_deg=4.43,
+        flexion_deg=2.04, rotation_deg=-1.91, lean_deg=-2.35, tibial_slope_deg=1.7,
+    )  # fmt: skip
+    assert_allclose(pssf.build(knee).measured_jsw_mm(REFERENCE), [5.472, 4.555], atol=1e-3)
 
 
 @pytest.mark.parametrize("spaces", [(0.0, 5.5), (6.0, 0.0), (0.0, 0.0), (0.03, 4.0)])

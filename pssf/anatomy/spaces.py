@@ -27,8 +27,9 @@ _TOLERANCE_MM = 1e-4
 # landmarks on its floor, which jump a little where it moves.
 _LEVEL_MM = 0.02
 # Where such a jump answers each shift with another this never ends: after so many turns the tibia stays if the line is
-# as near as this, and the spaces alone are solved for.
+# as near as this, and after more if it is as near as that, and the spaces alone are solved for.
 _LEVELLED, _NEARLY_LEVEL_MM = 8, 0.2
+_GIVEN_UP, _FAR_FROM_LEVEL_MM = 16, 1.0
 _TURNS = 40
 # Of a pose: medial and lateral space, mm, where in x each is least, and by how much the joint line is too high.
 Measure = Callable[[Pose], tuple[Array, Array, float]]
@@ -57,7 +58,7 @@ def solve_pose(knee: Knee, build: Build, femur: Manifold, tibia: Manifold, proto
     )
     measure = _measure(knee, build, (femur, tibia), protocol)
     for turn in range(_TURNS):
-        level_mm = _LEVEL_MM if turn < _LEVELLED else _NEARLY_LEVEL_MM
+        level_mm = _level_mm(turn)
         spaces, x, high = measure(pose)
         error = wanted - spaces
         if np.abs(error).max() < _TOLERANCE_MM and abs(high) < level_mm:
@@ -70,6 +71,13 @@ def solve_pose(knee: Knee, build: Build, femur: Manifold, tibia: Manifold, proto
         f"jsw_medial_mm = {knee.jsw_medial_mm} mm with jsw_lateral_mm = {knee.jsw_lateral_mm} mm: no pose of the femur "
         f"gives both (left over: {np.abs(error).max():.3g} mm); allowed: spaces closer to each other"
     )
+
+
+def _level_mm(turn: int) -> float:
+    """How far the joint line may lie from the origin."""
+    if turn < _LEVELLED:
+        return _LEVEL_MM
+    return _NEARLY_LEVEL_MM if turn < _GIVEN_UP else _FAR_FROM_LEVEL_MM
 
 
 def _measure(knee: Knee, build: Build, bones: tuple[Manifold, Manifold], protocol: Protocol) -> Measure:
