@@ -76,7 +76,7 @@ def primary_of(
 
     view  of a source that is not in the middle of the focal spot; that of the technique if None
     """
-    return _primaries(path_mm, (beam_behind(path_mm, technique),), technique, workers, view)[0]
+    return _primaries(path_mm, (_beam_behind(path_mm, technique),), technique, workers, view)[0]
 
 
 def primary_through(
@@ -89,12 +89,12 @@ def primary_through(
 
     Both sums are over the same exponentials, which are nearly all of the time.
     """
-    beam = beam_behind(path_mm, technique)
+    beam = _beam_behind(path_mm, technique)
     before, behind = _primaries(path_mm, (beam, through(beam)), technique, workers)
     return before, behind
 
 
-def beam_behind(path_mm: Mapping[str, Any], technique: Technique) -> Beam:
+def _beam_behind(path_mm: Mapping[str, Any], technique: Technique) -> Beam:
     """The beam by energies enough for path lengths (rows, cols), mm."""
     return beam_for(technique, {name: float(lengths.max()) for name, lengths in path_mm.items()})
 
