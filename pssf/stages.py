@@ -137,8 +137,7 @@ def attenuate(image: LatentImage, chain: Chain) -> None:
     """Primary by Beer and Lambert, along the rays from the middle of the focal spot."""
     technique = chain.technique
     if technique.protocol.grid_ratio > 0:
-        through = partial(transmit_through_grid, grid_of(technique.protocol))
-        image.primary, image.behind_grid = primary_through(image.path_mm, technique, through, chain.workers)
+        image.primary, image.behind_grid = _about_grid(image, chain)
     else:
         image.primary = primary_of(image.path_mm, technique, chain.workers)
 
@@ -175,8 +174,7 @@ def pass_grid(image: LatentImage, chain: Chain) -> None:
         image.primary, image.behind_grid = image.behind_grid, None
     else:
         # Rays from the middle of the spot say what share passes of those from all over it.
-        through = partial(transmit_through_grid, grid)
-        before, after = primary_through(image.path_mm, technique, through, chain.workers)
+        before, after = _about_grid(image, chain)
         passed = np.divide(after.kev, before.kev, out=np.zeros_like(after.kev), where=before.kev > 0)
         image.primary = Signal(primary.kev * passed, after.photon_kev)
     if image.scatter is not None:
@@ -184,6 +182,12 @@ def pass_grid(image: LatentImage, chain: Chain) -> None:
         image.scatter = image.scatter * np.float32(
             scatter_passing(grid, beam_of(technique), gap_mm, technique.material("muscle"))
         )
+
+
+def _about_grid(image: LatentImage, chain: Chain) -> tuple[Signal, Signal]:
+    """Primary before and behind the grid, along the rays from the middle of the focal spot."""
+    through = partial(transmit_through_grid, grid_of(chain.technique.protocol))
+    return primary_through(image.path_mm, chain.technique, through, chain.workers)
 
 
 def blur_focal_spot(image: LatentImage, chain: Chain) -> None:
