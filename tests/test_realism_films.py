@@ -89,6 +89,17 @@ def test_the_tibia_begins_at_the_faint_outline_of_its_spine_and_not_at_the_sharp
     assert_allclose(rise_mm[flank] * PITCH_MM, tip_mm - np.abs(across_mm[flank]), atol=1.0)
 
 
+@pytest.mark.parametrize("notch_mm", [12.0, 16.0, 24.0])
+def test_the_tibia_stays_below_a_dark_notch_however_faint_its_eminence(notch_mm):
+    film, high_mm = drawn_knee(notch_mm=notch_mm), 4.0
+    y, x = (np.mgrid[:500, :520] - [[[249.5]], [[259.5]]]) * 0.3
+    film[(y < 2.5) & (y > 2.5 - np.clip(1.4 * (high_mm + 6.0 - np.abs(x)), 0.0, high_mm))] = 0.42
+    outline = trace_outline(stretched(field_of(gaussian_filter(film, 1.0), middle_of(film, 0.3))))
+    across_mm = np.abs(outline.columns - joint_pixel()[1]) * PITCH_MM
+    rise_mm = (np.median(outline.tibia[across_mm > 20.0]) - outline.tibia) * PITCH_MM
+    assert_allclose(rise_mm[across_mm < 4.0], high_mm, atol=1.0)
+
+
 @pytest.mark.parametrize("step", [0.1, 0.15])
 def test_an_edge_of_fat_beyond_the_bone_is_no_side_of_it_though_it_is_sharper(step):
     film = gaussian_filter(drawn_knee(), 6.0)

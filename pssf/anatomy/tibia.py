@@ -37,7 +37,9 @@ def field_of(shape: TibiaShape) -> Field:
         whole = meet(shaft_field(_evenly_deep(points, shape)), _END_MM - points[:, 2], 0.5)
         for part in shape.bumps:
             whole = blend(whole, ellipsoid(points, part.centre, part.half), part.fillet_mm)
-        return meet(whole, above(points, shape.relief), shape.rim_mm)
+        far = np.minimum(np.abs(points[:, 1]) / shape.far_rim_y, 1.0) ** 2
+        rim_mm = shape.rim_mm + far * (shape.far_rim_mm - shape.rim_mm)
+        return meet(whole, above(points, shape.relief), rim_mm)
 
     return field
 

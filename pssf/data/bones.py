@@ -134,6 +134,8 @@ class TibiaShape(Record, frozen=True):
     canal_from_z_mm: float
     canal_full_z_mm: float
     rim_mm: float
+    far_rim_mm: float
+    far_rim_y: float
     edge_mm: float
     tolerance_mm: float
     bumps: tuple[Ellipsoid, ...]

@@ -22,7 +22,7 @@ _ROW, _NOT_DARK = 0.1, 0.6
 _NOTCH_MM, _FADING_MM = 10.0, 6.0
 # A spine's outline is faint, and edges within it are not: each row costs that is brighter than the notch above it.
 # About the middle, and less over so many mm towards the end of the eminence.
-_ROW_PASSED, _BRIGHTER, _BRIGHTEST = 0.03, 0.3, 2.0
+_ROW_PASSED, _BRIGHTER, _BRIGHTEST = 0.03, 0.1, 2.0
 _SPINES_MM, _SPINES_FADING_MM = 21.0, 14.0
 _NEVER = 10.0
 # A side is not sought far beyond these shares of half the plateau's width: fibula, fat and skin have edges too.
@@ -65,7 +65,7 @@ def trace_outline(film: Array, plateau_mm: float = PLATEAU_MM) -> Outline:
     plateau_mm  about how wide the plateau is there
     """
     row, col = joint_pixel()
-    rise, across, tone = _steepness(film)
+    rise, across, tone, grey = _steepness(film)
     reach = round(_REACH_MM / PITCH_MM)
     columns = np.arange(col - reach, col + reach + 1)
     rows, x_mm = np.arange(len(film))[:, None], np.abs(columns - col) * PITCH_MM
@@ -76,7 +76,7 @@ def trace_outline(film: Array, plateau_mm: float = PLATEAU_MM) -> Outline:
     darker = -0.6 * np.clip(-rise, 0, _STEEPEST)[:, columns] + 0.1 * (away + 0.5) ** 2
     tibia = cheapest_path(brighter, _JOINT_STEPS - 1)
     femur = cheapest_path(darker + _bone_between(tone[:, columns], tibia, x_mm), _JOINT_STEPS)
-    tibia = cheapest_path(brighter + _bone_passed(tone[:, columns], femur, x_mm), _JOINT_STEPS - 1)
+    tibia = cheapest_path(brighter + _bone_passed(grey[:, columns], femur, x_mm), _JOINT_STEPS - 1)
     half_mm = plateau_mm / 2
     below, tibia_sides = _sides(across, int(np.median(tibia)), +1, _TIBIA_WITHIN * half_mm)
     above, femur_sides = _sides(across, int(np.median(femur)), -1, _FEMUR_WITHIN * half_mm)
@@ -99,12 +99,14 @@ def _bone_between(tone: Array, tibia: NDArray[np.int64], x_mm: Array) -> Array:
     return np.where(rows < tibia, _ROW * beside * np.cumsum(space[::-1], axis=0)[::-1], _NEVER)
 
 
-def _bone_passed(tone: Array, femur: NDArray[np.int64], x_mm: Array) -> Array:
+def _bone_passed(grey: Array, femur: NDArray[np.int64], x_mm: Array) -> Array:
     """(rows, cols)  what it costs the tibia to begin so far below the femur: rows between that are brighter than the
     darkest above them, as a spine is; arguments as above
+
+    grey  (rows, cols)  of `_steepness`; its detail alone is brighter in the middle of a dark notch than at its edge
     """
-    rows = np.arange(len(tone))[:, None]
-    soft = gaussian_filter(tone, 1.0)
+    rows = np.arange(len(grey))[:, None]
+    soft = gaussian_filter(grey, 1.0)
     darkest = np.minimum.accumulate(np.where(rows > femur, soft, np.inf), axis=0)
     passed = np.where(rows > femur + 1, np.clip(soft - darkest - _BRIGHTER, 0.0, _BRIGHTEST), 0.0)
     about = np.clip((_SPINES_MM - x_mm) / _SPINES_FADING_MM, 0.0, 1.0)
@@ -142,15 +144,15 @@ def _path(cost: Array, price: Array) -> NDArray[np.int64]:
     return path
 
 
-def _steepness(film: Array) -> tuple[Array, Array, Array]:
-    """(rows, cols) slope of the grey downwards and to the right, and itself, over the contrast about a pixel."""
+def _steepness(film: Array) -> tuple[Array, Array, Array, Array]:
+    """(rows, cols) slope of the grey downwards and to the right, its detail and itself, over the contrast near by."""
     detail = film - gaussian_filter(film, _COARSE_PX)
     local = np.sqrt(gaussian_filter(detail**2, _LOCAL_PX)) + 0.25
     # Beside a limb all is faint, and its own contrast would make of a fat line as much as of a bone's side.
     steady = np.sqrt(local**2 + (detail**2).mean())
     down = gaussian_filter(film, _BLUR_PX, order=(1, 0)) / local
     right = gaussian_filter(film, _BLUR_PX, order=(0, 1)) / (steady * np.median(local) / np.median(steady))
-    return down, right, detail / local
+    return down, right, detail / local, film / local
 
 
 def _sides(across: Array, row: int, way: int, within_mm: float) -> tuple[Array, Array]:
