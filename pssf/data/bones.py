@@ -71,7 +71,7 @@ class GrowthZone(Record, frozen=True):
 
 
 class NotchGrowth(Record, frozen=True):
-    """What closes the notch: bone on its walls and roof, and over the eminence below."""
+    """What closes the notch: bone on its walls and roof, and over the eminence and the plateaus below."""
 
     femur: tuple[GrowthZone, ...]
     tibia: tuple[GrowthZone, ...]

@@ -76,7 +76,7 @@ class Knee:
     cysts              at most MOST_CYSTS
     subchondral_plate  thickness of the plate relative to a healthy one, of the `sclerotic_side`
     varus_deg          angle between femoral and tibial shaft beyond the normal valgus of 5 deg; positive is varus
-    notch_growth_mm    of bone into the notch: on its walls and roof, and over the eminence
+    notch_growth_mm    of bone into the notch: on its walls and roof, over the eminence and, less, the plateaus' floors
     effusion_mm        how much thicker than in health capsule, synovium and fluid are about the joint
     subluxation_mm     of the tibia to lateral, as the femur stands on it; joint spaces stay what they are
     flexion_deg        of the femur about the medio-lateral axis
