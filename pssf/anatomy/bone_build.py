@@ -20,7 +20,7 @@ from ..geometry.freeform import Lattice, displaced
 from ..model.knee import Knee
 from .femur import mean_femur
 from .mean_bone import MeanBone, Plates
-from .roughness import growth, roughness
+from .roughness import NO_SEEDS, Seeds, growth, roughness
 from .shape import knee_form, lattices_of
 from .solids import SHAFT_POWER, ring
 from .tibia import mean_tibia, plateau_height
@@ -48,14 +48,14 @@ class Form:
     end      +1: the shaft goes up from the joint; -1: down
     lean     (x, y) by which the shaft then leans, a millimetre away from the joint
     slope    by which it leans in x once it is upright from the side
-    rough    where it is rough, and the seed of that
+    rough    where it is rough, and the seeds of that
     growth   where it has grown, and by how much, mm
     """
 
     lattice: Lattice
     end: int
     rough: tuple[RoughZone, ...] = ()
-    seed: int = 0
+    seeds: Seeds = NO_SEEDS
     growth: tuple[GrowthZone, ...] = ()
     grown_mm: float = 0.0
     lean: tuple[float, float] = (0.0, 0.0)
@@ -85,7 +85,7 @@ class Build:
     fall              by how much it falls a millimetre before it is sloped
     femur_valgus_deg  by which the femoral shaft leans laterally, proximally
     tibia_varus_deg   by which the tibial shaft leans medially, distally
-    seed              of how uneven its cortex is, and of how rough
+    seed              of how uneven its cortex is
     """
 
     tables: AnatomyTables
@@ -128,9 +128,10 @@ def build_of(knee: Knee, tables: AnatomyTables) -> Build:
     sex_scale = size.female_over_male if knee.sex == "female" else 1.0
     scale = sex_scale * knee.bone_scale * knee.stature_mm / getattr(size.stature_mm, knee.sex)
     lattices = lattices_of(knee.shape, knee_form(tables.forms))
+    seeds = Seeds(texture=knee.texture_seed, form=knee.form_seed)
     femur, tibia = (
         replace(
-            _form(lattices[name], end, getattr(shape, name), scale, knee.texture_seed),
+            _form(lattices[name], end, getattr(shape, name), scale, seeds),
             growth=getattr(shape.notch_growth, name),
             grown_mm=knee.notch_growth_mm / scale,
         )
@@ -164,13 +165,13 @@ def _plates(knee: Knee, scale: float, spongy: TrabecularBone) -> Plates:
     return Plates(medial, lateral, spongy.side.middle_mm)
 
 
-def _form(lattice: Lattice, end: int, shape: FemurShape | TibiaShape, scale: float, seed: int) -> Form:
+def _form(lattice: Lattice, end: int, shape: FemurShape | TibiaShape, scale: float, seeds: Seeds) -> Form:
     sections = shape.sections
     heights = np.linspace(_LEAN_FROM_MM, _LEAN_TO_MM, 5)
     middles = _middles(sections, end * heights, lambda points: displaced(points, lattice))
     lean_x, lean_y = np.polyfit(heights, middles, 1)[0]
     lean = (float(lean_x), float(lean_y))
-    form = Form(lattice=lattice, end=end, rough=shape.rough, seed=seed, lean=lean)
+    form = Form(lattice=lattice, end=end, rough=shape.rough, seeds=seeds, lean=lean)
     heights = np.array(_SHAFT_MM) / scale
     far = _middles(sections, end * heights, lambda points: formed(points, form))
     return replace(form, slope=float(np.diff(far[:, 0])[0] / np.diff(heights)[0]))
@@ -196,7 +197,7 @@ def formed(points: Array, form: Form) -> Array:
     beyond = np.maximum(form.end * points[:, 2] - _LEAN_TO_MM, 0.0)
     # Where the lattice ends its displacements stay the same; a shaft goes straight on.
     places = displaced(points - beyond[:, None] * [0.0, 0.0, form.end], form.lattice)
-    places += beyond[:, None] * [*form.lean, form.end] + roughness(points, form.rough, form.seed, form.end)
+    places += beyond[:, None] * [*form.lean, form.end] + roughness(points, form.rough, form.seeds, form.end)
     places += growth(points, form.growth, form.grown_mm)
     return places @ form.upright().T
 

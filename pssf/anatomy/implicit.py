@@ -21,19 +21,21 @@ _STEP_MM = 0.01
 _MOST_MM, _NEAR_MM = 1.5, 0.05
 
 
-def blend(one: Array, other: Array, radius_mm: float) -> Array:
+def blend(one: Array, other: Array, radius_mm: float | Array) -> Array:
     """(n,)  union of two fields with a fillet (polynomial smooth minimum, Quilez 2013)
 
     one, other  (n,)  values of two fields, mm
+    radius_mm   of the fillet, one or (n,)
     """
     overlap = np.maximum(radius_mm - np.abs(one - other), 0.0) / radius_mm
     return np.minimum(one, other) - overlap**2 * radius_mm / 4
 
 
-def meet(one: Array, other: Array, radius_mm: float) -> Array:
+def meet(one: Array, other: Array, radius_mm: float | Array) -> Array:
     """(n,)  intersection of two fields with a rounded edge
 
     one, other  (n,)  values of two fields, mm
+    radius_mm   of the rounding, one or (n,)
     """
     return -blend(-one, -other, radius_mm)
 

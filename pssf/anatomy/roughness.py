@@ -1,5 +1,7 @@
 """Roughness: ridges and pits of a bone where it bears no cartilage, which on films are its many faint lines; growth."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,11 +13,20 @@ from .noise import noise
 _MOST_SD = 2.0
 
 
-def roughness(points: Array, zones: tuple[RoughZone, ...], seed: int, end: int) -> Array:
+class Seeds(NamedTuple):
+    """Of a knee's texture, and of what of its form the modes of shape are too coarse for."""
+
+    texture: int
+    form: int
+
+
+NO_SEEDS = Seeds(0, 0)
+
+
+def roughness(points: Array, zones: tuple[RoughZone, ...], seeds: Seeds, end: int) -> Array:
     """(n, 3)  by how much places of a bone are moved, mm; nothing outside its zones, and smoothly more within
 
     points  (n, 3)  of the mean man's bone, mm
-    seed    of the knee's texture
     end     +1 of the femur, -1 of the tibia
     """
     moves = np.zeros_like(points)
@@ -24,6 +35,7 @@ def roughness(points: Array, zones: tuple[RoughZone, ...], seed: int, end: int) 
         some = np.flatnonzero(within > 0)
         if not len(some):
             continue
+        seed = seeds.form if zone.of == "form" else seeds.texture
         waves = noise(points[some], zone.lengths_mm, seed, (102, end + 1, number)).clip(-_MOST_SD, _MOST_SD)
         moves[some] += (zone.sd_mm * within[some] ** 2 * waves)[:, None] * np.array(zone.way)
     return moves

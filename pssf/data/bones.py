@@ -4,6 +4,7 @@ Sections are rows of height, half ML, half AP, centre y, centre x; cortex is row
 """
 
 from functools import cache
+from typing import Literal
 
 from .records import Pair, Record, Rows, Triple, record
 from .soft import Cartilage, DeepFat, Effusion, FatPad, Limb, Menisci, MuscleShape, PatellarTendon, QuadricepsTendon
@@ -53,13 +54,16 @@ class Condyles(Record, frozen=True):
 
 
 class RoughZone(Record, frozen=True):
-    """Where a bone is rough: an ellipsoid, the way in which places are moved, by how much, lengths of the waves."""
+    """Where a bone is rough: an ellipsoid, the way in which places are moved, by how much, lengths of the waves, and
+    whether that is of the bone's form or of its texture, each of which has a seed.
+    """
 
     centre: Triple
     half: Triple
     way: Triple
     sd_mm: float
     lengths_mm: Pair
+    of: Literal["texture", "form"]
 
 
 class GrowthZone(Record, frozen=True):

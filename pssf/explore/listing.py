@@ -47,8 +47,8 @@ def listing() -> dict[str, Any]:
 
 
 def page_knee(knee: Knee) -> dict[str, Any]:
-    """Field name -> value as a browser can hold it: the seed of the texture as text."""
-    return {**knee_table(knee), "texture_seed": str(knee.texture_seed)}
+    """Field name -> value as a browser can hold it: its seeds as text."""
+    return {**knee_table(knee), **{name: str(getattr(knee, name)) for name in ("form_seed", "texture_seed")}}
 
 
 def _started(given: dict[str, Any], optional: set[str], what: str) -> dict[str, Any]:

@@ -86,7 +86,8 @@ def drawn_knee(laws: DrawLaws, *, grade: int, rng: np.random.Generator, **fixed:
             drawn[name] = _uniform(rng, getattr(ranges, name))
     for name, bounds in law.pose.items():
         drawn[name] = _uniform(rng, bounds)
-    drawn["texture_seed"] = int(rng.spawn(1)[0].integers(2**63))
+    # One number for both: they are of different things.
+    drawn["texture_seed"] = drawn["form_seed"] = int(rng.spawn(1)[0].integers(2**63))
     # From children of their own, so that all else is drawn as it would be without.
     drawn |= _draw_form(rng.spawn(1)[0], law, sex, laws.modes)
     if isinstance(law, SeverityGrades):

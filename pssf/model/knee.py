@@ -84,6 +84,7 @@ class Knee:
     bone_scale         size of the bones relative to the mean of sex and stature
     shape              scores of the bones' shape, in standard deviations of people's: one a mode of
                        `data/shapes.toml`, in its order; those left out are 0, the mean
+    form_seed          of what modes are too coarse for: where spines and notch stand, how the lateral plateau curves
     cortex_scale       cortical thickness relative to the mean
     lean_deg           of the tibial shaft on the film; positive: the foot towards medial
     fibular_tip_mm     of the fibula below the middle of the plateau
@@ -116,6 +117,7 @@ class Knee:
     rotation_deg: float = 0.0
     bone_scale: float = 1.0
     shape: tuple[float, ...] = ()
+    form_seed: int = 0
     cortex_scale: float = 1.0
     tibial_slope_deg: float = 5.0
     lean_deg: float = 3.0
