@@ -1,4 +1,6 @@
-"""Roughness: ridges and pits of a bone where it bears no cartilage, which on films are its many faint lines; growth."""
+"""How places of a bone are moved: by ridges and pits where it bears no cartilage, its faint lines on films; by what
+of a person's form the modes of shape are too coarse for; by growth.
+"""
 
 from typing import NamedTuple
 
@@ -35,7 +37,7 @@ def roughness(points: Array, zones: tuple[RoughZone, ...], seeds: Seeds, end: in
         some = np.flatnonzero(within > 0)
         if not len(some):
             continue
-        seed = seeds.form if zone.of == "form" else seeds.texture
+        seed = getattr(seeds, zone.of)
         waves = noise(points[some], zone.lengths_mm, seed, (102, end + 1, number)).clip(-_MOST_SD, _MOST_SD)
         moves[some] += (zone.sd_mm * within[some] ** 2 * waves)[:, None] * np.array(zone.way)
     return moves
