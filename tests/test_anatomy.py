@@ -26,7 +26,7 @@ from pssf.anatomy.solids import (
     split_edges,
 )
 from pssf.data.anatomy import anatomy_tables
-from pssf.model.knee import SITES
+from pssf.model.knee import BORDER_SITES, CENTRAL_SITES, SITES
 
 REFERENCE = pssf.load_protocol("reference")
 TABLES = anatomy_tables()
@@ -133,7 +133,7 @@ def test_the_joint_line_lies_at_the_origin(built):
     assert row == pytest.approx((REFERENCE.rows - 1) / 2, abs=0.5)
 
 
-@pytest.mark.parametrize("site", SITES)
+@pytest.mark.parametrize("site", BORDER_SITES)
 @pytest.mark.parametrize("size", [0.3, 1.0, 3.0, 6.0])
 def test_an_osteophyte_stands_out_by_its_size(site, size):
     side, where = site.split("_")
@@ -152,6 +152,34 @@ def test_an_osteophyte_stands_out_by_its_size(site, size):
     assert reach[1] - reach[0] == pytest.approx(size, abs=0.1)
     assert grown.outer.volume() > bare.outer.volume()
     assert (grown.inner - grown.outer).volume() == 0
+
+
+@pytest.mark.parametrize("site", CENTRAL_SITES)
+@pytest.mark.parametrize(("size", "place"), [(0.3, 0.0), (1.0, -1.0), (2.5, 0.5), (5.0, 1.0)])
+def test_a_central_osteophyte_stands_out_of_the_joint_surface_by_its_size(site, size, place):
+    beak = pssf.Osteophyte(site=site, size_mm=size, place=place)
+    make, grow, form = (
+        (bones.femur, bones.grown_femur, MEAN.femur)
+        if beak.bone == "femur"
+        else (bones.tibia, bones.grown_tibia, MEAN.tibia)
+    )
+    table, bare, grown = MEAN.shape.osteophytes.central, grow(MEAN, ()), grow(MEAN, (beak,))
+    points = mesh_of(bare.outer).vertices
+    about = points[abs(points[:, 0] - (1 if site.startswith("medial") else -1) * table.across_mm) < table.about_mm]
+    if beak.bone == "femur":
+        angle = np.deg2rad(np.interp(place, (-1, 1), table.femur_deg))
+        way = np.array([0, np.sin(angle), -np.cos(angle)])
+    else:
+        way = np.array([0.0, 0.0, 1.0])
+        about = about[abs(about[:, 1] - np.interp(place, (-1, 1), table.tibia_mm)) < table.about_mm]
+    (mound,) = grown.shapes
+    tip = mound.farthest[None]
+    assert (formed(tip, form) @ way)[0] - (formed(about, form) @ way).max() == pytest.approx(size, abs=1e-8)
+    assert np.linalg.norm(mesh_of(grown.outer).vertices - tip, axis=1).min() < 1e-4
+    shell_mm = bones.shells_mm(MEAN)[0 if beak.bone == "femur" else 1]
+    plain, bone = (make(MEAN, outer, shell_mm) for outer in (bare, grown))
+    assert bone.outer.volume() > plain.outer.volume()
+    assert (bone.inner - bone.outer).volume() == 0
 
 
 def test_a_thicker_subchondral_plate_takes_its_volume_from_trabecular_bone():

@@ -2,6 +2,7 @@
 
 built        the object that carries them                       joint        the pose that gives the joint spaces
 bones        femur, tibia, fibula, patella as nested solids     osteophytes  lips and spikes that flow into the bone
+lips         along a joint's margins                            spikes       on spines, and within joint surfaces
 femur, tibia their outer shapes, blended                        mean_bone    their solids at the mean man's size
 implicit     fields, blends, settling onto them                 remesh       smoothed, refined, without folds
 shape        lattices that give bones people's form

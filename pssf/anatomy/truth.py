@@ -15,7 +15,6 @@ from .contours import Gap, measure_gap, turned_px
 from .implicit import project_solid
 from .joint import KneeAssembly
 from .landmarks import contour_landmarks, plateau_floor
-from .osteophytes import BONE
 from .solids import closed_edges, mesh_of
 
 # Joint space is told at these fractions of the plateau's width from its medial edge, as JSW(x) (Neumann et al. 2009).
@@ -64,7 +63,7 @@ def osteophyte_meshes(knee: Knee, assembly: KneeAssembly) -> dict[str, Mesh]:
     )
     meshes = {}
     for mean, grown, move in bones:
-        sites = [one.site for one in knee.osteophytes if BONE[one.site.split("_")[1]] == mean.name]
+        sites = [one.site for one in knee.osteophytes if one.bone == mean.name]
         if not sites:
             continue
         bare = project_solid(mean.outer, mean.field, depth_mm=lambda points: np.full(len(points), -_OUT_MM))

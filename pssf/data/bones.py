@@ -213,12 +213,37 @@ class LipShape(Record, frozen=True):
     turn_deg: float
 
 
+class CentralShape(Record, frozen=True):
+    """Where on a joint surface a central osteophyte may be, and its form; pairs of mm: at first, and more a mm of size.
+
+    across_mm       from the middle of the knee to the middle of a compartment
+    about_mm        bone so near in x, on the tibia in y too, is what it stands out of
+    femur_deg       from straight down, backwards: at the front and back ends of its places
+    tibia_mm        behind the knee's middle, likewise
+    tibia_above_mm  what of the tibia may be joint surface
+    wide_mm         from its middle to its feet
+    foot_mm         radius of a foot, which lies `sunk_mm` within the bone
+    tip_mm          radius of its top
+    """
+
+    across_mm: float
+    about_mm: float
+    femur_deg: Pair
+    tibia_mm: Pair
+    tibia_above_mm: float
+    wide_mm: Pair
+    foot_mm: Pair
+    sunk_mm: float
+    tip_mm: Pair
+
+
 class Margins(Record, frozen=True):
     """Of the bones that bear osteophytes, and the form of these."""
 
     femur: Margin
     tibia: Margin
     lip: LipShape
+    central: CentralShape
 
 
 class ByStature(Record, frozen=True):

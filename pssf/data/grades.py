@@ -83,6 +83,18 @@ class Margins(Record, frozen=True):
     curve_deg: dict[str, Pair]
 
 
+class Central(Record, frozen=True):
+    """Share of knees that have an osteophyte in the middle of a joint surface, by grade, and bounds of its size.
+
+    femur, narrowed  shares of them on the femur, and on the side that narrows
+    """
+
+    share: Numbers
+    femur: float
+    narrowed: float
+    size_mm: Pair
+
+
 class Rest(Record, frozen=True):
     """What else a grade moves: means and deviations, factors and shares by grade."""
 
@@ -169,6 +181,7 @@ class SeverityGrades(_Shared, frozen=True):
     osteophytes: Margins
     rest: Rest
     reader: Reader
+    central: Central | None = None
     cysts: Cysts | None = None
     subluxation: Subluxation | None = None
     notch: Notch | None = None
@@ -230,6 +243,8 @@ def _require_every_grade(table: SeverityGrades, name: str) -> None:
         "rest.bmi_more": table.rest.bmi_more,
         "rest.density_more": table.rest.density_more,
     }
+    if table.central is not None:
+        lists["central.share"] = table.central.share
     if table.cysts is not None:
         lists["cysts.share"] = table.cysts.share
     if table.subluxation is not None:

@@ -11,6 +11,7 @@ from pydicom.dataset import Dataset
 from pydicom.tag import Tag
 
 from ..data.dicom import dicom_tables
+from ..model.knee import BONE_OF
 from ..model.radiograph import Radiograph
 from . import dicom
 
@@ -80,8 +81,7 @@ def _segment(number: int, name: str, side: str | None, version: str, code: Code)
         "SegmentedPropertyCategoryCodeSequence": [code(category)],
         "SegmentedPropertyTypeCodeSequence": [code(what)],
     })  # fmt: skip
-    # An osteophyte of a tibial spine is the tibia's; the other sites name their bone.
-    bone = ("femur" if name.rsplit("_", 1)[0].endswith("femur") else "tibia") if of_bone else "knee"
+    bone = BONE_OF[name.split("_")[-2]] if of_bone else "knee"
     if side is None:
         return item
     item.AnatomicRegionSequence = [code(bone)]

@@ -1,12 +1,12 @@
-"""advanced_fields: cysts, subluxation and what grows into the notch, beside what narrows and grows at the margins."""
+"""What comes with osteoarthritis beside what narrows and grows at margins: central osteophytes, cysts, slip, growth."""
 
 from typing import Any
 
 import numpy as np
 
-from ..data.grades import Cysts, Laws, SeverityGrades
+from ..data.grades import Central, Cysts, Laws, SeverityGrades
 from ..data.records import Pair
-from .knee import Cyst
+from .knee import Cyst, Osteophyte
 
 # Apart in the measure of their places, as `Knee` wants those of one site, with chance left for each.
 _PLACES = (-0.7, 0.0, 0.7)
@@ -40,6 +40,23 @@ def advanced_fields(
     if effusion is not None:
         swollen = millimetres(effusion.swelling_mm, effusion.bounds_mm, of_effusion)
     return {"cysts": cysts, "subluxation_mm": slipped, "notch_growth_mm": grown, "effusion_mm": swollen}
+
+
+def central_osteophytes(
+    law: Central | None, grade: int, narrowed: str, rng: np.random.Generator
+) -> tuple[Osteophyte, ...]:
+    """An osteophyte in the middle of a joint surface, or none.
+
+    narrowed  the side that narrows, medial or lateral
+    rng       of a stream of its own
+    """
+    if law is None or rng.random() >= law.share[grade]:
+        return ()
+    other = "lateral" if narrowed == "medial" else "medial"
+    side = narrowed if rng.random() < law.narrowed else other
+    surface = "condyle" if rng.random() < law.femur else "plateau"
+    size_mm, place = rng.uniform(*law.size_mm), rng.uniform(-1.0, 1.0)
+    return (Osteophyte(site=f"{side}_{surface}", size_mm=round(float(size_mm), 4), place=round(float(place), 4)),)
 
 
 def in_part(severity: float, correlation: float, chance: float) -> float:

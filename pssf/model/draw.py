@@ -12,7 +12,7 @@ from ..data.limbs import Limbs, limbs
 from ..data.records import Pair
 from ..data.shapes import shape_table
 from ..data.spongy import trabecular_bone
-from .knee import MOST_SD, SITES, Knee, Osteophyte
+from .knee import BORDER_SITES, MOST_SD, Knee, Osteophyte
 from .severity import severity_fields
 
 # No value of a normal law is farther from its mean.
@@ -166,10 +166,10 @@ def _draw_osteophytes(
 ) -> tuple[Osteophyte, ...]:
     count = int(rng.integers(count_range[0], count_range[1] + 1))
     largest = _uniform(rng, largest_range)
-    sites = rng.permutation(len(SITES))
-    shares = rng.uniform(0.3, 1.0, len(SITES))
+    sites = rng.permutation(len(BORDER_SITES))
+    shares = rng.uniform(0.3, 1.0, len(BORDER_SITES))
     shares[0] = 1.0
-    sized = [(SITES[sites[i]], round(largest * float(shares[i]), 4)) for i in range(count)]
+    sized = [(BORDER_SITES[sites[i]], round(largest * float(shares[i]), 4)) for i in range(count)]
     # Below 0.2 mm an osteophyte cannot be told from the margin's own rounding, nor seen in a 0.15 mm pixel.
     return tuple(Osteophyte(site=site, size_mm=size) for site, size in sized if size >= 0.2)
 

@@ -18,18 +18,24 @@ APART = 0.5
 MOST_CYSTS = 6
 # Spaces of healthy people differ by as much (deviation of a compartment 0.7 to 1 mm).
 _CLEARLY_MM = 1.0
-SITES = ("medial_femur", "lateral_femur", "medial_tibia", "lateral_tibia", "medial_spine", "lateral_spine")
+# At margins and on spines; and in the middle of a joint surface.
+BORDER_SITES = ("medial_femur", "lateral_femur", "medial_tibia", "lateral_tibia", "medial_spine", "lateral_spine")
+CENTRAL_SITES = ("medial_condyle", "lateral_condyle", "medial_plateau", "lateral_plateau")
+SITES = BORDER_SITES + CENTRAL_SITES
+BONE_OF = {"femur": "femur", "condyle": "femur", "tibia": "tibia", "plateau": "tibia", "spine": "tibia"}
+# A central one is no taller (judgement).
+_TALLEST_CENTRAL_MM = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Osteophyte:
-    """A bony lip at a joint margin, or a spike on a tibial spine.
+    """A bony lip at a joint margin, a spike on a tibial spine, or a mound in the middle of a joint surface.
 
     size_mm    how far its farthest point stands out of the bare bone
-    place      along the margin: -1 in front, +1 behind, 0 in its middle
+    place      along the margin, or across the joint surface: -1 in front, +1 behind, 0 in its middle
     curve_deg  of the lip's edge towards the joint, or away from it where it is negative
-    raises     InputError for an unknown site, a value out of range (`data/osteophyte_fields.toml`), or a place or curve
-               of what is on a spine
+    raises     InputError for an unknown site, a value out of range (`data/osteophyte_fields.toml`), a place or curve
+               of what is on a spine, or a curve or height of a central one
     """
 
     site: str
@@ -44,6 +50,26 @@ class Osteophyte:
                 f"osteophyte at {self.site}: place = {self.place:g}, curve_deg = {self.curve_deg:g} deg; allowed: 0, "
                 "since it stands on the spine's top"
             )
+        if self.central and (self.curve_deg or self.size_mm > self.tallest_mm):
+            raise InputError(
+                f"osteophyte at {self.site}: size_mm = {self.size_mm:g} mm, curve_deg = {self.curve_deg:g} deg; "
+                f"allowed: 0.2 to {self.tallest_mm:g} mm and 0 deg in the middle of a joint surface"
+            )
+
+    @property
+    def central(self) -> bool:
+        """Whether it is in the middle of a joint surface."""
+        return self.site in CENTRAL_SITES
+
+    @property
+    def tallest_mm(self) -> float:
+        """How tall it may be beyond what any may be, which has no bound here."""
+        return _TALLEST_CENTRAL_MM if self.central else float("inf")
+
+    @property
+    def bone(self) -> str:
+        """Femur or tibia, on which it is."""
+        return BONE_OF[self.site.split("_")[1]]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -121,7 +121,7 @@ def _grown(knee: Knee, years: float, course: _Course, law: Progress) -> tuple[Os
     """Osteophytes that there were, larger, and those that have come up meanwhile."""
     grown = []
     for one, factor in zip(knee.osteophytes, course.factors, strict=False):
-        size_mm = min(law.most_mm, one.size_mm + years * course.growth_mm * factor)
+        size_mm = min(law.most_mm, one.tallest_mm, one.size_mm + years * course.growth_mm * factor)
         grown.append(replace(one, size_mm=round(max(one.size_mm, float(size_mm)), 4)))
     bare = course.factors[len(knee.osteophytes) :]
     for site, arises, factor in zip(_MARGINS, course.arises_years, bare, strict=True):

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 from ..core.checks import Array
 from ..data.grades import Around, Margins, SeverityGrades
 from ..data.records import Pair
-from .advanced import advanced_fields, in_part
+from .advanced import advanced_fields, central_osteophytes, in_part
 from .knee import Osteophyte
 
 # No value of a normal law is farther from its mean.
@@ -32,6 +32,7 @@ def severity_fields(
     towards = 1.0 if narrowed == "medial" else -1.0
     plate, varus_deg = (_with(severity, table, law[grade], rng) for law in (rest.plate, rest.varus_deg))
     age = _law(rest.age_years[grade], rng)
+    of_advanced, of_central = rng.spawn(2)
     return {
         "jsw_as": "read",
         f"jsw_{narrowed}_mm": spaces[0],
@@ -40,9 +41,10 @@ def severity_fields(
         "varus_deg": round(float(np.clip(towards * varus_deg, -8.0, 8.0)), 4),
         "age_years": round(float(np.clip(age, 40.0, 90.0)), 4),
         "bone_scale": round(float(np.clip(bone_scale * rest.wider[grade], 0.85, 1.15)), 4),
-        "osteophytes": _osteophytes(table, grade, narrowed, severity, rng),
+        "osteophytes": _osteophytes(table, grade, narrowed, severity, rng)
+        + central_osteophytes(table.central, grade, narrowed, of_central),
         "grade_read": read_grade(grade, table.reader.kappa, len(table.grades), rng),
-        **advanced_fields(table, grade, narrowed, severity, rng.spawn(1)[0]),
+        **advanced_fields(table, grade, narrowed, severity, of_advanced),
     }
 
 

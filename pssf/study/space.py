@@ -72,7 +72,7 @@ def _grown(taken: Taken, size_mm: float) -> Taken:
     """All osteophytes grown alike so that the largest has a size; a knee without has two on its medial side."""
     largest = _largest_mm(taken)
     before = taken.knee.osteophytes or tuple(Osteophyte(site=site, size_mm=1.0) for site in _SITES)
-    sizes = [(one, one.size_mm * size_mm / (largest or 1.0)) for one in before]
+    sizes = [(one, min(one.tallest_mm, one.size_mm * size_mm / (largest or 1.0))) for one in before]
     grown = tuple(replace(one, size_mm=round(mm, 4)) for one, mm in sizes if mm >= _SMALLEST_MM)
     return taken._replace(knee=replace(taken.knee, osteophytes=grown))
 
