@@ -27,8 +27,8 @@ _LEANS, _MOST_LEANING_MM = 1.0, 1.5
 _BROADEST_MM, _TALL_MM2, _INNER_FOOT_MM, _CREST_RUNS, _CREST_FALLS = 2.5, 8.0, 4.0, 2.2, 0.45
 # At a margin its feet are so far from there, away from the joint, at the mean man's size.
 _FOOT_MM = 3.0
-# In the middle of a joint surface: from one foot to another so that the cones between them leave no hollow.
-_STAR = (0, 3, 1, 4, 2, 5, 0)
+# In the middle of a joint surface: six feet and tips around one in the middle (6), so that cones leave no hollow.
+_AROUND, _STAR = 6, (0, 6, 3, 1, 6, 4, 2, 6, 5, 0)
 
 
 @dataclass(frozen=True)
@@ -153,14 +153,15 @@ def in_middle(table: CentralShape, spot: tuple[float, float], bare: MeanBone, si
     top = side[reach.argmax()]
     tip_mm, foot_mm = (low + more * size_mm for low, more in (table.tip_mm, table.foot_mm))
     wide_mm = table.wide_mm[0] + table.wide_mm[1] * size_mm
-    around = np.linspace(0.0, 2 * np.pi, 6, endpoint=False)[list(_STAR)]
-    across = np.array([1.0, 0.0, 0.0])
-    ring = np.cos(around)[:, None] * across + np.sin(around)[:, None] * np.cross(way, across)
-    feet = top - (foot_mm + table.sunk_mm) * way + wide_mm * ring
+    turns, across = np.arange(_AROUND) * 2 * np.pi / _AROUND, np.array([1.0, 0.0, 0.0])
+    ring = np.cos(turns)[:, None] * across + np.sin(turns)[:, None] * np.cross(way, across)
+    star = np.vstack((ring, np.zeros(3)))[list(_STAR)] * wide_mm
+    feet = top - (foot_mm + table.sunk_mm) * way + star
+    crest = table.top_share * star
+    crest -= np.any(star, axis=1)[:, None] * table.top_falls * size_mm * way
 
     def shape(stands_mm: float, out: Array) -> Spike:
-        tip = top + (stands_mm - tip_mm) * way
-        return Spike(feet, foot_mm, np.tile(tip, (len(feet), 1)), tip_mm, size_mm, out)
+        return Spike(feet, foot_mm, top + (stands_mm - tip_mm) * way + crest, tip_mm, size_mm, out)
 
     return _standing_out(shape, way, float(reach.max()), size_mm, deform)
 

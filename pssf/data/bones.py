@@ -223,7 +223,8 @@ class CentralShape(Record, frozen=True):
     tibia_above_mm  what of the tibia may be joint surface
     wide_mm         from its middle to its feet
     foot_mm         radius of a foot, which lies `sunk_mm` within the bone
-    tip_mm          radius of its top
+    tip_mm          radius of its top's rounding
+    top_share       how wide its top is, over `wide_mm`; `top_falls`: by how much of its size it is lower there
     """
 
     across_mm: float
@@ -235,6 +236,8 @@ class CentralShape(Record, frozen=True):
     foot_mm: Pair
     sunk_mm: float
     tip_mm: Pair
+    top_share: float
+    top_falls: float
 
 
 class Margins(Record, frozen=True):
