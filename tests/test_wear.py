@@ -36,6 +36,28 @@ def test_bone_on_bone_is_built_without_overlap_and_with_its_spaces(built, jsw_me
     assert str(pssf.check(built.scene)) == "no faults"
 
 
+# Its femur has an edge thinner than what worn bones keep between them, on the button of a condyle without joint space.
+THIN = pssf.Knee(
+    sex="female", stature_mm=1545.6228, jsw_medial_mm=0.112, jsw_lateral_mm=4.3617, jsw_as="read",
+    osteophytes=(
+        pssf.Osteophyte(site="medial_femur", size_mm=1.076, curve_deg=-7.981),
+        pssf.Osteophyte(site="lateral_femur", size_mm=0.939, curve_deg=-12.339),
+        pssf.Osteophyte(site="medial_condyle", size_mm=1.7823, place=0.3424),
+    ),
+    varus_deg=1.6224, flexion_deg=1.9974, rotation_deg=2.1366, bone_scale=1.1387, tibial_slope_deg=10.4127,
+    lean_deg=9.3979, form_seed=5869272677300090416, texture_seed=5869272677300090416, subluxation_mm=0.7405,
+    notch_growth_mm=1.5636,
+    shape=(
+        -0.9818, -1.9165, 0.8227, 0.006, -1.9035, -0.2679, -0.6662, 1.8971, -0.1211, 1.3867, 0.0949, -0.3016, 1.8122,
+    ),
+)  # fmt: skip
+
+
+def test_an_edge_of_the_femur_that_is_thinner_than_the_gap_stays_out_of_the_tibia():
+    built = pssf.build(THIN, pssf.load_protocol("fixed_flexion"))
+    assert (built.bones["femur"].outer ^ built.bones["tibia"].outer).volume() < 1e-9
+
+
 def test_only_the_plateau_under_the_femur_is_worn(built, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr("pssf.anatomy.built.worn", lambda tibia, femur, plate_mm: tibia)

@@ -106,5 +106,6 @@ def _near(femur: Manifold, box_mm: Array, margin_mm: float) -> Manifold:
 
 def _without(solid: Manifold, femur: Manifold, apart_mm: float) -> Manifold:
     """A solid without a femur and what is so near to it, downwards and to all sides."""
-    ways = apart_mm * np.array([[0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
+    # The femur itself too: an edge of it may be thinner than the way that its copies go.
+    ways = apart_mm * np.array([[0, 0, 0], [0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
     return Manifold.batch_boolean([solid, *(femur.translate(way) for way in ways)], OpType.Subtract)
