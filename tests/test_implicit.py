@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 
 import pssf
 from pssf import anatomy, raycast
+from pssf.accuracy.builds import wide_knee
 from pssf.anatomy import femur, implicit, remesh
 from pssf.anatomy.femur import mean_femur
 from pssf.anatomy.mean_bone import Plates
@@ -168,3 +169,13 @@ def test_folds_are_laid_flat():
     settled = implicit.project_solid(ball, field).warp_batch(pull)
     assert outwardness(settled, field).min() < 0
     assert outwardness(remesh.laplacian_smooth(settled, field, 0), field).min() > 0
+
+
+@pytest.mark.parametrize("number", [1416, 1462, 1536, 1542])
+def test_spongy_bone_with_osteophytes_is_of_one_piece(number):
+    rng = np.random.default_rng(np.random.SeedSequence(number, spawn_key=(1,)))
+    built = anatomy.build(wide_knee(rng, 13))
+    assert {name: len(bone.inner.decompose()) for name, bone in built.bones.items() if name in ("femur", "tibia")} == {
+        "femur": 1,
+        "tibia": 1,
+    }

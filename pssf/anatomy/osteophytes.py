@@ -25,6 +25,8 @@ _EDGE_MM, _ROUGH_EDGE_MM = 2.0, 1.2
 _DRAWN_IN_MM = 0.3
 # At a margin, at the mean man's size, what is less than this is a spike.
 _SMALL_MM = 0.38
+# Spongy bone that is cut off by surfaces that all but touch, which turns inside out when it is deformed.
+_SPECK_MM3 = 1e-2
 # Either has its farthest point, a field, a solid, and what is near it.
 OsteophyteShape = Lip | Spike
 
@@ -50,7 +52,12 @@ class BoneWithOsteophytes:
                     within = within ^ about.translate(_DRAWN_IN_MM * way)
             # With edges short enough to bend with the bone.
             inner = inner + within.refine_to_length(_EDGE_MM)
-        return inner
+        return _without_specks(inner) if self.shapes else inner
+
+
+def _without_specks(solid: Manifold) -> Manifold:
+    bodies = solid.decompose()
+    return Manifold.compose([body for body in bodies if body.volume() > _SPECK_MM3]) if len(bodies) > 1 else solid
 
 
 def grow(
