@@ -171,6 +171,23 @@ def test_folds_are_laid_flat():
     assert outwardness(remesh.laplacian_smooth(settled, field, 0), field).min() > 0
 
 
+# The tip of its canal, 25 mm wide and 0.8 mm thick, is bent into a crescent: a fan about its middle leaves it.
+BENT = pssf.Knee(
+    sex="female", stature_mm=1975.582, jsw_medial_mm=4.4926, jsw_lateral_mm=4.1687, varus_deg=-1.9591,
+    flexion_deg=9.152, rotation_deg=4.3046, bone_scale=0.9016, cortex_scale=1.1217, tibial_slope_deg=11.1946,
+    lean_deg=-10.2243, shape=(-3, 3, 3, 3, -3, 3, 3, -3, -3, -3, -3, -3, -3),
+)  # fmt: skip
+
+
+def test_a_canal_whose_tip_is_bent_does_not_fold():
+    mesh = mesh_of(anatomy.build(BENT).bones["femur"].canal)
+    corners = mesh.vertices[mesh.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    tip = corners[:, :, 2].max(axis=1) < mesh.vertices[:, 2].min() + 1.5
+    assert tip.sum() > 20
+    assert (normals[tip, 2] < 0).all()
+
+
 @pytest.mark.parametrize("number", [1416, 1462, 1536, 1542])
 def test_spongy_bone_with_osteophytes_is_of_one_piece(number):
     rng = np.random.default_rng(np.random.SeedSequence(number, spawn_key=(1,)))

@@ -8,10 +8,11 @@ import trimesh
 from numpy.testing import assert_allclose
 
 import pssf
+from pssf.anatomy.attrition import attrition_mm, outer_bones
 from pssf.anatomy.bone_build import build_of
 from pssf.anatomy.joint import assemble, defining_protocol
 from pssf.anatomy.solids import solid_of
-from pssf.anatomy.wear import attrition_mm, outer_bones, worn
+from pssf.anatomy.wear import worn
 from pssf.data.anatomy import anatomy_tables
 from pssf.model.protocol import Posture
 
@@ -34,6 +35,15 @@ def test_bone_on_bone_is_built_without_overlap_and_with_its_spaces(built, jsw_me
     assert (femur.translate((0.0, 0.0, -0.03)) ^ tibia).volume() > 1e-3
     assert_allclose(built.measured_jsw_mm(FIXED_FLEXION), (jsw_medial_mm, 4.0), atol=1e-3)
     assert str(pssf.check(built.scene)) == "no faults"
+
+
+def test_spaces_are_as_wanted_though_a_worn_spine_moves_what_the_floor_is_told_by():
+    rng = np.random.default_rng(np.random.SeedSequence(559, spawn_key=(1,)))
+    knee = pssf.draw_knee(grade=4, rng=rng, table="people")
+    built = pssf.build(knee, FIXED_FLEXION)
+    assert built.truth(FIXED_FLEXION).attrition_mm["medial"] > 0
+    wanted = (knee.jsw_medial_mm, knee.jsw_lateral_mm)
+    assert_allclose(built.measured_jsw_mm(FIXED_FLEXION), wanted, atol=1e-3)
 
 
 # Its femur has an edge thinner than what worn bones keep between them, on the button of a condyle without joint space.
@@ -96,7 +106,7 @@ def test_attrition_is_the_depth_that_is_gone_of_the_plateau_on_its_side(built, m
     depths = built.truth(FIXED_FLEXION).attrition_mm
     assert depths["lateral"] == 0.0
     after = outer_bones(built.assembly)[1]
-    monkeypatch.setattr("pssf.anatomy.wear.worn", lambda tibia, femur, plate_mm: tibia)
+    monkeypatch.setattr("pssf.anatomy.attrition.worn", lambda tibia, femur, plate_mm: tibia)
     before = outer_bones(built.assembly)[1]
     # Of the compartment away from the spines, along the leg: place by place, so a little less than the deepest.
     gone = _heights(before) - _heights(after)

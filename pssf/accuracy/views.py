@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..anatomy.attrition import outer_bones
 from ..anatomy.bone_build import build_of
 from ..anatomy.joint import KneeAssembly, assemble, defining_protocol
 from ..anatomy.plateau import along_plateau, inter_margin_mm
 from ..anatomy.pose import moved
 from ..anatomy.turned_truth import trochlea_px
-from ..anatomy.wear import outer_bones
 from ..core.checks import Array
 from ..core.parallel import ordered_map
 from ..data.anatomy import AnatomyTables, anatomy_tables

@@ -12,6 +12,7 @@ soft         skin, subcutaneous fat, fascia                     muscles      mus
 envelope     what provably holds a bone, coarsely               tendons      of patella and quadriceps; the fat pad
 cartilage    cartilage and menisci                              tissues      all of these, carved clear of each other
 trabeculae   density of the spongy bone within                  solids       lofts, hulls, height fields, checks
+wear         a plateau worn by the femur                        attrition    how deep that is
 contours     projected outlines and the gap between them        truth        labels and landmarks
 landmarks    sixteen places on the contours, as on people's films
 ship         the mean bones as solids, put into the package

@@ -20,8 +20,8 @@ from .uneven import MOST_SD, uneven_share
 SHAFT_END_MM = 180.0
 # Canals are made longer by this before they are bent and cut.
 _SPARE_MM = 20.0
-# Canals, whose edge trabeculae blur, are drawn with fewer triangles, within this.
-_CANAL_MM = 0.05
+# Canals, whose edge trabeculae blur, have rings so far apart of so many points: their triangles lie within 0.05 mm.
+_RING_MM, _AROUND = 5.0, 48
 # Between a canal and a cortex of mean thickness, beside what the cortex is uneven by.
 _CLEAR_MM = 0.4
 
@@ -80,7 +80,7 @@ def femur(build: Build, grown: BoneWithOsteophytes, shell_mm: Array) -> Bone:
     """
     table, s, mean = build.shape.femur, build.scale, build.mean_femur
     marrow = mean.inner(shell_mm)
-    heights = levels(table.canal_from_z_mm, (SHAFT_END_MM + _SPARE_MM) / s, 2.5)
+    heights = levels(table.canal_from_z_mm, (SHAFT_END_MM + _SPARE_MM) / s, _RING_MM)
     canal = _canal(build, table, heights)
     return _standing(build, "femur", Bone(grown.outer, grown.filled(marrow, s), canal))
 
@@ -92,7 +92,7 @@ def tibia(build: Build, grown: BoneWithOsteophytes, shell_mm: Array) -> Bone:
     """
     table, s, mean = build.shape.tibia, build.scale, build.mean_tibia
     marrow = mean.inner(shell_mm)
-    heights = levels(-(SHAFT_END_MM + _SPARE_MM) / s, table.canal_from_z_mm, 2.5)
+    heights = levels(-(SHAFT_END_MM + _SPARE_MM) / s, table.canal_from_z_mm, _RING_MM)
     canal = _canal(build, table, heights)
     return _standing(build, "tibia", Bone(grown.outer, grown.filled(marrow, s), canal))
 
@@ -103,8 +103,7 @@ def _standing(build: Build, name: str, bone: Bone) -> Bone:
     for solid, short_mm in ((bone.outer, 0.0), (bone.inner, 2.0), (bone.canal, 4.0)):
         up = 1 if name == "femur" else -1
         solids.append(checked(trimmed(stood(solid, build, name), up, up * (SHAFT_END_MM - short_mm)), name))
-    outer, inner, canal = solids
-    return Bone(outer, inner, canal.simplify(_CANAL_MM))
+    return Bone(*solids)
 
 
 def _canal(build: Build, shaft: FemurShape | TibiaShape, heights: Array) -> Manifold:
@@ -120,4 +119,4 @@ def _canal(build: Build, shaft: FemurShape | TibiaShape, heights: Array) -> Mani
         room = np.minimum(*(np.interp(z_mm, table[:, 0], table[:, k]) for k in (1, 2))) - cortex(z_mm)
         return cortex(z_mm) + clear_mm + (room - _CLEAR_MM - clear_mm) * (1 - np.sin(opening * np.pi / 2))
 
-    return column(table, inset, heights, "canal")
+    return column(table, inset, heights, "canal", count=_AROUND, across=True)

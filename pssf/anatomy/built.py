@@ -22,6 +22,7 @@ from ..model.knee import Knee
 from ..model.protocol import Posture, Protocol
 from ..model.radiograph import Truth
 from . import bones, small_bones, soft
+from .attrition import attrition_mm
 from .bone_build import build_of
 from .cysts import CystSolids, cyst_meshes, cysts_of
 from .joint import KneeAssembly, assemble, defining_protocol
@@ -33,7 +34,7 @@ from .tissues import Covered, between, cartilage_of
 from .trabeculae import BONES, Trabeculae, make_struts, trabeculae
 from .truth import labels, measured_jsw_mm, osteophyte_meshes
 from .turned_truth import turned_labels
-from .wear import attrition_mm, worn
+from .wear import worn
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -10,13 +10,13 @@ from scipy.spatial import cKDTree
 from ..core.checks import Array, InputError
 from ..geometry.mesh import Mesh
 from ..model.knee import Cyst, Knee
+from .attrition import attrition_mm
 from .bone_build import stand_femur, stand_tibia
 from .bones import Bone
 from .contours import COMPARTMENT
 from .joint import KneeAssembly
 from .pose import moved
 from .solids import mesh_of
-from .wear import attrition_mm
 
 # Of compact bone around what is soft (judgement: on films a thin rim about what is darker than its surroundings, which
 # a thicker wall would outweigh).

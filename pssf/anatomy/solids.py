@@ -184,24 +184,37 @@ def rings(half_x: Array, half_y: Array, centres: Array, power: float, count: int
     return places
 
 
-def loft(rings_mm: Array, name: str) -> Manifold:
-    """A solid through rings (rings, count, 3), counter-clockwise from +z and rising in z, closed by flat caps."""
+def loft(rings_mm: Array, name: str, *, across: bool = False) -> Manifold:
+    """A solid through rings (rings, count, 3), counter-clockwise from +z and rising in z, closed by flat caps.
+
+    across  caps are strips from side to side, which stay whole where a narrow one is bent; else fans about the middle
+    """
     levels, count, _ = rings_mm.shape
     lower = np.arange(levels - 1)[:, None] * count + np.arange(count)
     beside = np.arange(levels - 1)[:, None] * count + np.roll(np.arange(count), -1)
     quads = np.stack((lower, beside, beside + count, lower + count), axis=-1).reshape(-1, 4)
+    sides, end = np.vstack((quads[:, [0, 1, 2]], quads[:, [0, 2, 3]])), (levels - 1) * count
+    points = rings_mm.reshape(-1, 3)
+    if across:
+        cap = _across(count)
+        return solid_of(points, np.vstack((sides, cap[:, ::-1], cap + end)), name)
     bottom, top = levels * count, levels * count + 1
-    first, last = np.arange(count), np.arange(count) + (levels - 1) * count
-    faces = np.vstack(
-        (
-            quads[:, [0, 1, 2]],
-            quads[:, [0, 2, 3]],
-            np.column_stack((np.full(count, bottom), np.roll(first, -1), first)),
-            np.column_stack((np.full(count, top), last, np.roll(last, -1))),
-        )
+    first, last = np.arange(count), np.arange(count) + end
+    fans = (
+        np.column_stack((np.full(count, bottom), np.roll(first, -1), first)),
+        np.column_stack((np.full(count, top), last, np.roll(last, -1))),
     )
-    centres = rings_mm[[0, -1]].mean(axis=1)
-    return solid_of(np.vstack((rings_mm.reshape(-1, 3), centres)), faces, name)
+    return solid_of(np.vstack((points, rings_mm[[0, -1]].mean(axis=1))), np.vstack((sides, *fans)), name)
+
+
+def _across(count: int) -> Indices:
+    """(count - 2, 3)  faces of a ring of an even count, counter-clockwise, by strips between its two sides"""
+    one = np.arange(1, count // 2 - 1)
+    strips = np.vstack(
+        (np.column_stack((one, one + 1, count - one)), np.column_stack((one + 1, count - one - 1, count - one)))
+    )
+    half = count // 2
+    return np.vstack(([[0, 1, count - 1]], strips, [[half - 1, half, half + 1]])).astype(np.int64)
 
 
 def column(
@@ -211,6 +224,8 @@ def column(
     name: str,
     power: float = SHAFT_POWER,
     count: int = 96,
+    *,
+    across: bool = False,
 ) -> Manifold:
     """A loft through superelliptic sections that are interpolated in height and drawn in by a thickness.
 
@@ -223,7 +238,7 @@ def column(
     half_x, half_y, centre_y, centre_x = PchipInterpolator(table[:, 0], table[:, 1:])(heights_mm).T
     inset = inset_mm(heights_mm)
     a, b = np.maximum(half_x - inset, 0.05), np.maximum(half_y - inset, 0.05)
-    return loft(rings(a, b, np.column_stack((centre_x, centre_y, heights_mm)), power, count), name)
+    return loft(rings(a, b, np.column_stack((centre_x, centre_y, heights_mm)), power, count), name, across=across)
 
 
 def thickness(table: Rows | Array, factor: float = 1.0) -> Callable[[Array], Array]:

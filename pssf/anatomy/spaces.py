@@ -11,12 +11,14 @@ from ..geometry.mesh import Indices, Mesh
 from ..geometry.view import View, magnification, project, view_of
 from ..model.knee import Knee
 from ..model.protocol import Protocol
-from .bone_build import Build, formed, stand_tibia
+from .bone_build import Build, formed, stand_femur, stand_tibia
+from .bones import Bone
 from .contours import measure_gap
 from .landmarks import plateau_floor
 from .pose import Pose, moved, turned_by
 from .solids import closed_edges, edges_of, mesh_of
 from .subluxation import SubluxedPose
+from .wear import worn
 
 # Of the mean man's femur: about here it flexes, the middle of the condyles' round backs.
 _PIVOT_MM = (0.0, 2.0, 23.0)
@@ -31,6 +33,8 @@ _LEVEL_MM = 0.02
 _LEVELLED, _NEARLY_LEVEL_MM = 8, 0.2
 _GIVEN_UP, _FAR_FROM_LEVEL_MM = 16, 1.0
 _TURNS = 40
+# Of narrower knees it is looked whether bones meet, so often at most; what is beyond this from the joint is left out.
+_NEAR_MM, _WORN_TURNS, _SOLID_MM = 3.0, 8, 45.0
 # Of a pose: medial and lateral space, mm, where in x each is least, and by how much the joint line is too high.
 Measure = Callable[[Pose], tuple[Array, Array, float]]
 
@@ -56,7 +60,14 @@ def solve_pose(knee: Knee, build: Build, femur: Manifold, tibia: Manifold, proto
         forward_deg=posture.tibia_forward_deg,
         medial_mm=knee.subluxation_mm,
     )
-    measure = _measure(knee, build, (femur, tibia), protocol)
+    pose = _solved(knee, _measure(knee, build, (femur, tibia), protocol), pose)
+    if wanted.min() > _NEAR_MM:
+        return pose
+    return _settled(wanted, _measure_worn(knee, build, (femur, tibia), protocol), pose)
+
+
+def _solved(knee: Knee, measure: Measure, pose: Pose) -> Pose:
+    wanted = np.array([knee.jsw_medial_mm, knee.jsw_lateral_mm])
     for turn in range(_TURNS):
         level_mm = _level_mm(turn)
         spaces, x, high = measure(pose)
@@ -73,6 +84,20 @@ def solve_pose(knee: Knee, build: Build, femur: Manifold, tibia: Manifold, proto
     )
 
 
+def _settled(wanted: Array, measure: Measure, pose: Pose) -> Pose:
+    """The pose whose spaces are nearest to what is wanted once the plateau is worn, which the pose moves a little."""
+    best, least = pose, np.inf
+    for _ in range(_WORN_TURNS):
+        spaces, x, _ = measure(pose)
+        error = wanted - spaces
+        if np.abs(error).max() < least:
+            best, least = pose, float(np.abs(error).max())
+        if least < _TOLERANCE_MM:
+            break
+        pose = turned_by(pose, x, error)
+    return best
+
+
 def _level_mm(turn: int) -> float:
     """How far the joint line may lie from the origin."""
     if turn < _LEVELLED:
@@ -83,18 +108,45 @@ def _level_mm(turn: int) -> float:
 def _measure(knee: Knee, build: Build, bones: tuple[Manifold, Manifold], protocol: Protocol) -> Measure:
     """Spaces as vertical gaps on the detector: to the tibia's contour, or to the floor of its plateau."""
     lower, upper = _lower(bones[0], build), _upper(bones[1], build)
-    edges = None if knee.jsw_as == "read" else edges_of(upper.faces)
-    view, mirror = view_of(protocol), [1.0, protocol.posture.mirror_y, 1.0]
+    edges = edges_of(upper.faces)
 
     def measure(pose: Pose) -> tuple[Array, Array, float]:
-        femur, lean = (moved(lower[0], pose.femur()) * mirror, lower[1]), pose.lean_deg
-        plateau = Mesh(moved(upper.vertices, pose.tibia()) * mirror, upper.faces)
-        tibia = plateau_floor(plateau, view, 1, lean) if edges is None else (plateau.vertices, edges)
-        gaps = [measure_gap(femur, tibia, view, side, build.half_ml_mm, lean) for side in (+1, -1)]
-        x = [(gap.columns_px[gap.narrowest] - (view.cols - 1) / 2) * gap.scale_mm for gap in gaps]
-        return np.array([gap.jsw_mm for gap in gaps]), np.array(x), _middle_mm(gaps, view)
+        plateau = Mesh(moved(upper.vertices, pose.tibia()), upper.faces)
+        return _measured(knee, build, protocol, pose, (lower, plateau, edges))
 
     return measure
+
+
+def _measure_worn(knee: Knee, build: Build, bones: tuple[Manifold, Manifold], protocol: Protocol) -> Measure:
+    """The same to a plateau that is worn where the femur stands in it."""
+    lower = _lower(bones[0], build)
+    solids = [
+        solid.warp_batch(lambda points, stand=stand: stand(np.array(points), build)).trim_by_plane(way, -far_mm)
+        for solid, stand, way, far_mm in (
+            (bones[0], stand_femur, (0.0, 0.0, -1.0), _SOLID_MM),
+            (bones[1], stand_tibia, (0.0, 0.0, 1.0), _SOLID_MM),
+        )
+    ]
+
+    def measure(pose: Pose) -> tuple[Array, Array, float]:
+        femur, tibia = solids[0].transform(pose.femur()), solids[1].transform(pose.tibia())
+        plateau = mesh_of(worn(Bone(outer=tibia, inner=tibia), femur, 0.0).outer)
+        return _measured(knee, build, protocol, pose, (lower, plateau, edges_of(plateau.faces)))
+
+    return measure
+
+
+def _measured(
+    knee: Knee, build: Build, protocol: Protocol, pose: Pose, bones: tuple[tuple[Array, Indices], Mesh, Indices]
+) -> tuple[Array, Array, float]:
+    """bones: vertices and edges of the femur's lower end, in its frame; the plateau where it is, and its edges"""
+    view, mirror, lean = view_of(protocol), [1.0, protocol.posture.mirror_y, 1.0], pose.lean_deg
+    lower, plateau, edges = bones
+    femur, upper = (moved(lower[0], pose.femur()) * mirror, lower[1]), Mesh(plateau.vertices * mirror, plateau.faces)
+    tibia = plateau_floor(upper, view, 1, lean) if knee.jsw_as == "read" else (upper.vertices, edges)
+    gaps = [measure_gap(femur, tibia, view, side, build.half_ml_mm, lean) for side in (+1, -1)]
+    x = [(gap.columns_px[gap.narrowest] - (view.cols - 1) / 2) * gap.scale_mm for gap in gaps]
+    return np.array([gap.jsw_mm for gap in gaps]), np.array(x), _middle_mm(gaps, view)
 
 
 def _lower(femur: Manifold, build: Build) -> tuple[Array, Indices]:

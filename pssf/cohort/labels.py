@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from ..anatomy.attrition import outer_bones
 from ..anatomy.bone_build import build_of
 from ..anatomy.joint import KneeAssembly, assemble, defining_protocol
 from ..anatomy.landmarks import CONTOUR_LANDMARKS
 from ..anatomy.plateau import inter_margin_mm
-from ..anatomy.wear import outer_bones
 from ..core.checks import InputError
 from ..data.anatomy import AnatomyTables, anatomy_tables
 from ..data.bones import FemurShape, mean_shape

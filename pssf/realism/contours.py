@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from ..anatomy.attrition import outer_bones
 from ..anatomy.bone_build import build_of
 from ..anatomy.joint import assemble
 from ..anatomy.landmarks import CONTOUR_LANDMARKS, contour_landmarks
-from ..anatomy.wear import outer_bones
 from ..core.checks import Array, InputError
 from ..core.parallel import ordered_map
 from ..data.anatomy import AnatomyTables
