@@ -106,7 +106,7 @@ def test_attrition_is_the_depth_that_is_gone_of_the_plateau_on_its_side(built, m
     depths = built.truth(FIXED_FLEXION).attrition_mm
     assert depths["lateral"] == 0.0
     after = outer_bones(built.assembly)[1]
-    monkeypatch.setattr("pssf.anatomy.attrition.worn", lambda tibia, femur, plate_mm: tibia)
+    monkeypatch.setattr("pssf.anatomy.wear.worn", lambda tibia, femur, plate_mm: tibia)
     before = outer_bones(built.assembly)[1]
     # Of the compartment away from the spines, along the leg: place by place, so a little less than the deepest.
     gone = _heights(before) - _heights(after)

@@ -6,11 +6,10 @@ import numpy as np
 from manifold3d import Manifold
 
 from ..geometry.mesh import Mesh
-from .bones import Bone
 from .contours import COMPARTMENT
 from .joint import KneeAssembly
 from .solids import mesh_of
-from .wear import CONTACT_MM, MOST_MM, NOTHING_MM3, near, worn
+from .wear import CONTACT_MM, MOST_MM, NOTHING_MM3, near, worn_outer
 
 # A depth is found by halving MOST_MM so often, to a thousandth of a millimetre.
 _HALVINGS = 13
@@ -19,7 +18,7 @@ _HALVINGS = 13
 def outer_bones(assembly: KneeAssembly) -> tuple[Mesh, Mesh]:
     """Outer surfaces of femur and tibia as they stand, the tibia worn, before they are mirrored."""
     femur, tibia = _standing(assembly)
-    return mesh_of(femur), mesh_of(worn(Bone(outer=tibia, inner=tibia), femur, 0.0).outer)
+    return mesh_of(femur), mesh_of(worn_outer(tibia, femur))
 
 
 def attrition_mm(assembly: KneeAssembly) -> dict[str, float]:

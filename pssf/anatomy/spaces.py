@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from manifold3d import Manifold
@@ -12,13 +13,12 @@ from ..geometry.view import View, magnification, project, view_of
 from ..model.knee import Knee
 from ..model.protocol import Protocol
 from .bone_build import Build, formed, stand_femur, stand_tibia
-from .bones import Bone
 from .contours import measure_gap
 from .landmarks import plateau_floor
 from .pose import Pose, moved, turned_by
 from .solids import closed_edges, edges_of, mesh_of
 from .subluxation import SubluxedPose
-from .wear import worn
+from .wear import worn_outer
 
 # Of the mean man's femur: about here it flexes, the middle of the condyles' round backs.
 _PIVOT_MM = (0.0, 2.0, 23.0)
@@ -37,6 +37,8 @@ _TURNS = 40
 _NEAR_MM, _WORN_TURNS, _SOLID_MM = 3.0, 8, 45.0
 # Of a pose: medial and lateral space, mm, where in x each is least, and by how much the joint line is too high.
 Measure = Callable[[Pose], tuple[Array, Array, float]]
+# The same of a pose, the plateau in it and the plateau's edges.
+Measured = Callable[[Pose, Mesh, Indices], tuple[Array, Array, float]]
 
 
 def solve_pose(knee: Knee, build: Build, femur: Manifold, tibia: Manifold, protocol: Protocol) -> Pose:
@@ -60,10 +62,12 @@ def solve_pose(knee: Knee, build: Build, femur: Manifold, tibia: Manifold, proto
         forward_deg=posture.tibia_forward_deg,
         medial_mm=knee.subluxation_mm,
     )
-    pose = _solved(knee, _measure(knee, build, (femur, tibia), protocol), pose)
+    lower = _lower(femur, build)
+    measured = partial(_measured, knee, build, protocol, lower)
+    pose = _solved(knee, _measure(measured, _upper(tibia, build)), pose)
     if wanted.min() > _NEAR_MM:
         return pose
-    return _settled(wanted, _measure_worn(knee, build, (femur, tibia), protocol), pose)
+    return _settled(wanted, _measure_worn(measured, build, femur, tibia), pose)
 
 
 def _solved(knee: Knee, measure: Measure, pose: Pose) -> Pose:
@@ -105,43 +109,45 @@ def _level_mm(turn: int) -> float:
     return _NEARLY_LEVEL_MM if turn < _GIVEN_UP else _FAR_FROM_LEVEL_MM
 
 
-def _measure(knee: Knee, build: Build, bones: tuple[Manifold, Manifold], protocol: Protocol) -> Measure:
-    """Spaces as vertical gaps on the detector: to the tibia's contour, or to the floor of its plateau."""
-    lower, upper = _lower(bones[0], build), _upper(bones[1], build)
+def _measure(measured: Measured, upper: Mesh) -> Measure:
+    """Spaces over a plateau as it is; upper: of `_upper`."""
     edges = edges_of(upper.faces)
 
     def measure(pose: Pose) -> tuple[Array, Array, float]:
-        plateau = Mesh(moved(upper.vertices, pose.tibia()), upper.faces)
-        return _measured(knee, build, protocol, pose, (lower, plateau, edges))
+        return measured(pose, Mesh(moved(upper.vertices, pose.tibia()), upper.faces), edges)
 
     return measure
 
 
-def _measure_worn(knee: Knee, build: Build, bones: tuple[Manifold, Manifold], protocol: Protocol) -> Measure:
-    """The same to a plateau that is worn where the femur stands in it."""
-    lower = _lower(bones[0], build)
-    solids = [
-        solid.warp_batch(lambda points, stand=stand: stand(np.array(points), build)).trim_by_plane(way, -far_mm)
-        for solid, stand, way, far_mm in (
-            (bones[0], stand_femur, (0.0, 0.0, -1.0), _SOLID_MM),
-            (bones[1], stand_tibia, (0.0, 0.0, 1.0), _SOLID_MM),
-        )
-    ]
+def _measure_worn(measured: Measured, build: Build, femur: Manifold, tibia: Manifold) -> Measure:
+    """Spaces over a plateau that is worn where the femur stands in it."""
+    above, below = (
+        solid.warp_batch(lambda points, stand=stand: stand(np.array(points), build)).trim_by_plane(way, -_SOLID_MM)
+        for solid, stand, way in ((femur, stand_femur, (0.0, 0.0, -1.0)), (tibia, stand_tibia, (0.0, 0.0, 1.0)))
+    )
 
     def measure(pose: Pose) -> tuple[Array, Array, float]:
-        femur, tibia = solids[0].transform(pose.femur()), solids[1].transform(pose.tibia())
-        plateau = mesh_of(worn(Bone(outer=tibia, inner=tibia), femur, 0.0).outer)
-        return _measured(knee, build, protocol, pose, (lower, plateau, edges_of(plateau.faces)))
+        plateau = mesh_of(worn_outer(below.transform(pose.tibia()), above.transform(pose.femur())))
+        return measured(pose, plateau, edges_of(plateau.faces))
 
     return measure
 
 
 def _measured(
-    knee: Knee, build: Build, protocol: Protocol, pose: Pose, bones: tuple[tuple[Array, Indices], Mesh, Indices]
+    knee: Knee,
+    build: Build,
+    protocol: Protocol,
+    lower: tuple[Array, Indices],
+    pose: Pose,
+    plateau: Mesh,
+    edges: Indices,
 ) -> tuple[Array, Array, float]:
-    """bones: vertices and edges of the femur's lower end, in its frame; the plateau where it is, and its edges"""
+    """Spaces as vertical gaps on the detector: to the tibia's contour, or to the floor of its plateau.
+
+    lower    of `_lower`
+    plateau  where it is, and its edges
+    """
     view, mirror, lean = view_of(protocol), [1.0, protocol.posture.mirror_y, 1.0], pose.lean_deg
-    lower, plateau, edges = bones
     femur, upper = (moved(lower[0], pose.femur()) * mirror, lower[1]), Mesh(plateau.vertices * mirror, plateau.faces)
     tibia = plateau_floor(upper, view, 1, lean) if knee.jsw_as == "read" else (upper.vertices, edges)
     gaps = [measure_gap(femur, tibia, view, side, build.half_ml_mm, lean) for side in (+1, -1)]

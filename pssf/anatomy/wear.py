@@ -38,6 +38,11 @@ def worn(tibia: Bone, femur: Manifold, plate_mm: float) -> Bone:
     )
 
 
+def worn_outer(tibia: Manifold, femur: Manifold) -> Manifold:
+    """The outer solid alone of a tibia that is worn by a femur, both in one frame."""
+    return worn(Bone(outer=tibia, inner=tibia), femur, 0.0).outer
+
+
 def near(femur: Manifold, box_mm: Array, margin_mm: float) -> Manifold:
     """What of a femur is in a box (2, 3) or as near to it: what is worn has no more to do with the rest."""
     low, high = box_mm[0] - margin_mm, box_mm[1] + margin_mm
