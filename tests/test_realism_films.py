@@ -329,6 +329,13 @@ def test_the_part_on_films_counts_compares_and_shows():
     assert {row["group"] for row in tables["films_domains"]} == {
         "joint space", "contour", "margins", "shape", "plate", "first order", "texture", "all",
     }  # fmt: skip
+    ratios = {row["measure"]: row for row in tables["films_ratios"]}
+    assert {"notch_depth", "metaphysis_width", "medial_tibia_8mm"} <= ratios.keys()
+    # Both are the same film with noise of the same size.
+    notch = ratios["notch_depth"]
+    assert (notch["given"], notch["drawn"]) == (24, 24)
+    assert abs(notch["off_sd"]) < 4 * np.sqrt(2 / 24)
+    assert 0.5 < notch["spread_ratio"] < 2.0
     assert [figure.name for figure in section.figures] == ["sheet_0", "sheet_2", "blind"]
     assert section.line.startswith("clinic told from simulated with AUC 0.")
     assert all(figure.png.startswith(b"\x89PNG") for figure in section.figures)

@@ -117,6 +117,7 @@ def _tibia(meshes: Mapping[str, trimesh.Trimesh], assembly: KneeAssembly) -> Siz
         "tibial_ml_mm": float(np.ptp(top[:, 0])),
         "tibial_ap_mm": float(np.ptp(top[:, 1])),
         **_shaft(bone, marrow, -130.0, "tibial_shaft_ml_mm", "tibial_shaft_cortex_mm"),
+        **_shaft(bone, marrow, -50.0, "", "tibial_cortex_50_mm"),
     }
     tips = []
     for side, sign in (("medial", 1.0), ("lateral", -1.0)):

@@ -26,6 +26,8 @@ Bones = Mapping[str, Sequence[Mesh]]
 _MEAN_ROUNDS = 3
 # Where the colours of the picture end.
 _MOST_MM = 6.0
+# Of a femur, whose epicondyles are its widest place.
+_FEMUR_END_MM = 45.0
 _GIVEN, _DRAWN = "given about their mean", "drawn about built mean"
 _COLUMNS = (
     "bone", "what", "bones", "rms_mm", "p99_mm", "mean_mm", "scale", "rms_least_mm", "rms_most_mm", "scale_sd",
@@ -135,6 +137,8 @@ def compare(given: Bones, built: Mapping[str, Mesh], drawn: Bones, workers: int 
         rows += [{"bone": name, "what": what} | _spread_row(bones) for what, bones in several.items()]
         if several.keys() == kinds.keys():
             forms += form_rows(name, [one.forms for one in of[_GIVEN]], [one.forms for one in of[_DRAWN]])
+    if {row["bone"] for row in forms} >= {"femur", "patella"} and len(given["femur"]) == len(given["patella"]):
+        forms += form_rows("patella", *(_patellae_over_femora(bones) for bones in (given, drawn)))
     figure = bone_figure.draw({name: (fit.placed, fit.off_mm) for name, fit in fits.items()}, _MOST_MM)
     return BoneComparison(
         rows=[dict.fromkeys(_COLUMNS, "") | row for row in rows], forms=forms, fits=fits, figure=figure
@@ -162,6 +166,18 @@ def _spread_row(bones: Sequence[_OneBone]) -> Row:
         "rms_most_mm": float(rms.max()),
         "scale_sd": float(np.std(1 / scale, ddof=1) / np.mean(1 / scale)),
     }
+
+
+def _patellae_over_femora(bones: Bones) -> list[dict[str, float]]:
+    """One dict a knee, whose bones have the same number in either list."""
+    return [{"patella's width over the femur's": _width_mm(patella) / _width_mm(femur, _FEMUR_END_MM)}
+            for femur, patella in zip(bones["femur"], bones["patella"], strict=True)]  # fmt: skip
+
+
+def _width_mm(bone: Mesh, low_mm: float = np.inf) -> float:
+    """Across a bone, of what lies no higher than so much above its lowest place."""
+    height = bone.vertices[:, 2] - bone.vertices[:, 2].min()
+    return float(np.ptp(bone.vertices[height < low_mm, 0]))
 
 
 def _of_bone(

@@ -18,6 +18,7 @@ from .domains import ALL, Films, learnable, told_apart, transferred
 from .effects import effects
 from .films import FINE, TONE, Record
 from .form import Place, field_of, made_smaller, stretched
+from .forms import beside
 from .page import Section, Table
 from .sheets import sheet
 
@@ -36,6 +37,8 @@ SIMULATED = "simulated"
 # What is to be told apart: grade 0 from these.
 TASKS = ((2,), (3, 4))
 _A_SHEET = 6
+# Groups of features that are ratios of the outlines.
+_RATIOS = ("shape|", "margins|")
 _TEXT = (
     "Every film, real or simulated, is searched for its joint, turned into a right knee and brought to one size of the "
     "plateau (78 mm), one pitch (0.46 mm; simulated films first to pixels as large as those of most real ones), one "
@@ -50,6 +53,8 @@ _CAPTIONS = {
     "way is the share of what lies between chance and these, where real films teach anything for sure.",
     "effects": "(c) Standardised differences between grades, real against simulated, over the features of a group: "
     "correlation and share of equal signs; most is the correlation that so many films could show.",
+    "ratios": "(d) Ratios of the outlines in shares of the plateau's width, of all films of a source and of the "
+    "simulated ones: those of another view differ by the view.",
     "tone": "(d) Tone, in the display's values: contrasts, and greys with soft tissue as 0 and the shaft's cortex as 1 "
     "where a film holds the shaft.",
     "fine": "(d) Texture at the film's own pitch, where that is 0.25 mm or less.",
@@ -99,6 +104,7 @@ def films_section(
         Table(name="films_transfer", rows=compared.transfer, caption=_CAPTIONS["transfer"]),
         Table(name="films_effects", rows=compared.groups, caption=_CAPTIONS["effects"]),
         Table(name="films_effects_of_features", rows=compared.features, caption="(c) Of every feature.", shown=12),
+        Table(name="films_ratios", rows=ratio_rows(records), caption=_CAPTIONS["ratios"], shown=31),
         Table(name="films_tone", rows=quantity_rows(records, TONE), caption=_CAPTIONS["tone"]),
         Table(name="films_texture", rows=quantity_rows(records, FINE), caption=_CAPTIONS["fine"]),
         Table(name="films_form_texture", rows=quantity_rows(records, "texture"), caption=_CAPTIONS["form"], shown=40),
@@ -196,6 +202,19 @@ def quantity_rows(records: Mapping[str, Sequence[Record]], group: str) -> list[R
                 row |= {f"{name}_median": float(median), f"{name}_p10": float(low), f"{name}_p90": float(high)}
                 row[f"{name}_films"] = len(values)
         rows.append(row)
+    return rows
+
+
+def ratio_rows(records: Mapping[str, Sequence[Record]]) -> list[Row]:
+    """One row a ratio of the outlines and a real source, beside the simulated films; see `forms.beside`."""
+    tables = {name: pd.DataFrame([one for one in of if one["status"] == "found"]) for name, of in records.items()}
+    ours = tables.pop(SIMULATED, pd.DataFrame())
+    rows = []
+    for name, table in tables.items():
+        for column in (column for column in table if column in ours and column.startswith(_RATIOS)):
+            values = [one[column].dropna().to_numpy(np.float64) for one in (table, ours)]
+            if min(map(len, values)) > 1:
+                rows.append({"source": name, "measure": column.split("|")[1]} | beside(*values))
     return rows
 
 
