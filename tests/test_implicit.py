@@ -1,5 +1,7 @@
 """Fields, and solids settled onto them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -15,7 +17,8 @@ from pssf.anatomy.mean_bone import Plates
 from pssf.anatomy.solids import mesh_of
 from pssf.anatomy.tibia import mean_tibia
 from pssf.data.anatomy import anatomy_tables
-from pssf.model.knee import BORDER_SITES, CENTRAL_SITES, SITES
+from pssf.model.knee import BORDER_SITES, CENTRAL_SITES, SITES, Osteophyte
+from pssf.realism.surfaces import measured
 
 TABLES = anatomy_tables()
 SHAPE = TABLES.shape
@@ -196,3 +199,14 @@ def test_spongy_bone_with_osteophytes_is_of_one_piece(number):
         "femur": 1,
         "tibia": 1,
     }
+
+
+def test_a_spine_is_no_margin_that_is_higher():
+    rng = np.random.default_rng(np.random.SeedSequence(260, spawn_key=(1,)))
+    bare = replace(wide_knee(rng, 13), osteophytes=(), side="right", rotation_deg=0.0)
+    grown = replace(bare, osteophytes=(Osteophyte(site="lateral_spine", size_mm=2.0),))
+    before, after = (mesh_of(anatomy.build(knee).bones["tibia"].outer) for knee in (bare, grown))
+    there = measured(before).nearest(after.vertices)[0]
+    raised = after.vertices[np.linalg.norm(after.vertices - there, axis=1) > 1.0]
+    assert len(raised) > 10
+    assert (np.abs(raised[:, 0]) < 20.0).all()

@@ -25,6 +25,8 @@ _LEANS, _MOST_LEANING_MM = 1.0, 1.5
 # size. So far from a spine's top, in the saddle, is a foot; a crest runs forwards and back by the fourth, where it
 # is lower by the fifth, a millimetre of breadth.
 _BROADEST_MM, _TALL_MM2, _INNER_FOOT_MM, _CREST_RUNS, _CREST_FALLS = 2.5, 8.0, 4.0, 2.2, 0.45
+# Where spines are to either side of the middle, at the mean man's size: the margin of a bowl-shaped plateau is higher.
+_SPINES_MM = (1.0, 16.0)
 # At a margin its feet are so far from there, away from the joint, at the mean man's size.
 _FOOT_MM = 3.0
 # In the middle of a joint surface: six feet and tips around one in the middle (6), so that cones leave no hollow.
@@ -114,7 +116,8 @@ def at_margin(table: Margin, direction: float, bare: Manifold, size_mm: float, d
 def on_spine(direction: float, bare: Manifold, size_mm: float, deform: Deform) -> Spike:
     """A ridge on a tibial spine."""
     points = mesh_of(bare).vertices
-    side = points[points[:, 0] * direction > 1.0]
+    aside_mm = points[:, 0] * direction
+    side = points[(aside_mm > _SPINES_MM[0]) & (aside_mm < _SPINES_MM[1])]
     height = deform(side)[:, 2]
     top = side[height.argmax()]
     broad_mm = min(size_mm, _BROADEST_MM, _TALL_MM2 / size_mm)
