@@ -45,6 +45,8 @@ class Lip:
     edge    (3,)     polynomial of the edge's place outwards, mm: powers 0 to 2 of the place along the margin
     rise    (3,)     likewise of its place towards the joint
     half_mm          from its middle to its ends, which lie within the bone
+    over_mm          how far its tip is above its foot, of what it stands above the joint surface: at most its size, so that
+                     its flank keeps clear of the bone's
     spot    (2,)     where it is farthest: place along the margin, mm, and angle around its edge
     out     (3,)     normal of its surface there
     """
@@ -58,6 +60,7 @@ class Lip:
     edge_mm: float
     base_mm: float
     long_mm: float
+    over_mm: float
     bend: float
     spot: Array
     out: Array
@@ -91,7 +94,8 @@ class Lip:
         wide = self.base_mm + _ABOUT_MM
         deep, high = -self.long_mm - wide, self.bend * self.size_mm / 2
         within = (np.abs(along) < self.half_mm + _ABOUT_MM) & (out > deep) & (out < _ABOUT_MM)
-        return np.asarray(within & (up < wide + max(high, 0.0)) & (up > -2 * wide + min(high, 0.0)))
+        low = min(high, 0.0) - self.over_mm
+        return np.asarray(within & (up < wide + max(high, 0.0)) & (up > -2 * wide + low))
 
     def field(self, points: Array) -> Array:
         """(n,)  approximate distance from the lip at points (n, 3), mm"""
@@ -137,10 +141,10 @@ class Lip:
         return np.asarray(self.bend * np.maximum(out + self.size_mm, 0.0) ** 2 / (2 * self.size_mm))
 
     def _balls(self, inset_mm: float) -> tuple[tuple[Array, float], tuple[Array, float]]:
-        """Foot and tip of the profile: (out, up) from the edge and radius. Its side towards the joint is level."""
+        """Foot and tip of the profile: (out, up) from the edge and radius."""
         tip_mm = max(self.edge_mm - inset_mm, 0.1)
         back = max(0.0, inset_mm - (self.edge_mm - tip_mm))
-        foot = np.array([-self.long_mm, self.edge_mm - self.base_mm])
+        foot = np.array([-self.long_mm, self.edge_mm - self.base_mm - self.over_mm])
         tip = np.array([-self.edge_mm, 0.0])
         tip = tip + back * (foot - tip) / np.hypot(*(foot - tip))
         return (foot, self.base_mm - inset_mm), (tip, tip_mm)
@@ -169,11 +173,13 @@ def lip_at(
     outline, rise = _outline(mean.field, origin, axes)
     edge_mm = form.edge_mm[0] + form.edge_mm[1] * size_mm
     drop_mm = margin.medial_drop_mm if side > 0 else margin.lateral_drop_mm
-    rise -= [drop_mm[0] + drop_mm[1] * size_mm + edge_mm, 0.0, 0.0]
+    under_mm = drop_mm[0] + drop_mm[1] * size_mm
+    rise -= [under_mm + edge_mm, 0.0, 0.0]
     sunk_mm = fillet_of(size_mm) + _SUNK_MM
     long_mm = min(form.long_mm[0] + form.long_mm[1] * size_mm, form.longest_mm)
     half_mm = long_mm / 2 * np.sqrt((size_mm + sunk_mm) / size_mm)
-    base_mm = min(form.base_mm[0] + form.base_mm[1] * size_mm, form.highest_mm) / 2
+    over_mm = min(max(0.0, -under_mm), size_mm)
+    base_mm = (min(form.base_mm[0] + form.base_mm[1] * size_mm, form.highest_mm) - over_mm) / 2
     lip = Lip(
         origin=origin,
         axes=axes,
@@ -184,6 +190,7 @@ def lip_at(
         edge_mm=edge_mm,
         base_mm=base_mm,
         long_mm=base_mm + (1 - form.bulge) * size_mm,
+        over_mm=over_mm,
         bend=float(np.tan(np.deg2rad(osteophyte.curve_deg))),
         spot=np.zeros(2),
         out=way,
