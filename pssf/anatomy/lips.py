@@ -45,8 +45,8 @@ class Lip:
     edge    (3,)     polynomial of the edge's place outwards, mm: powers 0 to 2 of the place along the margin
     rise    (3,)     likewise of its place towards the joint
     half_mm          from its middle to its ends, which lie within the bone
-    over_mm          how far its tip is above its foot, of what it stands above the joint surface: at most its size, so that
-                     its flank keeps clear of the bone's
+    over_mm          how far its tip is above its foot, of what it stands above the joint surface: at most its size, so
+                     that its flank keeps clear of the bone's
     spot    (2,)     where it is farthest: place along the margin, mm, and angle around its edge
     out     (3,)     normal of its surface there
     """

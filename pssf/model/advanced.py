@@ -6,7 +6,7 @@ import numpy as np
 
 from ..data.grades import Central, Cysts, Laws, SeverityGrades
 from ..data.records import Pair
-from .knee import Cyst, Osteophyte
+from .knee import Cyst, Osteophyte, other_compartment
 
 # Apart in the measure of their places, as `Knee` wants those of one site, with chance left for each.
 _PLACES = (-0.7, 0.0, 0.7)
@@ -52,7 +52,7 @@ def central_osteophytes(
     """
     if law is None or rng.random() >= law.share[grade]:
         return ()
-    other = "lateral" if narrowed == "medial" else "medial"
+    other = other_compartment(narrowed)
     side = narrowed if rng.random() < law.narrowed else other
     surface = "condyle" if rng.random() < law.femur else "plateau"
     size_mm, place = rng.uniform(*law.size_mm), rng.uniform(-1.0, 1.0)
@@ -66,7 +66,7 @@ def in_part(severity: float, correlation: float, chance: float) -> float:
 
 def _cysts(law: Cysts, grade: int, narrowed: str, rng: np.random.Generator) -> tuple[Cyst, ...]:
     has, count = rng.random() < law.share[grade], int(rng.integers(1, law.most + 1))
-    other = "lateral" if narrowed == "medial" else "medial"
+    other = other_compartment(narrowed)
     places = rng.permutation(_PLACES)
     drawn = []
     for place in places[:count]:

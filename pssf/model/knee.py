@@ -27,6 +27,11 @@ BONE_OF = {"femur": "femur", "condyle": "femur", "tibia": "tibia", "plateau": "t
 _TALLEST_CENTRAL_MM = 5.0
 
 
+def other_compartment(side: str) -> str:
+    """medial of lateral, and lateral of medial"""
+    return "lateral" if side == "medial" else "medial"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Osteophyte:
     """A bony lip at a joint margin, a spike on a tibial spine, or a mound in the middle of a joint surface.

@@ -10,7 +10,7 @@ from ..data.fields import FieldLaw, field_laws
 from ..data.oarsi import OarsiCuts, oarsi_cuts
 from ..data.progress import Progress, Step, progress_law
 from ..data.records import Pair
-from .knee import Knee, Osteophyte
+from .knee import Knee, Osteophyte, other_compartment
 
 _SIDES = ("medial", "lateral")
 _MARGINS = ("medial_tibia", "medial_femur", "lateral_tibia", "lateral_femur")
@@ -39,7 +39,7 @@ def progress(knee: Knee, years: float, rng: np.random.Generator) -> Knee:
     stage = _stage(knee, law.step, cuts)
     lost_already = {side: _lost(knee, side, cuts) for side in _SIDES}
     course = _draw_course(law, knee, stage if knee.grade is None else knee.grade, lost_already, rng)
-    other = "lateral" if course.narrows == "medial" else "medial"
+    other = other_compartment(course.narrows)
     lost = {course.narrows: years * course.loss_mm, other: years * course.loss_mm * law.other}
     spaces: dict[str, Any] = {
         f"jsw_{side}_mm": round(max(0.0, _space_mm(knee, side) - mm), 4) for side, mm in lost.items()

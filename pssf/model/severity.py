@@ -10,7 +10,7 @@ from ..core.checks import Array
 from ..data.grades import Around, Margins, SeverityGrades
 from ..data.records import Pair
 from .advanced import advanced_fields, central_osteophytes, in_part
-from .knee import Osteophyte
+from .knee import Osteophyte, other_compartment
 
 # No value of a normal law is farther from its mean.
 _FARTHEST_SD = 2.5
@@ -77,7 +77,7 @@ def _osteophytes(
         low, high = law.size_mm[degree]
         most = law.doubtful_mm if grade == 1 else high
         sizes[site] = float(rng.uniform(min(low, most), min(high, most)))
-    for side, share in ((narrowed, 1.0), ("lateral" if narrowed == "medial" else "medial", law.spine_other)):
+    for side, share in ((narrowed, 1.0), (other_compartment(narrowed), law.spine_other)):
         spiked, size_mm = rng.random() < share * law.spine[grade], float(rng.uniform(*law.spine_mm))
         if spiked:
             sizes[f"{side}_spine"] = size_mm
