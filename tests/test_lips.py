@@ -54,6 +54,20 @@ def test_a_lip_is_broad_along_the_margin_and_at_its_base(site):
     assert 6 < np.ptp(up) < 15
 
 
+@pytest.mark.parametrize("site", ["lateral_tibia", "medial_tibia"])
+def test_a_lip_that_stands_above_the_joint_surface_rises_from_it(site):
+    grown, _, _ = lip(site, 2.0)
+    (shape,) = grown.shapes
+    mean = OF_BONE["tibia"][1]
+    points = mesh_of(grown.outer).vertices
+    points = points[shape.near(points)]
+    along, out, up = shape._local(points)
+    inwards = (out < -shape.long_mm - 1.5) & (up > -shape.over_mm - 1.0) & (np.abs(along) < 3.0)
+    assert inwards.sum() > 3
+    assert shape.over_mm > 0.9
+    assert mean.field(points[inwards]).max() < 0.2 * shape.over_mm
+
+
 @pytest.mark.parametrize("site", MARGINS)
 def test_a_larger_lip_is_longer_and_one_that_curves_ends_nearer_to_the_joint(site):
     small, large = (lip(site, size)[0].shapes[0] for size in (2.0, 8.0))
