@@ -260,10 +260,11 @@ def test_bone_is_denser_at_the_plate_and_medially_and_fades_down_the_shaft():
     deep = [(x + 23, z, 22.5) for z in np.arange(-22, -6, 3)]
     medial, lateral, metaphysis = np.split(usual_bvtv(*sides, *deep), (3, 6))
     assert medial[0] > 1.15 * medial[1] > 1.15 * medial[2]
-    # Medial over lateral over the first 6 mm (J Orthop Res 2003 21:6); deeper, people's tibiae are no darker laterally
-    # on films (trabeculae.toml), and there the order alone is held.
+    # Medial over lateral over the first 6 mm (J Orthop Res 2003 21:6); 8 to 28 mm deep people's tibiae are brighter
+    # laterally on films, by little (trabeculae.toml), and the scar, whose side is drawn, is there.
     assert medial[0] > 1.1 * lateral[0]
-    assert all(m > other for m, other in zip(medial, lateral, strict=True))
+    assert medial[1] > lateral[1]
+    assert 0.9 < medial[2] / lateral[2] < 1.1
     assert 0.18 < medial[0] < 0.37
     assert 0.08 < medial[2] < 0.22
     assert bvtv(bone(), x, -120.0) < 0.05
@@ -399,7 +400,7 @@ def test_the_scar_is_seen_as_a_line_from_whatever_height_it_is_looked_at():
         rise = np.tan(np.deg2rad(degrees))
         sharp = {}
         for name, form in (("level", LEVEL), ("domed", {**LEVEL, "scar_dome_per_mm": -0.004})):
-            scarred = region(bone(), scar_y=0.0, **form)
+            scarred = region(bone(), scar_y=0.0, scar_bvtv=0.1, **form)
             middle = np.array([scarred.region.scar_x, 0.0, scarred.region.scar_z]) + heights[:, None] * [0, 0, 1]
             way = np.array([0.0, 22.0, 22.0 * rise])
             plain = region(scarred, scar_bvtv=0.0)
