@@ -65,7 +65,7 @@ def through(x_mm, z_mm, half_mm: float = 20.0) -> tuple[np.ndarray, np.ndarray]:
 
 def usual_bvtv(*places) -> np.ndarray:
     """(places,)  mean of people's, who have their dense and bare patches each in other places; x, z and half the way"""
-    return np.mean([[bvtv(bone(seed=seed), *place) for place in places] for seed in range(6)], axis=0)
+    return np.mean([[bvtv(bone(seed=seed), *place) for place in places] for seed in range(24)], axis=0)
 
 
 def bvtv(density: Trabeculae, x_mm, z_mm, half_mm: float = 20.0) -> float:
