@@ -188,9 +188,14 @@ def found_rows(records: Mapping[str, Sequence[Record]]) -> list[Row]:
     return rows
 
 
+def _found_tables(records: Mapping[str, Sequence[Record]]) -> dict[str, pd.DataFrame]:
+    """Source -> its films with a joint found."""
+    return {name: pd.DataFrame([one for one in of if one["status"] == "found"]) for name, of in records.items()}
+
+
 def quantity_rows(records: Mapping[str, Sequence[Record]], group: str) -> list[Row]:
     """One row a quantity of a group: median, 10th and 90th percentile and count in each source."""
-    tables = {name: pd.DataFrame([one for one in of if one["status"] == "found"]) for name, of in records.items()}
+    tables = _found_tables(records)
     columns = dict.fromkeys(column for table in tables.values() for column in table if column.startswith(f"{group}|"))
     rows = []
     for column in columns:
@@ -207,7 +212,7 @@ def quantity_rows(records: Mapping[str, Sequence[Record]], group: str) -> list[R
 
 def ratio_rows(records: Mapping[str, Sequence[Record]]) -> list[Row]:
     """One row a ratio of the outlines and a real source, beside the simulated films; see `forms.beside`."""
-    tables = {name: pd.DataFrame([one for one in of if one["status"] == "found"]) for name, of in records.items()}
+    tables = _found_tables(records)
     ours = tables.pop(SIMULATED, pd.DataFrame())
     rows = []
     for name, table in tables.items():

@@ -4,13 +4,15 @@ Bones are in the frame of the mean man's, before they stand: x medial, y posteri
 """
 
 import numpy as np
-import trimesh
 
+from ..anatomy.contours import envelope
+from ..anatomy.solids import edges_of
 from ..core.checks import Array
 from ..geometry.mesh import Mesh
+from .shape_measures import between, femur_width, tibia_width
 
-# Columns of an outline, and points spread over a bone that tell it: on average 300 a column.
-_PITCH_MM, _HALF_MM, _POINTS = 0.5, 45.0, 150_000
+# From one column of an outline to the next, and how many lie to either side of the middle.
+_PITCH_MM, _COLUMNS = 0.5, 90
 # An anteroposterior beam falls along the plateau, which slopes backwards by so much; the femur it meets level.
 _SLOPE_DEG = 5.0
 # Half the width in which the notch's roof, the spines and the eminence are sought; where condyles and plateaus are.
@@ -30,8 +32,8 @@ def front_measures(bone: str, mesh: Mesh) -> dict[str, float]:
 
 def _femur(mesh: Mesh) -> dict[str, float]:
     x, lower = _outline(mesh, 0.0, -1.0)
-    width = float(np.ptp(mesh.vertices[mesh.vertices[:, 2] < 45, 0]))
-    base = np.mean([lower[_within(side * x, _CONDYLE_MM)].min() for side in (1, -1)])
+    width = femur_width(mesh.vertices)
+    base = np.mean([lower[between(side * x, *_CONDYLE_MM)].min() for side in (1, -1)])
     depth = float(lower[np.abs(x) < _ROOF_MM].max() - base)
     wide = _run_about(x, lower > base + depth / 2, 0.0)
     return {
@@ -43,8 +45,8 @@ def _femur(mesh: Mesh) -> dict[str, float]:
 
 def _tibia(mesh: Mesh) -> dict[str, float]:
     x, upper = _outline(mesh, _SLOPE_DEG, 1.0)
-    width = float(np.ptp(mesh.vertices[mesh.vertices[:, 2] > -25, 0]))
-    level = np.mean([np.median(upper[_within(side * x, _PLATEAU_MM)]) for side in (1, -1)])
+    width = tibia_width(mesh.vertices)
+    level = np.mean([np.median(upper[between(side * x, *_PLATEAU_MM)]) for side in (1, -1)])
     middle = np.abs(x) < _SPINES_MM
     high = x[(np.abs(x) < _EMINENCE_MM) & (upper > (upper[middle].max() + level) / 2)]
     return {
@@ -58,20 +60,11 @@ def _outline(mesh: Mesh, falls_deg: float, way: float) -> tuple[Array, Array]:
 
     falls_deg  of the beam, on its way from behind
     """
-    surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    points, _ = trimesh.sample.sample_surface(surface, _POINTS, seed=0)
     angle = np.deg2rad(falls_deg)
-    height = way * (np.cos(angle) * points[:, 2] + np.sin(angle) * points[:, 1])
-    x = np.arange(-_HALF_MM, _HALF_MM + _PITCH_MM / 2, _PITCH_MM)
-    column = np.rint((points[:, 0] + _HALF_MM) / _PITCH_MM).astype(np.int64)
-    seen = (column >= 0) & (column < len(x))
-    outline = np.full(len(x), -np.inf)
-    np.maximum.at(outline, column[seen], height[seen])
-    return x, way * outline
-
-
-def _within(values: Array, ends: tuple[float, float]) -> np.ndarray:
-    return (values > ends[0]) & (values < ends[1])
+    height = np.cos(angle) * mesh.vertices[:, 2] + np.sin(angle) * mesh.vertices[:, 1]
+    seen = np.column_stack((-height, mesh.vertices[:, 0] / _PITCH_MM))
+    rows = envelope(seen, edges_of(mesh.faces), -_COLUMNS, 2 * _COLUMNS + 1, -way)
+    return np.linspace(-_COLUMNS, _COLUMNS, len(rows)) * _PITCH_MM, -rows
 
 
 def _run_about(x: Array, inside: np.ndarray, place: float) -> float:

@@ -16,7 +16,8 @@ _Where = NDArray[np.bool_]
 _CELL_MM = 3.0
 
 
-def _between(values: Array, low: float, high: float) -> _Where:
+def between(values: Array, low: float, high: float) -> _Where:
+    """(n,)  which values (n,), mm, lie between two"""
     return (values > low) & (values < high)
 
 
@@ -36,20 +37,44 @@ def _slope_deg(along: Array, height: Array) -> float:
     return float(np.rad2deg(np.arctan(np.polyfit(along, height, 1)[0])))
 
 
+def femur_width(points: Array) -> float:
+    """Across the epicondyles, mm.
+
+    points  (n, 3)  vertices, mm
+    """
+    return _span(_femur_end(points)[:, 0])
+
+
+def tibia_width(points: Array) -> float:
+    """Across the plateau, mm.
+
+    points  (n, 3)  vertices, mm
+    """
+    return _span(_tibia_end(points)[:, 0])
+
+
+def _femur_end(points: Array) -> Array:
+    return points[points[:, 2] < 45]
+
+
+def _tibia_end(points: Array) -> Array:
+    return points[points[:, 2] > -25]
+
+
 def femur_measures(points: Array) -> dict[str, float]:
     """Measures of a distal femur.
 
     points  (n, 3)  vertices, mm
     """
     x, y, z = points.T
-    end, shaft = points[z < 45], points[_between(z, 82, 96)]
-    width = _span(end[:, 0])
+    end, shaft = _femur_end(points), points[between(z, 82, 96)]
+    width = femur_width(points)
     medial, lateral = points[(x > 8) & (z < 45)], points[(x < -8) & (z < 45)]
     back = float(end[:, 1].max())
-    front = _between(z, 18, 30) & (y < back - 40)
+    front = between(z, 18, 30) & (y < back - 40)
     groove = points[front & (np.abs(x) < 5)][:, 1].min()
-    ridges = [points[front & _between(side * x, 10, 26)][:, 1].min() for side in (1, -1)]
-    notch = points[_between(y, back - 28, back - 12) & _between(z, 6, 13) & (np.abs(x) < 20)][:, 0]
+    ridges = [points[front & between(side * x, 10, 26)][:, 1].min() for side in (1, -1)]
+    notch = points[between(y, back - 28, back - 12) & between(z, 6, 13) & (np.abs(x) < 20)][:, 0]
     return {
         "femoral condyles' depth over width": _span(end[:, 1]) / width,
         "medial condyle lower than lateral": float(lateral[:, 2].min() - medial[:, 2].min()) / width,
@@ -59,7 +84,7 @@ def femur_measures(points: Array) -> dict[str, float]:
         "notch's width": float(notch[notch > 0].min() - notch[notch < 0].max()) / width,
         "femoral shaft's width over condyles'": _span(shaft[:, 0]) / width,
         "femoral shaft's depth over condyles'": _span(shaft[:, 1]) / width,
-        "femoral metaphysis's width over condyles'": _span(points[_between(z, 50, 58)][:, 0]) / width,
+        "femoral metaphysis's width over condyles'": _span(points[between(z, 50, 58)][:, 0]) / width,
         "femoral shaft's lean to medial": float(_middle(shaft)[0] - _middle(end)[0]) / width,
         "femoral shaft's lean backwards": float(_middle(shaft)[1] - _middle(end)[1]) / width,
     }
@@ -71,14 +96,14 @@ def tibia_measures(points: Array) -> dict[str, float]:
     points  (n, 3)  vertices, mm
     """
     x, y, z = points.T
-    end, shaft = points[z > -25], points[_between(z, -82, -70)]
-    width = _span(end[:, 0])
+    end, shaft = _tibia_end(points), points[between(z, -82, -70)]
+    width = tibia_width(points)
     top = z > -8
-    plateaus = [points[top & _between(side * x, 14, 30) & _between(y, -14, 16)] for side in (1, -1)]
+    plateaus = [points[top & between(side * x, 14, 30) & between(y, -14, 16)] for side in (1, -1)]
     medial, lateral = (plateau[plateau[:, 2] > np.median(plateau[:, 2]) - 4] for plateau in plateaus)
     level = (np.median(medial[:, 2]) + np.median(lateral[:, 2])) / 2
-    spines = [points[top & _between(side * x, 1.5, 14)][:, 2].max() - level for side in (1, -1)]
-    front = points[_between(z, -50, -34) & (np.abs(x) < 16)]
+    spines = [points[top & between(side * x, 1.5, 14)][:, 2].max() - level for side in (1, -1)]
+    front = points[between(z, -50, -34) & (np.abs(x) < 16)]
     return {
         "tibial plateau's depth over width": _span(points[z > -12][:, 1]) / width,
         "medial plateau's fall backwards": -_slope_deg(*_cell_means(medial)),
@@ -88,7 +113,7 @@ def tibia_measures(points: Array) -> dict[str, float]:
         "lateral spine's height": float(spines[1]) / width,
         "tibial shaft's width over plateau's": _span(shaft[:, 0]) / width,
         "tibial shaft's depth over plateau's width": _span(shaft[:, 1]) / width,
-        "tibial metaphysis's width over plateau's": _span(points[_between(z, -44, -36)][:, 0]) / width,
+        "tibial metaphysis's width over plateau's": _span(points[between(z, -44, -36)][:, 0]) / width,
         "tibial shaft's lean to medial": float(_middle(shaft)[0] - _middle(end)[0]) / width,
         "tibial shaft's lean backwards": float(_middle(shaft)[1] - _middle(end)[1]) / width,
         "tibial tuberosity's rise": float(_middle(shaft)[1] - front[:, 1].min()) / width,
