@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 import pssf
+from pssf.accuracy.builds import wide_knee
 from pssf.anatomy.envelope import envelope
 from pssf.anatomy.solids import solid_of
 from pssf.geometry.mesh import Mesh
@@ -77,6 +78,12 @@ def test_fat_fills_the_popliteal_fossa_and_lies_behind_the_quadriceps_tendon(sce
     behind = tendon.translate((0.0, 9.0, 0.0)) - solids["femur"]
     assert (fat ^ behind).volume() > 0.1 * behind.volume()
     assert (tendon - solids["muscle"]).volume() < 1e-6
+
+
+def test_a_thigh_reaches_as_far_as_a_femur_that_a_shape_makes_long():
+    rng = np.random.default_rng(np.random.SeedSequence(1936, spawn_key=(1,)))
+    solids = solids_of(pssf.build(wide_knee(rng, 13)).scene)
+    assert (solids["femur"] - solids["muscle"]).volume() < 1e-6
 
 
 @given(seed=st.integers(0, 2**32))

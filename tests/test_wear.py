@@ -10,9 +10,10 @@ from numpy.testing import assert_allclose
 import pssf
 from pssf.anatomy.attrition import attrition_mm, outer_bones
 from pssf.anatomy.bone_build import build_of
+from pssf.anatomy.bones import Bone
 from pssf.anatomy.joint import assemble, defining_protocol
 from pssf.anatomy.solids import solid_of
-from pssf.anatomy.wear import worn
+from pssf.anatomy.wear import worn, worn_outer
 from pssf.data.anatomy import anatomy_tables
 from pssf.model.protocol import Posture
 
@@ -37,8 +38,10 @@ def test_bone_on_bone_is_built_without_overlap_and_with_its_spaces(built, jsw_me
     assert str(pssf.check(built.scene)) == "no faults"
 
 
-def test_spaces_are_as_wanted_though_a_worn_spine_moves_what_the_floor_is_told_by():
-    rng = np.random.default_rng(np.random.SeedSequence(559, spawn_key=(1,)))
+# Of these a worn spine moves what the floor is told by, and a plateau gives way nearly as far as the femur is lowered.
+@pytest.mark.parametrize("number", [559, 1039])
+def test_spaces_are_as_wanted_over_a_plateau_that_wears(number):
+    rng = np.random.default_rng(np.random.SeedSequence(number, spawn_key=(1,)))
     knee = pssf.draw_knee(grade=4, rng=rng, table="people")
     built = pssf.build(knee, FIXED_FLEXION)
     assert built.truth(FIXED_FLEXION).attrition_mm["medial"] > 0
@@ -66,6 +69,17 @@ THIN = pssf.Knee(
 def test_an_edge_of_the_femur_that_is_thinner_than_the_gap_stays_out_of_the_tibia():
     built = pssf.build(THIN, pssf.load_protocol("fixed_flexion"))
     assert (built.bones["femur"].outer ^ built.bones["tibia"].outer).volume() < 1e-9
+
+
+def test_what_comes_off_a_worn_plateau_is_no_part_of_it():
+    slab = trimesh.creation.box((40.0, 40.0, 10.0)).apply_translation((0.0, 0.0, -5.0))
+    block = trimesh.creation.box((20.0, 20.0, 10.0)).apply_translation((0.0, 0.0, 3.0))
+    hollow = trimesh.creation.box((0.3, 0.3, 0.3)).apply_translation((0.0, 0.0, -1.0))
+    tibia, femur, crumb = (solid_of(part.vertices, part.faces, "part") for part in (slab, block, hollow))
+    left = worn(Bone(outer=tibia, inner=tibia), femur - crumb, 0.1)
+    assert len(left.outer.decompose()) == len(left.inner.decompose()) == 1
+    assert len(worn_outer(tibia, femur - crumb).decompose()) == 2
+    assert_allclose(left.outer.volume(), 16000.0 - 800.0, rtol=1e-3)
 
 
 def test_only_the_plateau_under_the_femur_is_worn(built, monkeypatch):
@@ -106,7 +120,7 @@ def test_attrition_is_the_depth_that_is_gone_of_the_plateau_on_its_side(built, m
     depths = built.truth(FIXED_FLEXION).attrition_mm
     assert depths["lateral"] == 0.0
     after = outer_bones(built.assembly)[1]
-    monkeypatch.setattr("pssf.anatomy.wear.worn", lambda tibia, femur, plate_mm: tibia)
+    monkeypatch.setattr("pssf.anatomy.attrition.worn_outer", lambda tibia, femur: tibia)
     before = outer_bones(built.assembly)[1]
     # Of the compartment away from the spines, along the leg: place by place, so a little less than the deepest.
     gone = _heights(before) - _heights(after)

@@ -48,7 +48,7 @@ _SHAPE_SD = 3.0
 
 
 def build_rows(count: int, workers: int, say: Callable[[str], None] = lambda line: None) -> list[Row]:
-    """How many were built and how many refused, with the first refusal; largest error of a joint space, triangles.
+    """How many were built and how many refused, with the first refusal; largest error of a joint space and whose, triangles.
 
     A built knee has valid solids, nested shells and bones that keep clear of each other: `build` refuses others. The
     least path in any material along any ray (as joint spaces are defined, and of geometry shift), and the knee that has
@@ -66,10 +66,11 @@ def build_rows(count: int, workers: int, say: Callable[[str], None] = lambda lin
     refused = [f"knee {number}: {one['refused']}" for number, one in enumerate(attempts) if one["refused"]]
     built = [one for one in attempts if not one["refused"]]
     triangles = [one["triangles"] for one in built]
+    error, off = max((one["jsw_error_mm"], number) for number, one in enumerate(attempts) if not one["refused"])
     least, where = min((one["least_path_mm"], number) for number, one in enumerate(attempts) if not one["refused"])
     return [{
         "knees": count, "built": len(built), "refused": len(refused), "first_refusal": (refused or [""])[0],
-        "jsw_error_mm": float(f"{max(one['jsw_error_mm'] for one in built):.2g}"),
+        "jsw_error_mm": float(f"{error:.2g}"), "jsw_error_knee": off,
         "least_path_mm": float(f"{least:.2g}"), "least_path_knee": where if least < 0 else "",
         "least_triangles": min(triangles), "most_triangles": max(triangles),
         "median_seconds": round(float(np.median([one["seconds"] for one in built])), 2),

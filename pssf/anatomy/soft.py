@@ -18,8 +18,9 @@ _COVER_MM = 3.0
 THIGH_FROM_MM = 20.0
 # Skin bends little along the leg: what lies within this of a plane is drawn as one.
 _COARSER_MM = 0.03
-# A bent thigh comes nearer to the joint line, and goes on above the muscles' ends by so much, so that its end stays out
-# of the picture.
+# Of the limb's rings. A bent thigh comes nearer to the joint line, and goes on above the last of them by so much, so
+# that its end stays out of the picture.
+_LEVELS_MM = np.linspace(-205.0, 205.0, 38)
 _LONGER_MM, _LONGER_PER_DEG_MM, _RING_MM = 150.0, 4.0, 11.0
 
 
@@ -35,14 +36,14 @@ def layers(knee: Knee, build: Build, flexion_deg: float, bone_points_mm: Array) 
     half_ml = size.male_tibial_ml_mm / 2 * build.scale + table.capsule_mm + wrap_ml
     rows = [[z, half_ml + more, knee.limb_ap_mm / 2 * share, y, 0.0] for z, more, share, y in table.sections]
     bend = bend_of(flexion_deg, build.scale)
-    longer_mm = min(_LONGER_MM, _LONGER_PER_DEG_MM * bend.angle_deg)
+    straight_mm = bend.straight(bone_points_mm)
+    longer_mm = _longer_mm(bend.angle_deg, float(straight_mm[:, 2].max()))
     rows += [[rows[-1][0] + longer_mm, *rows[-1][1:]]] if longer_mm else []
     coarse = _follow_shafts(np.array(rows), sheared_deg(flexion_deg), build)
     # The patella stands in front of the limb's middle: where bone needs room the section moves there before it grows.
     coarse = _swollen(_resample(coarse), build.shape.effusion, knee.effusion_mm)
-    fascia = _hold(coarse - np.array([0.0, wrap_ml, wrap_ap, 0.0, 0.0]), bend.straight(bone_points_mm))
-    levels = np.linspace(-205.0, 205.0, 38)
-    rings = np.append(levels, np.arange(1.0, 1.0 + longer_mm // _RING_MM) * _RING_MM + levels[-1])
+    fascia = _hold(coarse - np.array([0.0, wrap_ml, wrap_ap, 0.0, 0.0]), straight_mm)
+    rings = np.append(_LEVELS_MM, np.arange(1.0, 1.0 + longer_mm // _RING_MM) * _RING_MM + _LEVELS_MM[-1])
 
     def grown(ml_mm: float, ap_mm: float, name: str) -> Manifold:
         sections = fascia + np.array([0.0, ml_mm, ap_mm, 0.0, 0.0])
@@ -52,9 +53,18 @@ def layers(knee: Knee, build: Build, flexion_deg: float, bone_points_mm: Array) 
         "skin": grown(wrap_ml, wrap_ap, "skin"),
         "adipose": grown(wrap_ml - skin, wrap_ap - skin, "adipose"),
         "muscle": grown(0.0, 0.0, "muscle"),
-        "intermuscular_fat": intermuscular_fat(build.shape.muscles, build.shape.deep_fat, fascia, levels, build.scale),
+        "intermuscular_fat": intermuscular_fat(
+            build.shape.muscles, build.shape.deep_fat, fascia, _LEVELS_MM, build.scale
+        ),
     }
     return {name: bend.solid(solid, name) for name, solid in solids.items()}
+
+
+def _longer_mm(angle_deg: float, femur_to_mm: float) -> float:
+    """By how much a thigh goes on above the limb's rings: bent ones, and those whose femur reaches beyond them."""
+    over_mm = femur_to_mm + 2 * _COVER_MM - _LEVELS_MM[-1]
+    held_mm = float(np.ceil(over_mm / _RING_MM)) * _RING_MM if over_mm > 0.0 else 0.0
+    return max(min(_LONGER_MM, _LONGER_PER_DEG_MM * angle_deg), held_mm)
 
 
 def _resample(sections: Array) -> Array:

@@ -34,7 +34,7 @@ _LEVELLED, _NEARLY_LEVEL_MM = 8, 0.2
 _GIVEN_UP, _FAR_FROM_LEVEL_MM = 16, 1.0
 _TURNS = 40
 # Of narrower knees it is looked whether bones meet, so often at most; what is beyond this from the joint is left out.
-_NEAR_MM, _WORN_TURNS, _SOLID_MM = 3.0, 8, 45.0
+_NEAR_MM, _WORN_TURNS, _SOLID_MM = 3.0, 16, 45.0
 # Of a pose: medial and lateral space, mm, where in x each is least, and by how much the joint line is too high.
 Measure = Callable[[Pose], tuple[Array, Array, float]]
 # The same of a pose, the plateau in it and the plateau's edges.
@@ -89,8 +89,11 @@ def _solved(knee: Knee, measure: Measure, pose: Pose) -> Pose:
 
 
 def _settled(wanted: Array, measure: Measure, pose: Pose) -> Pose:
-    """The pose whose spaces are nearest to what is wanted once the plateau is worn, which the pose moves a little."""
-    best, least = pose, np.inf
+    """The pose whose spaces are nearest to what is wanted once the plateau is worn, which the pose moves a little.
+
+    A worn plateau gives way: where a space answers a step by less than half of it the next one is twice as long.
+    """
+    best, least, last, longer = pose, np.inf, np.full(2, np.inf), np.ones(2)
     for _ in range(_WORN_TURNS):
         spaces, x, _ = measure(pose)
         error = wanted - spaces
@@ -98,7 +101,8 @@ def _settled(wanted: Array, measure: Measure, pose: Pose) -> Pose:
             best, least = pose, float(np.abs(error).max())
         if least < _TOLERANCE_MM:
             break
-        pose = turned_by(pose, x, error)
+        longer = np.where(error / last > 0.5, 2 * longer, 1.0)
+        pose, last = turned_by(pose, x, longer * error), error
     return best
 
 

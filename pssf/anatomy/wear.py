@@ -6,13 +6,15 @@ from manifold3d import Manifold, OpType
 from ..core.checks import Array, InputError
 from .bones import Bone
 
-# Between worn bones, which touch in people.
-CONTACT_MM = 0.02
+# Between worn bones, which touch in people: half of what a joint space is exact to.
+CONTACT_MM = 5e-4
 # So deep a plateau or a spine may be worn (OARSI's atlas has no number; judgement): a tall spine with a spike stands
 # 6 mm in the wall of a narrow notch, as bones have it whose shape is 3 deviations off in every mode.
 MOST_MM = 7.0
 # What is shared by so little is rounding.
 NOTHING_MM3 = 1e-6
+# What comes off a plateau where it is worn thin: smaller bodies are crumbs.
+_CRUMB_MM3 = 0.1
 
 
 def worn(tibia: Bone, femur: Manifold, plate_mm: float) -> Bone:
@@ -25,22 +27,23 @@ def worn(tibia: Bone, femur: Manifold, plate_mm: float) -> Bone:
     shared = tibia.outer ^ femur
     if shared.volume() <= NOTHING_MM3:
         return tibia
-    if (tibia.outer ^ femur.translate((0.0, 0.0, MOST_MM))).volume() > NOTHING_MM3:
-        raise InputError(
-            f"femur and tibia overlap by {shared.volume():.3g} mm3, in places by more than {MOST_MM:g} mm (joint "
-            "spaces, osteophytes and pose leave them no room); allowed: less, which is worn off the plateau"
-        )
-    about = near(femur, np.array(shared.bounding_box()).reshape(2, 3), CONTACT_MM + plate_mm)
+    about = _about(tibia.outer, femur, shared, CONTACT_MM + plate_mm)
     return Bone(
-        outer=_without(tibia.outer, about, CONTACT_MM),
-        inner=_without(tibia.inner, about, CONTACT_MM + plate_mm),
+        outer=_without_crumbs(_without(tibia.outer, about, CONTACT_MM)),
+        inner=_without_crumbs(_without(tibia.inner, about, CONTACT_MM + plate_mm)),
         canal=tibia.canal,
     )
 
 
 def worn_outer(tibia: Manifold, femur: Manifold) -> Manifold:
-    """The outer solid alone of a tibia that is worn by a femur, both in one frame."""
-    return worn(Bone(outer=tibia, inner=tibia), femur, 0.0).outer
+    """The outer solid alone of a tibia that is worn by a femur, both in one frame; with the crumbs.
+
+    raises  as `worn`
+    """
+    shared = tibia ^ femur
+    if shared.volume() <= NOTHING_MM3:
+        return tibia
+    return _without(tibia, _about(tibia, femur, shared, CONTACT_MM), CONTACT_MM)
 
 
 def near(femur: Manifold, box_mm: Array, margin_mm: float) -> Manifold:
@@ -51,8 +54,23 @@ def near(femur: Manifold, box_mm: Array, margin_mm: float) -> Manifold:
     return femur
 
 
+def _about(tibia: Manifold, femur: Manifold, shared: Manifold, margin_mm: float) -> Manifold:
+    """What of a femur wears a tibia, of which it shares a part with it."""
+    if (tibia ^ femur.translate((0.0, 0.0, MOST_MM))).volume() > NOTHING_MM3:
+        raise InputError(
+            f"femur and tibia overlap by {shared.volume():.3g} mm3, in places by more than {MOST_MM:g} mm (joint "
+            "spaces, osteophytes and pose leave them no room); allowed: less, which is worn off the plateau"
+        )
+    return near(femur, np.array(shared.bounding_box()).reshape(2, 3), margin_mm)
+
+
 def _without(solid: Manifold, femur: Manifold, apart_mm: float) -> Manifold:
     """A solid without a femur and what is so near to it, downwards and to all sides."""
     # The femur itself too: an edge of it may be thinner than the way that its copies go.
     ways = apart_mm * np.array([[0, 0, 0], [0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
     return Manifold.batch_boolean([solid, *(femur.translate(way) for way in ways)], OpType.Subtract)
+
+
+def _without_crumbs(solid: Manifold) -> Manifold:
+    bodies = solid.decompose()
+    return solid if len(bodies) == 1 else Manifold.compose([one for one in bodies if one.volume() > _CRUMB_MM3])
