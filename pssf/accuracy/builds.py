@@ -48,7 +48,7 @@ _SHAPE_SD = 3.0
 
 
 def build_rows(count: int, workers: int, say: Callable[[str], None] = lambda line: None) -> list[Row]:
-    """How many were built and how many refused, with the first refusal; largest error of a joint space and whose, triangles.
+    """How many were built and how many refused, with the first refusal; whose joint space is farthest off, triangles.
 
     A built knee has valid solids, nested shells and bones that keep clear of each other: `build` refuses others. The
     least path in any material along any ray (as joint spaces are defined, and of geometry shift), and the knee that has
