@@ -376,13 +376,15 @@ def test_a_bone_of_another_size_has_the_same_regions_further_apart_and_struts_of
     assert_allclose(small.integrate(starts, ends), usual.integrate(starts, ends), rtol=1e-9)
 
 
-LEVEL = dict(scar_slope=0.0, scar_bow_per_mm=0.0, scar_dome_per_mm=0.0, scar_ripple_mm=0.0)
+LEVEL = dict(
+    scar_lateral=0.0, scar_medial=1.0, scar_slope=0.0, scar_bow_per_mm=0.0, scar_dome_per_mm=0.0, scar_ripple_mm=0.0
+)
 
 
 def test_the_scar_is_counted_in_full_however_thin_it_is():
     for half_mm in (0.5, 0.005):
         scarred = region(bone(), scar_per_mm=1 / half_mm, **LEVEL)
-        at = np.array([[scarred.region.scar_x, 0.0, scarred.region.scar_z]])
+        at = np.array([[scarred.region.scar_off_mm, 0.0, scarred.region.scar_z]])
         up, across = np.array([0.0, 0.0, 20.0]), np.array([0.0, 15.0, 0.0])
         plain = region(scarred, scar_bvtv=0.0)
         added = [scarred.integrate(at - way, at + way) - plain.integrate(at - way, at + way) for way in (up, across)]
@@ -393,6 +395,26 @@ def test_the_scar_is_counted_in_full_however_thin_it_is():
     assert all(-20 <= bone(seed=seed).region.scar_z <= -15 for seed in range(20))
 
 
+def test_the_scar_of_a_femur_is_strongest_laterally_and_that_of_a_tibia_medially_and_of_neither_in_the_middle():
+    for name, order in (("femur", (-1, 1, 0)), ("tibia", (1, -1, 0))):
+        added = {}
+        for side in order:
+            scarred = [bone(name, seed=seed) for seed in range(40)]
+            at = [(one, side * one.region.scar_off_mm, one.region.scar_z) for one in scarred]
+            added[side] = np.mean([_scar_over(one, x, z) for one, x, z in at])
+        assert added[order[0]] > 1.4 * added[order[1]] > 1.4 * added[0]
+
+
+def _scar_over(density: Trabeculae, x_mm: float, z_mm: float) -> float:
+    """What the scar adds to the integral of density down a place where it is level."""
+    flat = region(
+        density, **{**LEVEL, "scar_lateral": density.region.scar_lateral, "scar_medial": density.region.scar_medial}
+    )
+    at, way = np.array([[x_mm, 0.0, z_mm]]), np.array([0.0, 0.0, 20.0])
+    added = flat.integrate(at - way, at + way) - region(flat, scar_bvtv=0.0).integrate(at - way, at + way)
+    return float(added[0])
+
+
 def test_the_scar_is_seen_as_a_line_from_whatever_height_it_is_looked_at():
     """A level sheet is seen as one only edge on; a domed one has a place that is edge on to any beam of up to 8 deg."""
     heights = np.linspace(-8.0, 8.0, 161)
@@ -401,7 +423,7 @@ def test_the_scar_is_seen_as_a_line_from_whatever_height_it_is_looked_at():
         sharp = {}
         for name, form in (("level", LEVEL), ("domed", {**LEVEL, "scar_dome_per_mm": -0.004})):
             scarred = region(bone(), scar_y=0.0, scar_bvtv=0.1, **form)
-            middle = np.array([scarred.region.scar_x, 0.0, scarred.region.scar_z]) + heights[:, None] * [0, 0, 1]
+            middle = np.array([scarred.region.scar_off_mm, 0.0, scarred.region.scar_z]) + heights[:, None] * [0, 0, 1]
             way = np.array([0.0, 22.0, 22.0 * rise])
             plain = region(scarred, scar_bvtv=0.0)
             added = [one.integrate(middle - way, middle + way) for one in (scarred, plain)]

@@ -11,8 +11,9 @@ class Region(NamedTuple):
     plate                        relative rise of BV/TV at the subchondral plate
     struts, struts_per_mm        contrast of struts near the joint over that farther on, and how it falls
     hard_medial, hard_lateral    what sclerosis adds to it there, and deeper
-    scar_x, scar_y, scar_z       where this bone's scar is
+    scar_off_mm, scar_y, scar_z  where this bone's scar is, on either side
     scar_phase, scar_bvtv        of its ripple, and how strong it is
+    scar_lateral, scar_medial    shares of that on either side
     sway_mm, sway_per_mm         of struts from side to side, and the turn of their waves a mm
     sway_across, sway_phase      share of that turn across, and where in the waves the bone is
     marrow, per_bvtv             density without bone, and what a BV/TV of 1 adds to it
@@ -54,7 +55,7 @@ class Region(NamedTuple):
     gain: float
     gain_load: float
     gain_shaft: float
-    scar_x: float
+    scar_off_mm: float
     scar_y: float
     scar_z: float
     scar_phase: float
@@ -64,6 +65,8 @@ class Region(NamedTuple):
     scar_ripple_mm: float
     scar_ripple_per_mm: float
     scar_bvtv: float
+    scar_lateral: float
+    scar_medial: float
     scar_per_mm: float
     scar_wide_per_mm: float
     sway_mm: float

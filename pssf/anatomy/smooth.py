@@ -118,4 +118,7 @@ def fill_nodes(lanes: Array, region: Region, struts: Struts) -> None:
         lanes[r.FAR + r.C + n] = true_y * struts.per_mm[2] + struts.shift[2] + PERIODS + ON_PLANE / 2
         lanes[r.FAR + r.SWING + n], lanes[r.FAR + r.REST + n] = swing, mean - swing
         lanes[r.FAR + r.OVER + n] = _over_scar(x, y, z, region) * region.scar_per_mm
-        lanes[r.FAR + r.SCAR + n] = region.scar_bvtv * _bell((x - region.scar_x) * region.scar_wide_per_mm)
+        lateral = region.scar_lateral * _bell((x + region.scar_off_mm) * region.scar_wide_per_mm)
+        lanes[r.FAR + r.SCAR + n] = region.scar_bvtv * (
+            lateral + region.scar_medial * _bell((x - region.scar_off_mm) * region.scar_wide_per_mm)
+        )

@@ -14,7 +14,7 @@ from msgspec import structs
 
 from ..core.checks import Array, InputError, require, require_choice, require_seed
 from ..data.records import Triple
-from ..data.spongy import Ageing, Lattice, SpongyBone, TrabecularBone
+from ..data.spongy import Ageing, Lattice, Scar, SpongyBone, TrabecularBone
 from .integrate import Steps, integrate_density
 from .lattice import lattice, personal_factor
 from .region import Region
@@ -106,7 +106,7 @@ def trabeculae(
     x, z, y = (rng.random(3) * table.lattice.voxels).tolist()
     aged = _aged(table.ageing, age_years, sex, density)
     return Trabeculae(
-        region=_region(bone, table, rng.random(6).tolist(), scale, (sclerosis, sclerotic_side), aged),
+        region=_region(bone, table, rng.random(7).tolist(), scale, (sclerosis, sclerotic_side), aged),
         seed=int(seed),
         table=_grained(table, int(seed), sclerosis, age_years, sex),
         shift=(x, z, y),
@@ -145,12 +145,13 @@ def _region(
 ) -> Region:
     """The smooth part of a bone.
 
-    chance     uniform numbers: of the scar height, strength, place across, place front to back, ripple; sway
+    chance     uniform numbers: of the scar height, lateral strength, place across, place front to back, ripple; of the
+               sway; of the scar medial strength
     sclerotic  thickness of the plate over a healthy one's, and the side that has more of what that adds
     aged       BV/TV and contrast of the struts over those of the table
     """
     sclerosis, side = sclerotic
-    part, hard, scar, tissue = getattr(table, _AS.get(bone, bone)), table.sclerosis, table.scar, table.tissue
+    part, hard, tissue = getattr(table, _AS.get(bone, bone)), table.sclerosis, table.tissue
     excess = part.sclerosis * hard.per_plate * (sclerosis - 1)
     # A plate thinner than a healthy one takes no more than its own rise.
     shares = (1.0, hard.other_side_deep) if side == "medial" else (hard.other_side_deep, 1.0)
@@ -161,22 +162,15 @@ def _region(
     same |= {name: min(1.0, getattr(part, name) * contrast) for name in ("gain", "gain_shaft")}
     same |= _inverse_lengths(part)
     dips = [(x, 1 / half, rise) for x, half, rise in part.dips]
-    same["scar_bvtv"] *= scar.least + (1 - scar.least) * chance[1]
     return Region(
         **same,
+        **_scar(part, table.scar, chance),
         middle_mm=table.side.middle_mm,
         hard_medial=added[0],
         hard_lateral=added[1],
         hard_per_mm=1 / hard.deep_mm if excess > 0 else 1 / part.plate_mm,
         joint=part.joint,
         dips=(dips[0], dips[1], dips[2]),
-        scar_x=scar.off_mm * (2 * chance[2] - 1),
-        scar_y=scar.dome_off_mm * (2 * chance[3] - 1),
-        scar_z=part.scar_mm[0] + (part.scar_mm[1] - part.scar_mm[0]) * chance[0],
-        scar_wide_per_mm=1 / scar.wide_mm,
-        scar_ripple_mm=scar.ripple_mm,
-        scar_ripple_per_mm=2 * np.pi / scar.ripple_length_mm,
-        scar_phase=2 * np.pi * chance[4],
         sway_mm=table.sway.aside_mm,
         sway_per_mm=2 * np.pi / table.sway.length_mm,
         sway_across=table.sway.across,
@@ -186,6 +180,22 @@ def _region(
         marrow=tissue.marrow,
         per_bvtv=left * (1 - tissue.marrow) / tissue.bvtv,
     )
+
+
+def _scar(part: SpongyBone, scar: Scar, chance: list[float]) -> dict[str, float]:
+    """Fields of `Region`: where a bone's physeal scar is and how strong on either side; `chance` as of `_region`."""
+    lateral, medial = (scar.least + (1 - scar.least) * chance[n] for n in (1, 6))
+    return {
+        "scar_lateral": part.scar_sides[0] * lateral,
+        "scar_medial": part.scar_sides[1] * medial,
+        "scar_off_mm": scar.off_mm[0] + (scar.off_mm[1] - scar.off_mm[0]) * chance[2],
+        "scar_y": scar.dome_off_mm * (2 * chance[3] - 1),
+        "scar_z": part.scar_mm[0] + (part.scar_mm[1] - part.scar_mm[0]) * chance[0],
+        "scar_wide_per_mm": 1 / scar.wide_mm,
+        "scar_ripple_mm": scar.ripple_mm,
+        "scar_ripple_per_mm": 2 * np.pi / scar.ripple_length_mm,
+        "scar_phase": 2 * np.pi * chance[4],
+    }
 
 
 def _inverse_lengths(part: SpongyBone) -> dict[str, float]:

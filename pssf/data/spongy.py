@@ -78,7 +78,7 @@ class Side(Record, frozen=True):
 class Scar(Record, frozen=True):
     """Where the physeal scar may be strongest, how it falls from there, and how the sheet is bent."""
 
-    off_mm: float
+    off_mm: Pair
     wide_mm: float
     least: float
     dome_off_mm: float
@@ -135,6 +135,7 @@ class SpongyBone(Record, frozen=True):
     scar_bow_per_mm: float
     scar_dome_per_mm: float
     scar_bvtv: float
+    scar_sides: Pair
     scar_half_mm: float
 
 
