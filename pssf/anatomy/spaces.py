@@ -93,7 +93,7 @@ def _settled(wanted: Array, measure: Measure, pose: Pose) -> Pose:
 
     A worn plateau gives way: where a space answers a step by less than half of it the next one is twice as long.
     """
-    best, least, last, longer = pose, np.inf, np.full(2, np.inf), np.ones(2)
+    best, least, last, longer = pose, np.inf, np.zeros(2), np.ones(2)
     for _ in range(_WORN_TURNS):
         spaces, x, _ = measure(pose)
         error = wanted - spaces
@@ -101,7 +101,7 @@ def _settled(wanted: Array, measure: Measure, pose: Pose) -> Pose:
             best, least = pose, float(np.abs(error).max())
         if least < _TOLERANCE_MM:
             break
-        longer = np.where(error / last > 0.5, 2 * longer, 1.0)
+        longer = np.where(error * last > 0.5 * last * last, 2 * longer, 1.0)
         pose, last = turned_by(pose, x, longer * error), error
     return best
 
