@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from pssf.realism.edge_features import edge_features
 from pssf.realism.form import PITCH_MM, PLATEAU_MM, Place, field_of, joint_pixel
 from pssf.realism.grey_features import PATCH_MM, PATCHES, grey_groups
 from pssf.realism.outline import Outline
@@ -55,6 +56,43 @@ def test_tones_are_the_ratios_of_the_greys_that_are_drawn(side):
     tones = {"metaphysis": BONE, "medial_condyle": BONE, "canal": CANAL, "medial_plate": PLATE}
     for name, grey in tones.items():
         assert values[f"{name}_tone"] == pytest.approx((grey - SOFT) / (CORTEX - SOFT)), name
+
+
+def drawn_field(cortex=0.5, wide_mm=3.0, seed=3):
+    """The standard form: blocks of bone with a layer at their sides, and a texture; outside is soft tissue."""
+    x = np.abs(np.arange(SHAPE[1]) - COL) * PITCH_MM
+    row = np.where(x > 36.0, SOFT, np.where(x > 36.0 - wide_mm, SOFT + cortex * (BONE - SOFT), BONE))
+    return row + np.random.default_rng(seed).normal(0.0, 0.004, SHAPE)
+
+
+def test_brightness_across_the_sides_is_that_of_the_layers_that_are_drawn():
+    for cortex in (0.7, 1.4):
+        values = edge_features(drawn_field(cortex))
+        sides = [name.removesuffix("_2.1_mm") for name in values if name.endswith("_2.1_mm")]
+        assert len(sides) == 5
+        for side in sides:
+            assert values[f"{side}_1.2_mm"] == pytest.approx(cortex, abs=0.05)
+            assert values[f"{side}_2.1_mm"] == pytest.approx(cortex, abs=0.05)
+            assert 0.2 < values[f"{side}_0_mm"] / cortex < 0.8
+
+
+def test_brightness_across_the_sides_is_the_same_for_other_contrast_and_told_of_no_side_that_is_not_there():
+    field = drawn_field()
+    assert edge_features(3 * field + 0.2) == pytest.approx(edge_features(field))
+    assert not any(name.endswith("_mm") for name in edge_features(np.random.default_rng(4).normal(SOFT, 0.01, SHAPE)))
+
+
+@pytest.mark.parametrize(("bone", "above_mm"), [("femur", 25.0), ("tibia", -18.0)])
+@pytest.mark.parametrize(("side", "way"), [("medial", 1), ("lateral", -1)])
+def test_a_line_is_told_on_its_side_of_its_bone(bone, above_mm, side, way):
+    field, plain = drawn_field(), edge_features(drawn_field())
+    row, cols = ROW - round(above_mm / PITCH_MM), COL + way * (np.arange(12) + round(18.0 / PITCH_MM))
+    field[row : row + 2, cols] += 0.05
+    values = edge_features(field)
+    assert values[f"{side}_{bone}_line"] > 3 * plain[f"{side}_{bone}_line"]
+    others = [name for name in values if name.endswith("_line") and name != f"{side}_{bone}_line"]
+    assert len(others) == 3
+    assert all(values[name] < 1.2 * plain[name] for name in others)
 
 
 def test_tones_are_the_same_for_other_contrast_and_brightness_and_ratios_are_not():

@@ -15,7 +15,7 @@ from sklearn.preprocessing import StandardScaler
 
 from ..core.checks import Array
 from ..study.statistics.metrics import auc, percentiles, weighted_auc
-from .films import BETWEEN, FINE, TONE, Record
+from .films import BETWEEN, TOLD, Record
 
 Row = dict[str, Any]
 ALL = "all"
@@ -52,7 +52,7 @@ class Films:
 def learnable(name: str, records: Sequence[Record]) -> Films:
     """The films with a joint found, and the features that may be learnt from."""
     table = pd.DataFrame([record for record in records if record["status"] == "found"])
-    columns = [name for name in table if BETWEEN in name and name.split(BETWEEN)[0] not in (TONE, FINE)]
+    columns = [name for name in table if BETWEEN in name and name.split(BETWEEN)[0] not in TOLD]
     features = table[columns].astype(float)
     features.columns = pd.MultiIndex.from_tuples([tuple(name.split(BETWEEN)) for name in columns])
     return Films(

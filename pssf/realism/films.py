@@ -19,6 +19,7 @@ from ..io.films import Film, read_film
 from ..radiomics.aspect import locate_film, with_square_pixels
 from ..radiomics.patches import Template
 from ..radiomics.table import SAVE_SECONDS
+from .edge_features import edge_features
 from .form import PITCH_MM, PLATEAU_MM, Place, field_of, joint_pixel, made_smaller, stretched
 from .grey_features import grey_groups
 from .kept import key_of
@@ -29,8 +30,8 @@ from .tone import fine_texture, tone
 Record = dict[str, Any]
 # What a record depends on beside the film and the templates.
 CODE = ("anatomy/truth.py", "core", "data", "detector", "io", "radiomics", "realism")
-# Group and feature make the name of a column; these two groups are told, and not learnt from.
-TONE, FINE = "tone", "fine texture"
+# Group and feature make the name of a column; these groups are told, and not learnt from.
+TONE, FINE, EDGES = TOLD = ("tone", "fine texture", "edges")
 BETWEEN = "|"
 _TO_MIDDLE = 0.25  # of the plateau's width, from the medial joint line
 # How much wider a field the joint is centred in, turn by turn; and by how much a turn, or all, may change its size.
@@ -174,6 +175,7 @@ def measured(film: Array, near: Place, pixel_mm: float, binned: float = 1) -> Re
     groups = shape_groups(outline) | grey_groups(form, outline)
     own = place.binned(1 / binned)
     groups |= {TONE: tone(shown, field, outline, place), FINE: fine_texture(film, outline, own, pixel_mm)}
+    groups |= {EDGES: edge_features(field)}
     values: Record = {"joint_row_px": own.row, "joint_col_px": own.col, "pitch_mm": own.pitch_mm}
     return values | {f"{group}{BETWEEN}{name}": value for group, of in groups.items() for name, value in of.items()}
 

@@ -16,7 +16,7 @@ from ..study.report.page import Picture
 from .blind import blind_choice, blind_test
 from .domains import ALL, Films, learnable, told_apart, transferred
 from .effects import effects
-from .films import FINE, TONE, Record
+from .films import EDGES, FINE, TONE, Record
 from .form import Place, field_of, made_smaller, stretched
 from .forms import beside
 from .page import Section, Table
@@ -57,6 +57,8 @@ _CAPTIONS = {
     "simulated ones: those of another view differ by the view.",
     "tone": "(d) Tone, in the display's values: contrasts, and greys with soft tissue as 0 and the shaft's cortex as 1 "
     "where a film holds the shaft.",
+    "edges": "(d) Brightness across the sides of the bones, so many mm inwards of where it is steepest, soft tissue as "
+    "0 and what is 6 to 12 mm in as 1; and the strongest line on either side, over the spread of ridges.",
     "fine": "(d) Texture at the film's own pitch, where that is 0.25 mm or less.",
     "form": "(d) Texture in the standard form, 0.2 to 0.8 cycles/mm.",
 }
@@ -106,6 +108,7 @@ def films_section(
         Table(name="films_effects_of_features", rows=compared.features, caption="(c) Of every feature.", shown=12),
         Table(name="films_ratios", rows=ratio_rows(records), caption=_CAPTIONS["ratios"], shown=31),
         Table(name="films_tone", rows=quantity_rows(records, TONE), caption=_CAPTIONS["tone"]),
+        Table(name="films_edges", rows=quantity_rows(records, EDGES), caption=_CAPTIONS["edges"], shown=29),
         Table(name="films_texture", rows=quantity_rows(records, FINE), caption=_CAPTIONS["fine"]),
         Table(name="films_form_texture", rows=quantity_rows(records, "texture"), caption=_CAPTIONS["form"], shown=40),
         *key,
