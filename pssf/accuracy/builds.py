@@ -64,16 +64,16 @@ def build_rows(count: int, workers: int, say: Callable[[str], None] = lambda lin
         arrived=_counted(count, say),
     )
     refused = [f"knee {number}: {one['refused']}" for number, one in enumerate(attempts) if one["refused"]]
-    built = [one for one in attempts if not one["refused"]]
-    triangles = [one["triangles"] for one in built]
-    error, off = max((one["jsw_error_mm"], number) for number, one in enumerate(attempts) if not one["refused"])
-    least, where = min((one["least_path_mm"], number) for number, one in enumerate(attempts) if not one["refused"])
+    built = {number: one for number, one in enumerate(attempts) if not one["refused"]}
+    triangles = [one["triangles"] for one in built.values()]
+    error, off = max((one["jsw_error_mm"], number) for number, one in built.items())
+    least, where = min((one["least_path_mm"], number) for number, one in built.items())
     return [{
         "knees": count, "built": len(built), "refused": len(refused), "first_refusal": (refused or [""])[0],
         "jsw_error_mm": float(f"{error:.2g}"), "jsw_error_knee": off,
         "least_path_mm": float(f"{least:.2g}"), "least_path_knee": where if least < 0 else "",
         "least_triangles": min(triangles), "most_triangles": max(triangles),
-        "median_seconds": round(float(np.median([one["seconds"] for one in built])), 2),
+        "median_seconds": round(float(np.median([one["seconds"] for one in built.values()])), 2),
     }]  # fmt: skip
 
 

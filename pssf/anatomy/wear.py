@@ -24,13 +24,12 @@ def worn(tibia: Bone, femur: Manifold, plate_mm: float) -> Bone:
     plate_mm      thickness of the plate under the worn surface
     raises        InputError where that would be deeper than MOST_MM
     """
-    shared = tibia.outer ^ femur
-    if shared.volume() <= NOTHING_MM3:
+    wearing = _wearing(tibia.outer, femur, CONTACT_MM + plate_mm)
+    if wearing is None:
         return tibia
-    about = _about(tibia.outer, femur, shared, CONTACT_MM + plate_mm)
     return Bone(
-        outer=_without_crumbs(_without(tibia.outer, about, CONTACT_MM)),
-        inner=_without_crumbs(_without(tibia.inner, about, CONTACT_MM + plate_mm)),
+        outer=_without_crumbs(_without(tibia.outer, wearing, CONTACT_MM)),
+        inner=_without_crumbs(_without(tibia.inner, wearing, CONTACT_MM + plate_mm)),
         canal=tibia.canal,
     )
 
@@ -40,10 +39,8 @@ def worn_outer(tibia: Manifold, femur: Manifold) -> Manifold:
 
     raises  as `worn`
     """
-    shared = tibia ^ femur
-    if shared.volume() <= NOTHING_MM3:
-        return tibia
-    return _without(tibia, _about(tibia, femur, shared, CONTACT_MM), CONTACT_MM)
+    wearing = _wearing(tibia, femur, CONTACT_MM)
+    return tibia if wearing is None else _without(tibia, wearing, CONTACT_MM)
 
 
 def near(femur: Manifold, box_mm: Array, margin_mm: float) -> Manifold:
@@ -54,8 +51,11 @@ def near(femur: Manifold, box_mm: Array, margin_mm: float) -> Manifold:
     return femur
 
 
-def _about(tibia: Manifold, femur: Manifold, shared: Manifold, margin_mm: float) -> Manifold:
-    """What of a femur wears a tibia, of which it shares a part with it."""
+def _wearing(tibia: Manifold, femur: Manifold, margin_mm: float) -> Manifold | None:
+    """What of a femur is in a tibia or as near to that as a margin; None where they do not meet."""
+    shared = tibia ^ femur
+    if shared.volume() <= NOTHING_MM3:
+        return None
     if (tibia ^ femur.translate((0.0, 0.0, MOST_MM))).volume() > NOTHING_MM3:
         raise InputError(
             f"femur and tibia overlap by {shared.volume():.3g} mm3, in places by more than {MOST_MM:g} mm (joint "

@@ -2,6 +2,7 @@
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
+from scipy.stats import median_abs_deviation
 
 from ..core.checks import Array
 from .form import PITCH_MM, joint_pixel
@@ -24,7 +25,6 @@ _LEAST_ROWS, _LEAST_RISE = 8, 0.15
 _SCARS, _ASIDE_MM, _WIDE_MM = {"femur": (14.0, 34.0), "tibia": (-30.0, -10.0)}, (15.0, 30.0), 5.0
 # Of a line: half its thickness and its length, as deviations of Gaussians.
 _THIN_MM, _LONG_MM = 0.7, 2.0
-_MAD_TO_SD = 1.4826
 
 
 def edge_features(field: Array) -> Features:
@@ -68,8 +68,7 @@ def _line(band: Array, way: int) -> float:
     """The strongest line on a side of a band of ridges, over the spread of these."""
     middle, wide = joint_pixel()[1], round(_WIDE_MM / PITCH_MM)
     within = band[:, np.abs(np.arange(band.shape[1]) - middle) * PITCH_MM < 36.0]
-    usual = np.median(within)
-    spread = _MAD_TO_SD * np.median(np.abs(within - usual))
+    usual, spread = np.median(within), median_abs_deviation(within, axis=None, scale="normal")
     starts = np.arange(_ASIDE_MM[0], _ASIDE_MM[1], _WIDE_MM) / PITCH_MM
     columns = [middle + way * (round(start) + np.arange(wide)) for start in starts]
     strongest = max(band[:, one].mean(axis=1).max() for one in columns)

@@ -174,8 +174,11 @@ def measured(film: Array, near: Place, pixel_mm: float, binned: float = 1) -> Re
     outline = trace_outline(form)
     groups = shape_groups(outline) | grey_groups(form, outline)
     own = place.binned(1 / binned)
-    groups |= {TONE: tone(shown, field, outline, place), FINE: fine_texture(film, outline, own, pixel_mm)}
-    groups |= {EDGES: edge_features(field)}
+    groups |= {
+        TONE: tone(shown, field, outline, place),
+        FINE: fine_texture(film, outline, own, pixel_mm),
+        EDGES: edge_features(field),
+    }
     values: Record = {"joint_row_px": own.row, "joint_col_px": own.col, "pitch_mm": own.pitch_mm}
     return values | {f"{group}{BETWEEN}{name}": value for group, of in groups.items() for name, value in of.items()}
 
