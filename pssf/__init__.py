@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from .model.protocol import Protocol, load_protocol
     from .model.radiograph import Radiograph, Truth
     from .raycast import Paths, Report, check, trace
-    from .simulation import simulate
+    from .simulation import KernelNotice, simulate
 
 _WHERE = {
     "anatomy": ("BuiltKnee", "build"),
@@ -68,7 +68,7 @@ _WHERE = {
     "model.protocol": ("Protocol", "load_protocol"),
     "model.radiograph": ("Radiograph", "Truth"),
     "raycast": ("Paths", "Report", "check", "trace"),
-    "simulation": ("simulate",),
+    "simulation": ("KernelNotice", "simulate"),
 }
 
 __all__ = [
@@ -76,6 +76,7 @@ __all__ = [
     "Cyst",
     "Density",
     "InputError",
+    "KernelNotice",
     "Knee",
     "MeshNotice",
     "Osteophyte",

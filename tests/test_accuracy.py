@@ -145,6 +145,9 @@ def test_texture_of_a_made_field_is_what_it_was_made_of():
     found = texture.texture(100 + 3 * field / field.std(), 0.1)
     assert found["slope_0.2_2"] == pytest.approx(-2.0, abs=0.15)
     assert found["vertical_over_horizontal"] == pytest.approx(1.0, abs=0.25)
+    # Of 1 / f^2 in rings: ln(3 / 2) / (3^2 - 2^2) over ln(0.8 / 0.4) / (0.8^2 - 0.4^2).
+    assert found["fine_over_coarse"] == pytest.approx(np.log(1.5) / 5 * 0.48 / np.log(2), rel=0.25)
+    assert "fine_over_coarse" not in texture.texture(100 + field, 0.2)
     stripes = texture.texture(100 + 3 * np.cos(2 * np.pi * 0.8 * 0.1 * np.arange(256)) + field[:, :], 0.1)
     assert stripes["vertical_over_horizontal"] > 3
 

@@ -163,6 +163,18 @@ def test_fields_of_knee_and_protocol_are_changed_and_masks_written(tmp_path):
     assert done.stdout.count("\n") == 5
 
 
+def test_a_taking_is_drawn_by_the_seed_and_what_is_set_stays(protocol_file, tmp_path):
+    how = ("simulate", "--protocol", protocol_file, "--formats", "json", "--set", "mas=3", "--exposure", "drawn")
+    angles = []
+    for seed in (1, 1, 2):
+        done = run(*how, "--seed", seed, "--out", tmp_path)
+        assert done.returncode == 0, done.stderr
+        made = pssf.load_parameters(done.stdout.strip())
+        angles.append(made["protocol"].beam_angle_deg)
+        assert made["protocol"].mas == 3
+    assert angles[0] == angles[1] != angles[2]
+
+
 def test_meshes_of_ones_own_are_simulated_from_a_file_that_names_them(tmp_path):
     trimesh.creation.box((60, 60, 60)).export(tmp_path / "leg.stl")
     trimesh.creation.icosphere(radius=10).export(tmp_path / "ball.stl")
@@ -178,7 +190,7 @@ def test_meshes_of_ones_own_are_simulated_from_a_file_that_names_them(tmp_path):
     for arguments, why in (
         (("--knee", "a.toml"), "allowed: one of both"),
         (("--set", "side=left"), "allowed: one of both"),
-        (("--masks",), "allowed: of one knee"),
+        (("--masks",), "allowed: of a knee, or of both"),
     ):
         refused = run("simulate", "--scene", scene, *arguments, "--out", tmp_path / "p")
         assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
@@ -211,7 +223,12 @@ def test_a_cohort_of_ones_own_size_grades_and_protocols_has_its_masks(protocol_f
         (("simulate", "--mas", "2"), "pssf: No such option: --mas"),
         (("simulate", "--set", "mass=2"), "pssf: set = 'mass'; allowed: "),
         (("simulate", "--set", "flexion_deg=2"), "pssf: set = 'flexion_deg', of a knee and of a protocol; allowed: "),
-        (("simulate", "--protocol", "bilateral", "--masks"), "pssf: masks = of a scene, or of both knees"),
+        (("simulate", "--exposure", "draw"), "pssf: exposure = 'draw'; allowed: fixed, drawn"),
+        (("simulate", "--look", "films"), "pssf: look = 'films'; allowed: linear, processed, film"),
+        (("cohort", "--protocols", "bilateral"), "pssf: protocols = bilateral, of two knees at once; allowed: "),
+        (("cohort", "--exposures", "some"), "pssf: exposures = 'some'; allowed: fixed, drawn"),
+        (("realism", "--protocol", "lateral"), "pssf: protocol = lateral; allowed: one knee seen from the front"),
+        (("realism", "--protocol", "bilateral"), "pssf: protocol = bilateral; allowed: one knee seen from the front"),
         (("simulate", "--scene", "no.toml"), "pssf: file no.toml: No such file"),
         (("meshes", "--set", "mas=2"), "pssf: set = mas; allowed: fields of a knee"),
         (("cohort", "--knees", "1,x"), "pssf: knees = '1,x'; allowed: whole numbers with commas"),

@@ -7,6 +7,7 @@ import numpy as np
 import pydicom
 import pytest
 import SimpleITK
+from PIL import Image
 from pydicom.uid import DeflatedExplicitVRLittleEndian, ImplicitVRLittleEndian, RLELossless
 
 import pssf
@@ -227,6 +228,24 @@ def test_for_presentation_is_what_present_renders_bone_bright_and_its_window_cov
     centre, width = float(found.WindowCenter), float(found.WindowWidth)
     shown = ((pixels - (centre - 0.5)) / (width - 1) + 0.5) * 4095
     assert shown == pytest.approx(pixels.astype(float), abs=1e-9)
+
+
+@pytest.mark.parametrize("look", ["linear", "film", "processed"])
+def test_a_presentation_has_the_look_that_is_asked_for_and_names_it(radiograph, tmp_path, look):
+    how = dict(look=look, pixel_mm=radiograph.protocol.pixel_mm)
+    found = pydicom.dcmread(pssf.save(radiograph, tmp_path / "seen.dcm", intent="presentation", look=look))
+    assert (found.pixel_array == pssf.present(radiograph.pixels, bits=12, **how)).all()
+    assert f"look {look}" in found.ImageComments
+    with Image.open(pssf.save(radiograph, tmp_path / "seen.png", look=look)) as image:
+        assert (np.array(image) == pssf.present(radiograph.pixels, **how)).all()
+        assert image.info["Look"].startswith(look)
+
+
+def test_an_unknown_look_is_refused_and_leaves_nothing(radiograph, tmp_path):
+    for suffix in ("png", "dcm"):
+        with pytest.raises(pssf.InputError, match="look = 'films'; allowed: linear, processed, film"):
+            pssf.save(radiograph, tmp_path / f"seen.{suffix}", intent="presentation", look="films")
+    assert not list(tmp_path.iterdir())
 
 
 def test_for_presentation_names_its_source(radiograph, tmp_path):

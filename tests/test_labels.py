@@ -23,8 +23,8 @@ OF_SPACES = [
     *("LJSW700", "LJSW725", "LJSW750", "LJSW775", "LJSW800", "LJSW825", "LJSW850", "LJSW875", "LJSW900"),
 ]
 OURS = [
-    *("jsw_lateral_mm", "inter_margin_mm", "attrition_medial_mm", "attrition_lateral_mm"),
-    *("femorotibial_deg", "tibial_slope_deg", "insall_salvati"),
+    *("jsw_lateral_mm", "attrition_medial_mm", "attrition_lateral_mm"),
+    *("femorotibial_deg", "tibial_slope_deg", "insall_salvati", "inter_margin_mm"),
 ]
 
 
@@ -69,6 +69,14 @@ def test_labels_of_a_cohort_are_read_back_as_the_field_reads_them(made, tmp_path
         assert float(reading["LJSW850"]) == pytest.approx(truth.jsw_at_mm[0.850], abs=1e-4)
         assert float(reading["MCMJSW"]) == pytest.approx(truth.jsw_medial_mm, abs=1e-4)
         assert float(reading["jsw_lateral_mm"]) == pytest.approx(truth.jsw_lateral_mm, abs=1e-4)
+        # The manifest and the radiograph itself tell them, too.
+        assert float(made_row["grade_read"]) == truth.grade_read == float(reading["XRKL_READ"])
+        assert float(made_row["truth_jsw_225_mm"]) == pytest.approx(truth.jsw_at_mm[0.225], abs=1e-4)
+        assert {name: float(made_row[f"truth_{name}"]) for name in truth.readings} == truth.readings
+        for name, (row, col) in truth.landmarks_px.items():
+            name = name.removesuffix("_joint_line")
+            assert float(made_row[f"truth_{name}_row_px"]) == pytest.approx(row, abs=1e-4)
+            assert float(made_row[f"truth_{name}_col_px"]) == pytest.approx(col, abs=1e-4)
 
 
 def test_margins_are_as_far_apart_as_on_the_built_knee_under_the_radiographs_own_protocol(made, tmp_path):
@@ -82,9 +90,18 @@ def test_margins_are_as_far_apart_as_on_the_built_knee_under_the_radiographs_own
     assert len({round(value, 3) for value in apart_mm}) == len(apart_mm)
 
 
+def test_a_radiograph_that_shows_no_contours_is_refused_before_anything_is_written(small_protocols, tmp_path):
+    drawn = {"knees": [1], "protocols": [small_protocols[0], "lateral"]}
+    make_cohort(plan_cohort("quick", seed=5, overrides=drawn), tmp_path / "cohort")
+    with pytest.raises(InputError, match="projection = 'ML'; allowed: AP or PA"):
+        write_labels(tmp_path / "cohort", tmp_path / "labels")
+    assert not (tmp_path / "labels").exists()
+
+
 def test_labels_of_what_is_no_cohort_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"no manifest\.csv"):
         write_labels(tmp_path, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
     (tmp_path / "torn.pts").write_text("version: 1\n{\n1 2\n3\n}")
     with pytest.raises(InputError, match=r"torn\.pts: 2 landmarks"):
         read_pts(tmp_path / "torn.pts", ["a", "b"])

@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pydicom
 import pytest
 from numpy.testing import assert_allclose
 
@@ -64,6 +65,19 @@ def test_a_radiograph_of_both_comes_back_from_a_file(pair, tmp_path):
     assert [knee.side for knee in one.knees] == ["right", "left"]
     for suffix in ("tif", "dcm"):
         assert pssf.load(pssf.save(one, tmp_path / f"both.{suffix}")) == one
+
+
+def test_masks_of_both_come_back_from_a_file_by_their_sides(pair, tmp_path):
+    one = pssf.simulate(pair, SMALL, engine="scanline", keep=("masks",))
+    for suffix in ("tif", "dcm"):
+        back = pssf.load_masks(pssf.save_masks(one, tmp_path / f"both.{suffix}"))
+        for knee, truth in zip(one.knees, one.truths, strict=True):
+            assert (back[f"{knee.side}_patella"] == truth.masks["patella"]).all()
+        assert len(back) == sum(len(truth.masks) for truth in one.truths)
+    segments = {one.SegmentLabel: one for one in pydicom.dcmread(tmp_path / "both.dcm").SegmentSequence}
+    for side, code in (("right", "24028007"), ("left", "7771000")):
+        region = segments[f"{side}_femur"].AnatomicRegionSequence[0]
+        assert region.AnatomicRegionModifierSequence[0].CodeValue == code
 
 
 @pytest.mark.parametrize(

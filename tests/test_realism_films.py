@@ -146,6 +146,12 @@ def test_a_film_made_smaller_has_the_form_of_one_taken_in_larger_pixels():
     assert values["pitch_mm"] == pytest.approx(plain["pitch_mm"], rel=0.02)
     assert abs(values["joint_row_px"] - plain["joint_row_px"]) < 5
     assert abs(values["joint_col_px"] - plain["joint_col_px"]) < 5
+    # Cut off at the top by 90 pixels, its joint is 45 nearer to the top of what is left than to its middle.
+    cut = measured(fine[90:], dataclasses.replace(middle_of(fine, 0.15), row=509.5 - 90), 0.15)
+    down = [one["tone|joint_down_mm"] for one in (plain, cut)]
+    assert down[0] - down[1] == pytest.approx(45 * plain["pitch_mm"], abs=0.2)
+    assert cut["tone|joint_aside_mm"] == pytest.approx(plain["tone|joint_aside_mm"], abs=0.2)
+    assert 0 < cut["tone|mean_grey"] < 1
     back = place.binned(1 / 3)
     assert (back.row, back.col, back.pitch_mm) == pytest.approx((509.5, 509.5, 0.15))
 

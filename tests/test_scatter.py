@@ -1,4 +1,5 @@
 import dataclasses
+import warnings
 
 import numpy as np
 import pytest
@@ -151,3 +152,16 @@ def test_a_fit_that_starts_from_the_constants_in_use_does_not_make_them_worse():
         costs = [scatter_fit.cost(samples, tried, projection) for tried in (kernel, fitted)]
         assert costs[1] <= costs[0]
         assert [new == old for new, old in zip(fitted.sums, kernel.sums, strict=True)].count(True) == 1
+
+
+@pytest.mark.parametrize(
+    ("projection", "scatter", "said"), [("axial", "kernel", 1), ("axial", "none", 0), ("PA", "kernel", 0)]
+)
+def test_the_kernel_says_so_where_it_does_not_hold(projection, scatter, said):
+    protocol = dataclasses.replace(
+        pssf.load_protocol("reference"), projection=projection, scatter=scatter, rows=24, cols=16, pixel_mm=10.0
+    )
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        pssf.simulate(pssf.Scene([pssf.Surface(trimesh.creation.box((60, 60, 60)), "muscle", "air")]), protocol)
+    assert [one.category for one in caught].count(pssf.KernelNotice) == said

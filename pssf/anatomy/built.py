@@ -12,13 +12,16 @@ from ..core.checks import Array, InputError
 from ..core.workers import one_blas_thread
 from ..data.anatomy import anatomy_tables
 from ..data.fields import beam_range_deg
+from ..data.oarsi import OarsiCuts, oarsi_cuts
 from ..data.records import Pair
 from ..data.spongy import TrabecularBone
 from ..geometry.density import Density
 from ..geometry.mesh import Mesh
 from ..geometry.scene import Scene, Surface
 from ..geometry.view import View, view_of
+from ..model.axes import axes
 from ..model.knee import Knee
+from ..model.oarsi import oarsi
 from ..model.protocol import Posture, Protocol
 from ..model.radiograph import Truth
 from . import bones, small_bones, soft
@@ -48,6 +51,7 @@ class BuiltKnee:
     cysts           bone -> its cysts, likewise
     attrition       `wear.attrition_mm` of it; None where that is still to be found
     beam_range_deg  that a protocol's central ray may be tilted by
+    cuts            that it is graded by
     """
 
     knee: Knee
@@ -57,6 +61,7 @@ class BuiltKnee:
     cysts: dict[str, list[CystSolids]]
     attrition: Mapping[str, float] | None
     beam_range_deg: Pair
+    cuts: OarsiCuts
 
     def truth(self, protocol: Protocol) -> Truth:
         """Labels and landmarks on a radiograph of it under a protocol; without masks, which `simulate` casts."""
@@ -64,9 +69,18 @@ class BuiltKnee:
 
     def truth_in(self, view: View) -> Truth:
         """The same in a view of one's own, of the knee where its scene has it."""
+        readings = self._readings
         if self.assembly.posture.is_frontal:
-            return labels(self.knee, self.assembly, self.scene, view, self._worn_mm)
-        return turned_labels(self.knee, self.assembly, self._outer(), view)
+            truth = labels(self.knee, self.assembly, self.scene, view)
+            readings = readings | {"inter_margin_mm": round(self._inter_margin_mm(view), 4)}
+        else:
+            truth = turned_labels(self.knee, self.assembly, self.bones, view)
+        return replace(truth, attrition_mm=self._worn_mm, readings=readings)
+
+    @cached_property
+    def _readings(self) -> dict[str, float]:
+        form = self.assembly.build.tables
+        return {**oarsi(self.knee, self._worn_mm, self.cuts, form.spongy), **axes(self.knee, form.shape.femur)}
 
     def aimed(self, protocol: Protocol) -> Protocol:
         """The protocol with its beam fitted to this knee, where it says that the beam goes along the medial plateau.
@@ -82,15 +96,15 @@ class BuiltKnee:
 
         raises  InputError for a view in which the plateau is not seen from the front
         """
-        return inter_margin_mm(self.assembly, mesh_of(self.bones["tibia"].outer), self.aimed(protocol))
+        return self._inter_margin_mm(view_of(self.aimed(protocol)))
+
+    def _inter_margin_mm(self, view: View) -> float:
+        return inter_margin_mm(self.assembly, mesh_of(self.bones["tibia"].outer), view)
 
     @cached_property
     def _worn_mm(self) -> Mapping[str, float]:
         # Of the posture that spaces are defined in, and so the same under every protocol.
         return attrition_mm(self.assembly) if self.attrition is None else self.attrition
-
-    def _outer(self) -> dict[str, Mesh]:
-        return {name: mesh_of(bone.outer) for name, bone in self.bones.items()}
 
     def measured_jsw_mm(self, protocol: Protocol) -> tuple[float, float]:
         """Medial and lateral joint space measured on the projected contours, osteophytes and all.
@@ -149,6 +163,7 @@ def build(knee: Knee, protocol: Protocol | None = None) -> BuiltKnee:
         cysts=cysts,
         attrition=attrition,
         beam_range_deg=beam_range_deg(),
+        cuts=oarsi_cuts(),
     )
 
 

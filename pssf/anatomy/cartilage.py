@@ -134,6 +134,11 @@ def _layer(outer: Manifold, field: Field, zone: Field, full_mm: Field) -> Layer:
         thickness[folded] /= 2
         # The others have been found not to fold, and stay.
         suspect = suspect[np.isin(suspect, folded).any(axis=1)]
+    # What is thinner lies in a crease, whose other side it would cross.
+    thickness[thickness < _THINNEST_MM] = 0.0
+    while len(pinched := _pinched(faces, thickness > 0)):
+        around = np.isin(np.arange(len(points)), pinched)
+        thickness[dilate_rings(around, faces, 1)] = 0.0
     return Layer(outer, points, points + normals * thickness[:, None], faces)
 
 

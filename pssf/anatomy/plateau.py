@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from ..core.checks import Array, InputError
 from ..data.records import Pair
 from ..geometry.mesh import Indices, Mesh
-from ..geometry.view import magnification, project, view_of
+from ..geometry.view import View, magnification, project, view_of
 from ..model.protocol import Protocol
 from .contours import COMPARTMENT
 from .joint import KneeAssembly
@@ -49,14 +49,13 @@ def _section(points: Array, faces: Indices, x: float) -> Array:
     return np.asarray(places[points[starts, 2] > _ABOVE_MM])
 
 
-def inter_margin_mm(assembly: KneeAssembly, tibia: Mesh, protocol: Protocol) -> float:
+def inter_margin_mm(assembly: KneeAssembly, tibia: Mesh, view: View) -> float:
     """Height on the film of the front margin of the medial plateau over its back one, scaled to the joint plane.
 
     raises  InputError for a view in which the plateau is not seen from the front
     """
     if not assembly.posture.is_frontal:
         raise InputError(f"projection = {assembly.posture.projection!r}; allowed: AP or PA, where margins are edge on")
-    view = view_of(protocol)
     (front, back), _ = project(assembly.seen(plateau_margins(assembly, tibia, "medial")), view).T
     return float((back - front) * view.pixel_mm / magnification(view))
 
@@ -70,7 +69,7 @@ def along_plateau(assembly: KneeAssembly, tibia: Mesh, protocol: Protocol, range
     level = replace(protocol, beam_along="horizontal")
 
     def apart_mm(angle_deg: float) -> float:
-        return inter_margin_mm(assembly, tibia, replace(level, beam_angle_deg=float(angle_deg)))
+        return inter_margin_mm(assembly, tibia, view_of(replace(level, beam_angle_deg=float(angle_deg))))
 
     low, high = (apart_mm(angle) for angle in range_deg)
     if low * high > 0:

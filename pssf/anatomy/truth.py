@@ -1,6 +1,6 @@
 """What is known about the radiograph of a built knee: joint spaces, landmarks, and where its osteophytes are."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import numpy as np
 from manifold3d import Manifold, OpType
@@ -25,12 +25,11 @@ _CONDYLES, _EPICONDYLES, _PLATEAU = (1.0, 12.0), (22.0, 42.0), (-9.0, 1.0)
 _OUT_MM = 0.05
 
 
-def labels(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View, worn_mm: Mapping[str, float]) -> Truth:
-    """What is known about the radiograph of a knee in a view.
+def labels(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> Truth:
+    """Spaces and landmarks on the radiograph of a knee in a view.
 
     assembly  how it stands
     scene     as it is built
-    worn_mm   medial and lateral -> `wear.attrition_mm` of it
     """
     gaps, defined = _gaps(knee, assembly, scene, view), assembly.defined_under
     # A knee that a posture bends has other spaces along its width: they are told as this view shows them.
@@ -41,7 +40,7 @@ def labels(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View, worn_mm
         jsw_lateral_mm=knee.jsw_lateral_mm,
         jsw_at_mm=_jsw_at_mm(knee, assembly, spaces, seen_by),
         grade=knee.grade,
-        attrition_mm=worn_mm,
+        grade_read=knee.grade_read,
         landmarks_px=_joint_lines(gaps, view, _lean_deg(knee, assembly))
         | _widest(knee, assembly, view)
         | _on_contours(knee, assembly, scene, view),

@@ -19,22 +19,24 @@ from ..geometry.mesh import Mesh
 from ..geometry.view import View, project
 from ..model.knee import Knee
 from ..model.radiograph import Truth
+from .bones import Bone
 from .contours import envelope
 from .joint import KneeAssembly
 from .plateau import SIDES, plateau_margins
 from .pose import moved
-from .solids import closed_edges
+from .solids import closed_edges, mesh_of
 
 # The trochlea lies within this share of half the plateau's width from the middle (judgement).
 _TROCHLEA = 0.75
 
 
-def turned_labels(knee: Knee, assembly: KneeAssembly, outer: dict[str, Mesh], view: View) -> Truth:
+def turned_labels(knee: Knee, assembly: KneeAssembly, bones: dict[str, Bone], view: View) -> Truth:
     """What is known about the radiograph of a knee in a view from its side or along the leg.
 
     assembly  how it stands
-    outer     bone -> its outer surface in the leg as it stands
+    bones     by name, in the leg as it stands
     """
+    outer = {name: mesh_of(bone.outer) for name, bone in bones.items()}
     places = turned_places(assembly, outer)
     seen = project(assembly.seen(np.array(list(places.values()))), view)
     spots = {name: (float(row), float(col)) for name, (row, col) in zip(places, seen, strict=True)}
@@ -44,6 +46,7 @@ def turned_labels(knee: Knee, assembly: KneeAssembly, outer: dict[str, Mesh], vi
         jsw_medial_mm=knee.jsw_medial_mm,
         jsw_lateral_mm=knee.jsw_lateral_mm,
         grade=knee.grade,
+        grade_read=knee.grade_read,
         landmarks_px=spots,
     )
 

@@ -25,6 +25,7 @@ from .options import (
     cohort_overrides,
     knee_of,
     subject_of,
+    taken_as,
 )
 
 
@@ -44,6 +45,12 @@ def simulate(
     border: Annotated[
         str, typer.Option(help="none, or marked: collimator's edge and side marker in what is for eyes.")
     ] = "none",
+    look: Annotated[
+        str, typer.Option(help="Of what is for eyes: processed as a flat panel's software, linear, or film.")
+    ] = "processed",
+    exposure: Annotated[
+        str, typer.Option(help="fixed, or drawn: centring, turn, beam, kV, mAs, field, marker vary with the seed.")
+    ] = "fixed",
     masks: Annotated[
         bool, typer.Option("--masks", help="Masks of bones and osteophytes too: TIFF, and DICOM if that is asked for.")
     ] = False,
@@ -62,17 +69,19 @@ def simulate(
     """
     from ..core.checks import InputError, require_choice, require_workers
     from ..core.progress import waiting
-    from ..model.knee import Knee
     from ..model.listing import changes, with_changes
     from ..model.protocol import load_protocol
 
     of_knee, of_protocol = changes(settings or ())
-    technique, wanted = with_changes(load_protocol(protocol), of_protocol), kinds.split(",")
-    subject, name = subject_of(KneeChoice(knee, grade, seed, grades, of_knee, scene), technique)
+    meant, wanted = load_protocol(protocol), kinds.split(",")
+    choice = KneeChoice(knee, grade, seed, grades, of_knee, scene)
+    subject, name = subject_of(choice, with_changes(meant, of_protocol))
+    technique = with_changes(taken_as(exposure, meant, subject, seed), of_protocol)
     require_workers(workers)
-    if masks and not isinstance(subject, Knee):
-        raise InputError("masks = of a scene, or of both knees; allowed: of one knee")
+    if masks and scene is not None:
+        raise InputError("masks = of a scene; allowed: of a knee, or of both")
     with waiting("simulating; the first run after an installation compiles for some seconds more"):
+        from ..detector import LOOKS
         from ..io.atomic import folder
         from ..io.images import BORDERS, KINDS, save_kinds
         from ..io.masks import save_masks
@@ -83,11 +92,12 @@ def simulate(
         for kind in wanted:
             require_choice("formats", kind, KINDS)
         require_choice("border", border, BORDERS)
+        require_choice("look", look, LOOKS)
         folder(out)
         keep = ("masks",) if masks else ()
         radiograph = run(subject, technique, seed=seed, keep=keep, engine=engine, workers=workers)
     stem = out / f"{name}_{technique.name}_seed{seed}"
-    paths = save_kinds(radiograph, stem, wanted, border=border)
+    paths = save_kinds(radiograph, stem, wanted, border=border, look=look)
     if masks:
         paths += [save_masks(radiograph, f"{stem}_masks.{kind}") for kind in ("tif", "dcm") if kind in ("tif", *wanted)]
     for path in paths:
@@ -142,6 +152,9 @@ def cohort(
     bilateral: Bilateral = -1,
     protocols: Annotated[str, typer.Option(help="Names or TOML files, with commas, instead of the preset's.")] = "",
     grades: CohortGrades = "",
+    exposures: Annotated[
+        str, typer.Option(help="fixed, or drawn: each taking a little other; instead of the preset's.")
+    ] = "",
     masks: Annotated[bool, typer.Option("--masks", help="Masks of bones and osteophytes too, as TIFF.")] = False,
     scheduler: Scheduler = None,
     engine: Engine = "scanline",
@@ -160,7 +173,7 @@ def cohort(
 
     if out is None:
         raise InputError("out = none; allowed: a folder for the cohort (--out)")
-    overrides = cohort_overrides(knees, bilateral, protocols, grades)
+    overrides = cohort_overrides(knees, bilateral, protocols, grades, exposures)
     plan = plan_cohort(preset, seed=seed, overrides=overrides, masks="tif" if masks else "none")
     total = sum(len(case.exposures) for case in plan.cases)
     with Execution(bar=bar).stage("radiographs", "radiographs", total) as stage:
@@ -168,6 +181,8 @@ def cohort(
             plan, out, workers=workers, scheduler=scheduler, engine=engine, progress=stage.advance, kept=stage.keep
         )
     print(f"manifest  {manifest}")
+    table = plan.cases[0].grades
+    print(f"grades    {table}; how well they can be told at best: pssf grades --table {table}")
 
 
 @cohort_app.command()

@@ -84,7 +84,7 @@ CohortGrades = Annotated[
 ]
 
 
-def cohort_overrides(knees: str, bilateral: int, protocols: str, grades: str) -> "dict[str, Any]":
+def cohort_overrides(knees: str, bilateral: int, protocols: str, grades: str, exposures: str = "") -> "dict[str, Any]":
     """Entries that replace a preset's, as `plan_cohort` takes them; those that are not given are left out.
 
     raises  InputError for counts that are none
@@ -103,6 +103,8 @@ def cohort_overrides(knees: str, bilateral: int, protocols: str, grades: str) ->
         given["protocols"] = tuple(name.strip() for name in protocols.split(","))
     if grades:
         given["grades"] = grades
+    if exposures:
+        given["exposures"] = exposures
     return given
 
 
@@ -174,3 +176,21 @@ def subject_of(choice: KneeChoice, protocol: "Protocol") -> "tuple[Knee | tuple[
     drawn = draw_pair(grade=choice.grade, rng=np.random.default_rng(choice.seed), table=choice.table)
     right, left = (with_changes(one, choice.changed) for one in drawn)
     return (right, left), f"knees_grade{choice.grade}"
+
+
+def taken_as(exposure: str, meant: "Protocol", subject: "Knee | tuple[Knee, Knee] | Scene", seed: int) -> "Protocol":
+    """A protocol as it is meant ("fixed"), or as it is carried out ("drawn"), by a stream of the seed's own.
+
+    raises  InputError for another exposure
+    """
+    import numpy as np
+
+    from ..core.checks import require_choice
+    from ..model.exposure import draw_exposure
+    from ..model.knee import Knee
+
+    require_choice("exposure", exposure, ("fixed", "drawn"))
+    if exposure == "fixed":
+        return meant
+    side = subject.side if isinstance(subject, Knee) else None
+    return draw_exposure(meant, rng=np.random.default_rng([seed, 1]), side=side)

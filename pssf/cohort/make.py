@@ -1,7 +1,6 @@
 """Makes the radiographs of a plan, knee by knee, in processes of this machine or on a cluster."""
 
 import json
-import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
@@ -19,7 +18,7 @@ from ..io.images import save
 from ..io.masks import save_masks
 from ..model.knee import knee_table
 from ..model.protocol import protocol_table
-from ..model.radiograph import Radiograph
+from ..model.radiograph import Radiograph, Truth
 from ..raycast import ENGINES, trace
 from ..simulation import simulate, versions
 from .plan import Case, Exposure, Plan
@@ -173,8 +172,15 @@ def _row(case: Case, exposure: Exposure, radiograph: Radiograph, file: Path, dig
     # A knee has a flexion and a rotation of its own, which a posture adds to.
     stands = {f"posture_{name}": protocol.pop(name) for name in asdict(exposure.protocol.posture)}
     row |= {**knee, **{name: json.dumps(knee[name]) for name in ("shape", "osteophytes", "cysts")}} | protocol | stands
-    for name in ("medial", "lateral"):
-        place = truth.landmarks_px.get(f"{name}_joint_line", (math.nan, math.nan))
-        row |= {f"truth_{name}_row_px": round(place[0], 4), f"truth_{name}_col_px": round(place[1], 4)}
-    row |= {f"truth_attrition_{name}_mm": depth for name, depth in truth.attrition_mm.items()}
+    row |= {f"truth_{name}": value for name, value in _truth_columns(truth).items()}
     return row | {f"audit_{name}": count for name, count in radiograph.audit.items()}
+
+
+def _truth_columns(truth: Truth) -> Row:
+    """What is known about a radiograph, one number a column; landmarks that its view does not show are left out."""
+    columns: Row = {f"jsw_{round(1000 * at):03d}_mm": round(mm, 4) for at, mm in truth.jsw_at_mm.items()}
+    for name, (row, col) in truth.landmarks_px.items():
+        place = name.removesuffix("_joint_line")
+        columns |= {f"{place}_row_px": round(row, 4), f"{place}_col_px": round(col, 4)}
+    columns |= {f"attrition_{name}_mm": depth for name, depth in truth.attrition_mm.items()}
+    return columns | dict(truth.readings)

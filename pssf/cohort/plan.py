@@ -117,6 +117,9 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
     names = [protocol.name for protocol in protocols]
     if len(set(names)) < len(names) or not names:
         raise InputError(f"protocols = {', '.join(names) or 'none'}; allowed: one or more, each once")
+    for protocol in protocols:
+        if protocol.apart_mm:
+            raise InputError(f"protocols = {protocol.name}, of two knees at once; allowed: those of one knee")
     cases = []
     laws = draw_laws(chosen.grades)
     most = max(laws.grades.grades)

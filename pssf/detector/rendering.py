@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from msgspec.structs import asdict
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -47,7 +48,7 @@ def present(
     require_whole("bits", bits, 8, 16, "")
     panels = detectors()
     require_choice("detector", detector, tuple(panels))
-    shown_as = _look_of(look, looks())
+    shown_as = look_of(look, looks())
     require("pixel_mm", pixel_mm, 1e-3, 50, "mm")
     signal = np.maximum(pixels.astype(np.float32) - np.float32(panels[detector].offset_dn), 1.0)
     within = _within(signal.shape, field_mm, pixel_mm)
@@ -76,6 +77,14 @@ def for_eyes(
     )
 
 
+def named_look(look: Processed | Film | None) -> str:
+    """A look in words, as `look_of` gives it: its name, and its parameters where it has any."""
+    if look is None:
+        return "linear"
+    values = ", ".join(f"{name} {value:g}" for name, value in asdict(look).items())
+    return f"{type(look).__name__.lower()} ({values})"
+
+
 def _within(shape: tuple[int, ...], field_mm: tuple[float, float], pixel_mm: float) -> tuple[slice, slice]:
     """Rows and columns of the collimator's field."""
     slices = []
@@ -88,8 +97,11 @@ def _within(shape: tuple[int, ...], field_mm: tuple[float, float], pixel_mm: flo
     return slices[0], slices[1]
 
 
-def _look_of(look: str | Processed | Film, known: Looks) -> Processed | Film | None:
-    """The parameters that a name stands for; None for "linear", which has none."""
+def look_of(look: str | Processed | Film, known: Looks) -> Processed | Film | None:
+    """The parameters that a name stands for; None for "linear", which has none.
+
+    raises  InputError for what is no look
+    """
     if isinstance(look, str):
         require_choice("look", look, LOOKS)
         return {"linear": None, "processed": known.processed, "film": known.film}[look]

@@ -24,7 +24,9 @@ class _Truth(Record, frozen=True):
     jsw_lateral_mm: float
     jsw_at_mm: dict[str, float]
     grade: int | None
+    grade_read: int | None
     attrition_mm: dict[str, float]
+    readings: dict[str, int | float]
     landmarks_px: dict[str, tuple[float, float]]
 
 
@@ -117,7 +119,9 @@ def _truth_table(truth: Truth) -> dict[str, Any]:
         "jsw_lateral_mm": truth.jsw_lateral_mm,
         "jsw_at_mm": {f"{fraction:g}": space for fraction, space in truth.jsw_at_mm.items()},
         "grade": truth.grade,
+        "grade_read": truth.grade_read,
         "attrition_mm": dict(truth.attrition_mm),
+        "readings": dict(truth.readings),
         "landmarks_px": {name: list(place) for name, place in truth.landmarks_px.items()},
     }
 

@@ -17,7 +17,8 @@ from pydicom.valuerep import DSfloat
 from ..core.checks import InputError, require_choice
 from ..data.detectors import Detector, detectors
 from ..data.dicom import DicomTables, dicom_tables
-from ..detector import for_eyes
+from ..data.looks import Film, Processed
+from ..detector import for_eyes, named_look
 from ..geometry.view import magnification, view_of
 from ..model.knee import Knee, knee_table
 from ..model.protocol import Protocol
@@ -26,18 +27,21 @@ from ..model.radiograph import Radiograph
 _UIDS = UUID("6f0c1d7e-3b52-5b7e-9a55-50535346646d")
 
 
-def write(radiograph: Radiograph, description: str, path: Path, intent: str, side: str | None) -> None:
+def write(
+    radiograph: Radiograph, description: str, path: Path, intent: str, side: str | None, look: Processed | Film | None
+) -> None:
     """Write a radiograph as a Digital X-Ray object.
 
     description    JSON of all it was made from; kept in the acquisition context, since archives drop private attributes
     intent  "processing": 16 bit, the pixels as they are; "presentation": 12 bit, as `present` renders them
     side    of which a presentation bears the marker, with the collimator's edge; None for neither
+    look    of a presentation; None for linear
     """
     protocol, tables = radiograph.protocol, dicom_tables()
     detector = detectors()[protocol.detector]
     shown: NDArray[np.generic] = radiograph.pixels
     if intent == "presentation":
-        shown = for_eyes(radiograph, 12, side)
+        shown = for_eyes(radiograph, 12, side, look or "linear")
     pixels = shown.astype("<u2", copy=False)
     uids = uids_of(radiograph, description)
     item = start(radiograph, uids, ("radiograph", intent), tables)
@@ -50,7 +54,7 @@ def write(radiograph: Radiograph, description: str, path: Path, intent: str, sid
     item.update(_geometry(radiograph.protocol))
     remark = f"linear in absorbed energy, offset {detector.offset_dn:g}"
     if intent == "presentation":
-        remark = "for eyes: log signal by a flat panel's processing, a curve to grey; not for measurement of intensity"
+        remark = f"for eyes, not for measurement of intensity; look {named_look(look)}"
         item.SourceImageSequence = [reference(uids, tables, "source_of_processing")]
     item.ImageComments = f"SYNTHETIC, no patient. Pixels {remark}.{_beam(radiograph.protocol)}"
     finish(item, pixels, path)

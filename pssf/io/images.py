@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from PIL import Image, PngImagePlugin
 
 from ..core.checks import InputError, require_choice, require_path
+from ..data.looks import Film, Processed, looks
 from ..data.userfiles import read_text, require_file
-from ..detector import for_eyes
+from ..detector import for_eyes, look_of, named_look
 from ..model.radiograph import Radiograph
 from .atomic import write_bytes, writing
 from .description import as_json, parameters, require_as_written
@@ -30,32 +31,43 @@ BORDERS = ("none", "marked")
 KINDS = ("tif", "png", "json", "dcm")
 
 
-def save(radiograph: Radiograph, path: str | Path, *, intent: str | None = None, border: str = "none") -> Path:
+def save(
+    radiograph: Radiograph,
+    path: str | Path,
+    *,
+    intent: str | None = None,
+    border: str = "none",
+    look: str | Processed | Film = "processed",
+) -> Path:
     """Write a radiograph, by suffix: .tif (16 bit), .dcm (Digital X-Ray, 16 or 12 bit) or .png (8 bit).
 
     intent  "processing": the linear pixels as they are, which `load` reads back; "presentation": a rendering for eyes,
             bone bright. None is the first that the suffix can hold: presentation for .png, else processing. These are
             DICOM's own words, For Processing and For Presentation, and two objects there; only a .dcm has the choice.
     border  "none"; "marked" draws the edge of the collimator and the side marker into a presentation of a knee
+    look    of a presentation, as `present` has it; the file names it and its parameters
     Either carries all parameters; the same radiograph gives the same bytes, and UIDs made from its content.
-    raises  InputError for another suffix, an intent that it cannot hold, a marker where there is no room or no side,
-            a disk that is full or cannot be written
+    raises  InputError for another suffix, an intent that it cannot hold, an unknown look, a marker where there is no
+            room or no side, a disk that is full or cannot be written
     """
     path = require_path(path)
     require_radiograph(radiograph)
     suffix = suffix_of(path, SUFFIXES)
     intent = INTENTS[suffix][0] if intent is None else intent
     require_choice(f"file {path}: intent", intent, INTENTS[suffix])
-    side = _side(radiograph, intent, border, path)
+    side, shown_as = _side(radiograph, intent, border, path), look_of(look, looks())
     with writing(path) as temporary:
         if suffix == ".png":
             note = PngImagePlugin.PngInfo()
             note.add_text("Description", as_json(radiograph))
-            Image.fromarray(for_eyes(radiograph, side=side)).save(temporary, format="PNG", pnginfo=note)
+            note.add_text("Look", named_look(shown_as))
+            Image.fromarray(for_eyes(radiograph, side=side, look=shown_as or "linear")).save(
+                temporary, format="PNG", pnginfo=note
+            )
         elif suffix == ".dcm":
             from . import dicom  # pydicom is not imported before a DICOM is wanted
 
-            dicom.write(radiograph, as_json(radiograph), temporary, intent, side)
+            dicom.write(radiograph, as_json(radiograph), temporary, intent, side, shown_as)
         else:
             per_cm = float(10.0 / radiograph.protocol.pixel_mm)
             tifffile.imwrite(
@@ -82,12 +94,19 @@ def _side(radiograph: Radiograph, intent: str, border: str, path: Path) -> str |
     return radiograph.knee.side
 
 
-def save_kinds(radiograph: Radiograph, stem: str | Path, kinds: Collection[str], *, border: str = "none") -> list[Path]:
+def save_kinds(
+    radiograph: Radiograph,
+    stem: str | Path,
+    kinds: Collection[str],
+    *,
+    border: str = "none",
+    look: str | Processed | Film = "processed",
+) -> list[Path]:
     """Write a radiograph in several ways beside each other; returns their paths.
 
-    kinds   of KINDS; "dcm" is two objects, STEM.dcm For Processing and STEM_presentation.dcm
-    border  as in `save`, of what is for presentation
-    raises  InputError for another kind; as `save`
+    kinds         of KINDS; "dcm" is two objects, STEM.dcm For Processing and STEM_presentation.dcm
+    border, look  as in `save`, of what is for presentation
+    raises        InputError for another kind; as `save`
     """
     for kind in kinds:
         require_choice("formats", kind, KINDS)
@@ -95,12 +114,13 @@ def save_kinds(radiograph: Radiograph, stem: str | Path, kinds: Collection[str],
     if "tif" in kinds:
         paths.append(save(radiograph, f"{stem}.tif"))
     if "png" in kinds:
-        paths.append(save(radiograph, f"{stem}.png", border=border))
+        paths.append(save(radiograph, f"{stem}.png", border=border, look=look))
     if "json" in kinds:
         paths.append(save_parameters(radiograph, f"{stem}.json"))
     if "dcm" in kinds:
         paths.append(save(radiograph, f"{stem}.dcm"))
-        paths.append(save(radiograph, f"{stem}_presentation.dcm", intent="presentation", border=border))
+        shown = f"{stem}_presentation.dcm"
+        paths.append(save(radiograph, shown, intent="presentation", border=border, look=look))
     return paths
 
 

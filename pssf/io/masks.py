@@ -23,6 +23,7 @@ _PAGE_NAME = 285
 def save_masks(radiograph: Radiograph, path: str | Path) -> Path:
     """Write the masks of a radiograph, by suffix: .tif (a page each, 0 or 255, named) or .dcm (Segmentation, binary).
 
+    Those of two knees are named after their side: right_femur, left_femur.
     Masks may overlap. Both files are lossless; the TIFF is compressed, the Segmentation has one bit a pixel. A
     Segmentation refers to the For Processing DICOM that `save` writes of the same radiograph, by its UIDs.
     raises  InputError for another suffix, a radiograph without masks, a name or size that does not fit,
@@ -31,7 +32,7 @@ def save_masks(radiograph: Radiograph, path: str | Path) -> Path:
     path = require_path(path)
     suffix = suffix_of(path, SUFFIXES)
     require_radiograph(radiograph)
-    masks = {} if radiograph.truth is None else radiograph.truth.masks
+    masks = _masks(radiograph)
     if not masks:
         raise InputError("masks = none; allowed: those of a Knee simulated with keep=('masks',)")
     for name, mask in masks.items():
@@ -65,6 +66,16 @@ def load_masks(path: str | Path) -> dict[str, NDArray[np.bool_]]:
             names = json.loads(tiff.pages[0].description)["masks"]  # type: ignore[union-attr]
             pages = [page.asarray().astype(np.bool_) for page in tiff.pages]
         return dict(zip(names, pages, strict=True))
+
+
+def _masks(radiograph: Radiograph) -> dict[str, NDArray[np.bool_]]:
+    if radiograph.truth is not None:
+        return dict(radiograph.truth.masks)
+    return {
+        f"{knee.side}_{name}": mask
+        for knee, truth in zip(radiograph.knees, radiograph.truths, strict=True)
+        for name, mask in truth.masks.items()
+    }
 
 
 def _write_tiff(radiograph: Radiograph, masks: Mapping[str, NDArray[np.bool_]], path: Path) -> None:

@@ -196,9 +196,10 @@ def write_csv(path: Path, rows: list[Row]) -> None:
 
 
 def as_csv(rows: list[Row]) -> bytes:
-    """What `write_csv` writes."""
+    """What `write_csv` writes; empty where a row lacks what another has."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
+    names = dict.fromkeys(name for row in rows for name in row)
+    writer = csv.DictWriter(text, fieldnames=list(names), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     return text.getvalue().encode()

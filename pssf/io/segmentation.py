@@ -66,7 +66,10 @@ def read(path: Path) -> dict[str, NDArray[np.bool_]]:
 
 
 def _segment(number: int, name: str, side: str | None, version: str, code: Code) -> Dataset:
-    """What a mask is, by its name: a bone, or an osteophyte or the cysts of a bone."""
+    """What a mask is, by its name: a bone, or an osteophyte or the cysts of a bone; of two knees after its side."""
+    label = name
+    if side is None and name.split("_")[0] in ("right", "left"):
+        side, name = name.split("_", 1)
     osteophyte, cyst = name.endswith(_OSTEOPHYTE), name.endswith(_CYST)
     of_bone = osteophyte or cyst
     category = "abnormal_structure" if of_bone else "anatomical_structure"
@@ -75,7 +78,7 @@ def _segment(number: int, name: str, side: str | None, version: str, code: Code)
     )
     item = dicom.dataset({
         "SegmentNumber": number,
-        "SegmentLabel": name,
+        "SegmentLabel": label,
         "SegmentAlgorithmType": "AUTOMATIC",
         "SegmentAlgorithmName": version,
         "SegmentedPropertyCategoryCodeSequence": [code(category)],

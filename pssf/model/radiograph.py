@@ -27,6 +27,11 @@ class Truth:
                        view, as `anatomy.turned_truth` lists them
     attrition_mm       medial and lateral -> greatest depth worn off the plateau in the posture that joint spaces are
                        defined under, whatever this radiograph's; 0 where bones do not meet
+    grade              KL grade that the knee was drawn for; grade_read the one that a reader gives, where one is drawn
+    readings           OARSI grades by the names of the Osteoarthritis Initiative (`model.oarsi`), femorotibial_deg,
+                       tibial_slope_deg and insall_salvati (`model.axes`); seen from the front also inter_margin_mm, how
+                       far the front margin of the medial plateau stands over its back one on this radiograph, scaled to
+                       the joint plane
     masks              if asked for: name -> (rows, cols) bool, where a bone or an osteophyte is seen
     """
 
@@ -36,6 +41,8 @@ class Truth:
     landmarks_px: Mapping[str, tuple[float, float]]
     jsw_at_mm: Mapping[float, float] = field(default_factory=dict)
     attrition_mm: Mapping[str, float] = field(default_factory=dict)
+    grade_read: int | None = None
+    readings: Mapping[str, float] = field(default_factory=dict)
     masks: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict, compare=False, repr=False)
 
     @property

@@ -5,12 +5,16 @@ from scipy import stats
 
 from ..core.checks import Array
 
+# Frequency, 1/mm, up to which pixels must resolve for the share of what is fine.
+_FINEST = 2.75
+
 
 def texture(patch: Array, pixel_mm: float) -> dict[str, float]:
     """What a square patch measures once its quadratic trend is taken off, under a Hann window.
 
     slope_*               of the radially averaged power spectrum in the log-log plane, over so many cycles/mm
     vertical_over_horizontal  power of vertical over horizontal lines (within 30 deg), 0.3 to 1.5 cycles/mm
+    fine_over_coarse      mean power of 2 to 3 over that of 0.4 to 0.8 cycles/mm; where pixels resolve most of it
     sd_over_mean, skewness, excess_kurtosis
     patch  (side, side)  linear pixels, DN
     """
@@ -22,7 +26,11 @@ def texture(patch: Array, pixel_mm: float) -> dict[str, float]:
     fx, fy = np.meshgrid(*2 * [np.fft.fftfreq(side, pixel_mm)])
     radius, angle = np.hypot(fx, fy), np.rad2deg(np.arctan2(np.abs(fy), np.abs(fx)))
     band = (radius > 0.3) & (radius < 1.5)
-    return {
+    fine = {}
+    if 0.5 / pixel_mm >= _FINEST:
+        low, high = ((radius > first) & (radius < last) for first, last in ((0.4, 0.8), (2.0, 3.0)))
+        fine = {"fine_over_coarse": float(power[high].mean() / power[low].mean())}
+    return fine | {
         "slope_0.2_2": _slope(power, radius, 0.2, 2.0),
         "slope_0.2_0.8": _slope(power, radius, 0.2, 0.8),
         "slope_0.8_2": _slope(power, radius, 0.8, 2.0),

@@ -24,7 +24,7 @@ from .form import PITCH_MM, PLATEAU_MM, Place, field_of, joint_pixel, made_small
 from .grey_features import grey_groups
 from .kept import key_of
 from .outline import trace_outline
-from .shape_features import plateau_edges, shape_groups
+from .shape_features import Features, plateau_edges, shape_groups
 from .tone import fine_texture, tone
 
 Record = dict[str, Any]
@@ -175,12 +175,20 @@ def measured(film: Array, near: Place, pixel_mm: float, binned: float = 1) -> Re
     groups = shape_groups(outline) | grey_groups(form, outline)
     own = place.binned(1 / binned)
     groups |= {
-        TONE: tone(shown, field, outline, place),
+        TONE: tone(shown, field, outline, place) | _taking(film, field, own),
         FINE: fine_texture(film, outline, own, pixel_mm),
         EDGES: edge_features(field),
     }
     values: Record = {"joint_row_px": own.row, "joint_col_px": own.col, "pitch_mm": own.pitch_mm}
     return values | {f"{group}{BETWEEN}{name}": value for group, of in groups.items() for name, value in of.items()}
+
+
+def _taking(film: Array, field: Array, place: Place) -> Features:
+    """What a taking decides: where the joint is from the film's middle, and how bright the field about it is."""
+    down, aside = (
+        (at - (size - 1) / 2) * place.pitch_mm for at, size in zip((place.row, place.col), film.shape, strict=True)
+    )
+    return {"joint_down_mm": down, "joint_aside_mm": aside, "mean_grey": float(field.mean())}
 
 
 def centred(film: Array, near: Place) -> Place:

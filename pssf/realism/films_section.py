@@ -56,7 +56,8 @@ _CAPTIONS = {
     "ratios": "(d) Ratios of the outlines in shares of the plateau's width, of all films of a source and of the "
     "simulated ones: those of another view differ by the view.",
     "tone": "(d) Tone, in the display's values: contrasts, and greys with soft tissue as 0 and the shaft's cortex as 1 "
-    "where a film holds the shaft.",
+    "where a film holds the shaft; how far the joint is from the film's middle, mm at the joint (of crops that is who "
+    "cropped them), and the mean grey about it.",
     "edges": "(d) Brightness across the sides of the bones, so many mm inwards of where it is steepest, soft tissue as "
     "0 and what is 6 to 12 mm in as 1; and the strongest line on either side, over the spread of ridges.",
     "fine": "(d) Texture at the film's own pitch, where that is 0.25 mm or less.",

@@ -103,6 +103,8 @@ def measure(
     count = len(laws.grades.grades)
     require_whole("knees", knees, 2 * count, 100_000, "")
     seen_under = load_protocol(protocol)
+    if not seen_under.posture.is_frontal or seen_under.apart_mm:
+        raise InputError(f"protocol = {seen_under.name}; allowed: one knee seen from the front, which shows contours")
     given = read_bones(bones_folder) if bones_folder is not None else None
     sources = sources_of(films) if films is not None else ()
     out = folder(Path(out))
