@@ -1,6 +1,8 @@
+import numpy as np
 import pytest
 from manifold3d import Manifold
 
+import pssf
 from pssf.anatomy.tissues import _without
 
 
