@@ -100,3 +100,11 @@ def test_a_curve_has_the_gain_of_each_step_on_the_same_tested_subjects():
 def test_splits_that_do_not_differ_plan_nothing():
     same = studied(60, 0).assign(auc=0.8)
     assert learning.power(same, pd.Series({"0 vs 2": 60}), 0.05).empty
+
+
+def test_no_power_is_planned_for_an_auc_above_1():
+    table = studied(60, 0)
+    nearly = table.assign(auc=np.where(table["rung"] == "both", 1.0, 0.96 + 0.001 * (table["repeat"] % 2)))
+    subjects = pd.Series({"0 vs 2": 60})
+    assert learning.power(nearly, subjects, 0.05).empty
+    assert len(learning.power(nearly, subjects, 0.03)) == 1

@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
+from scipy.stats import binom, norm
 
 from pssf.core.execution import Execution
 from pssf.study import StudySettings
@@ -11,6 +12,9 @@ from pssf.study.design import AXES
 from pssf.study.learn.responses import respond, split_curves
 from pssf.study.report.sections import curves_section
 from pssf.study.statistics import breaks, responses
+from pssf.study.statistics.intervals import estimate_share
+from pssf.study.statistics.ladder import ratio_of
+from pssf.study.statistics.metrics import auc
 
 NAMES = ["glcm_signal", "glcm_steady", "glcm_other"]
 SETTINGS = StudySettings(repeats=8, selections=("l1",), models=("lr",))
@@ -123,6 +127,31 @@ def test_no_subject_is_tested_and_learnt_from_and_only_those_with_curves_are_tes
     assert len(halves.test) == 16
     assert {*halves.test, *halves.training, *halves.validation} == set(base["subject"])
     assert halves != split_curves(base, curved, 0, 4)
+
+
+def test_intervals_hold_a_models_auc_though_halves_of_few_knees_are_tested_again_and_again():
+    """A marker that needs no training: its AUC is known, and chance is whose knees have curves and who is tested."""
+    distance, cohorts, rng = 1.5, 200, np.random.default_rng(0)
+    truth, held, held_by_trained = norm.cdf(distance / np.sqrt(2)), 0, 0
+    base = pd.DataFrame({"subject": range(100), "grade": 2 * (np.arange(100) % 2)})
+    for cohort in range(cohorts):
+        marker = rng.normal(size=100) + distance * (base["grade"] == 2)
+        rows = []
+        for repeat in range(20):
+            halves = split_curves(base, list(range(24)), cohort, repeat)
+            tested = base["subject"].isin(halves.test)
+            score = auc((base["grade"] == 2)[tested].to_numpy(), marker[tested].to_numpy())
+            rows.append({
+                "axis": "dose", "turn": 1, "trained": len(halves.training), "curved": 24,
+                "test_subjects": len(halves.test), "auc": score, "auc_own": score, "shift": 0.0,
+            })  # fmt: skip
+        splits = pd.DataFrame(rows)
+        found = at(responses.curves_of_models(splits, step), responses.AUC).loc[1]
+        held += found["low"] <= truth <= found["high"]
+        narrow = estimate_share(splits["auc"].to_numpy(), ratio_of(splits))
+        held_by_trained += narrow.low <= truth <= narrow.high
+    assert held >= binom.ppf(0.001, cohorts, 0.95)
+    assert held_by_trained < binom.ppf(0.001, cohorts, 0.85)
 
 
 @pytest.mark.parametrize(

@@ -55,3 +55,10 @@ def test_without_sex_and_age_there_are_no_groups():
     found = subgroups(predictions(8), people(8)[["knee", "subject"]], SETTINGS, 15 / 70)
     assert found.empty
     assert list(found.columns) == COLUMNS
+
+
+@pytest.mark.parametrize(("subjects", "told"), [(10, False), (12, True)])
+def test_a_group_of_which_splits_test_fewer_than_six_has_no_interval(subjects, told):
+    found = subgroups(predictions(subjects), people(subjects), SETTINGS, 15 / 70).set_index("group").loc["men"]
+    assert np.isfinite(found["auc"])
+    assert np.isfinite(found["auc_low"]) == told

@@ -64,7 +64,7 @@ def study(
     shares: Annotated[
         int,
         typer.Option(
-            help="Samples, a power of two, of the space of all parameters, for shares of a feature's variance; ten "
+            help="Samples, a power of two, of the space of all parameters, for shares of a feature's variance; 11 "
             "radiographs each; 0: none."
         ),
     ] = 0,
@@ -72,7 +72,7 @@ def study(
         int,
         typer.Option(
             help="Knees to take again with one parameter after the other changed and the noise held, for what each "
-            "does to a feature; 13 radiographs each; 0: none."
+            "does to a feature; 14 radiographs each; 0: none."
         ),
     ] = 0,
     difference: Annotated[

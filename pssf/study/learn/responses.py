@@ -22,7 +22,7 @@ CLASSES = TASKS["0 vs 2"]
 _SPLIT = 3  # key of the stream under a repeat, beside that of `ladder`
 _VALIDATION = 0.15
 _CLIP = 1e-6
-_COLUMNS = ["repeat", "axis", "turn", "trained", "test_subjects", "auc", "auc_own", "shift"]
+_COLUMNS = ["repeat", "axis", "turn", "trained", "curved", "test_subjects", "auc", "auc_own", "shift"]
 
 
 @dataclass(frozen=True)
@@ -63,8 +63,9 @@ def respond(
 
     base     radiographs of the cohort under the reference, with a region: knee, subject, grade, features
     steps    radiographs along the axes, with a region: knee, subject, grade, kind (axis), turn, features
-    returns  repeat, axis, turn, trained, test_subjects; auc, and auc_own of the same knees as the cohort has them;
-             shift: mean change of the log odds of grade 2, by which a threshold would have to move
+    returns  repeat, axis, turn, trained, curved (subjects of whom half are tested), test_subjects; auc, and auc_own of
+             the same knees as the cohort has them; shift: mean change of the log odds of grade 2, by which a threshold
+             would have to move
     raises   WorkersLostError when workers keep being killed
     """
     base, steps = (table[table["grade"].isin(sum(CLASSES, ()))] for table in (base, steps))
@@ -88,7 +89,8 @@ def respond_split(
     raises  InputError where the code is another here
     """
     require_code(code)
-    halves = split_curves(base, sorted(set(steps["subject"])), settings.seed, repeat)
+    curved = sorted(set(steps["subject"]) & set(base["subject"]))
+    halves = split_curves(base, curved, settings.seed, repeat)
     seed = seed_of_split(settings.seed, repeat)
     training, validation, test = (
         base[base["subject"].isin(of)] for of in (halves.training, halves.validation, halves.test)
@@ -109,6 +111,7 @@ def respond_split(
         here, positive = odds(part), (part["grade"] == CLASSES[1][0]).to_numpy()
         before = own.loc[here.index]
         row = {"repeat": repeat, "axis": axis, "turn": int(turn), "trained": len(halves.training)}
+        row |= {"curved": len(curved)}
         row |= {"test_subjects": part["subject"].nunique(), "shift": float((here - before).mean())}
         scores = {"auc": auc(positive, here.to_numpy()), "auc_own": auc(positive, before.to_numpy())}
         rows.append(row | scores)

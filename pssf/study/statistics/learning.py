@@ -87,7 +87,7 @@ def power(splits: pd.DataFrame, subjects: pd.Series, difference: float) -> pd.Da
     difference  of AUC that is to be shown
     returns     question, grades, rung, minus, difference, subjects, splits, error (of the mean difference), power,
                 needed, needed_low, needed_high: subjects of the two grades for a power of 0.8; a row a question and
-                pair of grades whose splits differ
+                pair of grades whose splits differ, and where an AUC so much greater is at most 1
     """
     rows = []
     for question in _ASKED:
@@ -95,6 +95,8 @@ def power(splits: pd.DataFrame, subjects: pd.Series, difference: float) -> pd.Da
         for grades, part in splits.groupby("grades", sort=False):
             table = paired(part, one, other).dropna(subset="difference")
             if len(table) < 2 or np.ptp(table["difference"]) < 1e-12:
+                continue
+            if (table["auc"] - table["difference"]).mean() + difference > 1:
                 continue
             count, error = len(table), error_of(table["difference"].to_numpy(np.float64), ratio_of(table))
             needed = subjects_needed(error, difference, count, int(subjects[grades]))

@@ -14,7 +14,6 @@ from ...core.checks import Array
 from .degenerate import is_degenerate
 from .icc_by_subject import icc_by_weights, knee_weights
 from .intervals import estimate, estimate_share
-from .ladder import ratio_of
 from .metrics import mean_interval, percentiles
 from .reliability import icc
 
@@ -91,7 +90,7 @@ def curves_of_models(splits: pd.DataFrame, step: Step) -> pd.DataFrame:
     for (axis, turn), part in splits.groupby(["axis", "turn"], sort=False):
         label = {"axis": axis, "turn": int(turn), "step": step(str(axis), int(turn)), "feature": ""}
         label |= {"knees": int(part["test_subjects"].median())}
-        ratio, scores = ratio_of(part), part["auc"].to_numpy(np.float64)
+        ratio, scores = _ratio_of(part), part["auc"].to_numpy(np.float64)
         estimates = {
             ODDS: estimate(part["shift"].to_numpy(np.float64), ratio, -np.inf, np.inf),
             AUC: estimate_share(scores, ratio),
@@ -101,6 +100,15 @@ def curves_of_models(splits: pd.DataFrame, step: Step) -> pd.DataFrame:
             bounds = {"value": of_splits.value, "low": of_splits.low, "high": of_splits.high}
             rows.append(label | {"measure": measure} | bounds)
     return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def _ratio_of(part: pd.DataFrame) -> float:
+    """Of `intervals.share_tested`, where halves of few subjects with curves are tested and most others learnt from.
+
+    Two halves share half of their subjects, so their scores correlate by tested / curved, whoever is learnt from;
+    Nadeau and Bengio's ratio is that correlation over what it lacks of 1.
+    """
+    return float((part["test_subjects"] / (part["curved"] - part["test_subjects"])).mean())
 
 
 def first_crossing(at: Array, margin: Array) -> float:

@@ -6,6 +6,7 @@ import pandas as pd
 
 from ..predictions import truth_and_probability
 from ..settings import StudySettings
+from .claims import LEAST_TESTED
 from .intervals import bounds
 from .metrics import METRICS, score
 
@@ -17,7 +18,8 @@ def subgroups(
 ) -> pd.DataFrame:
     """One row a model, selection and group: COLUMNS; means over the splits, 95 % intervals from them.
 
-    A split whose test part has not both grades in a group gives nothing there.
+    A split whose test part has not both grades in a group gives nothing there; where splits test fewer than
+    LEAST_TESTED subjects of a group, it has no interval.
 
     predictions  of all splits
     parameters   of `parameters.parameters_of`; without sex and age there are no groups
@@ -50,4 +52,7 @@ def _groups(parameters: pd.DataFrame) -> dict[str, set[Any]]:
 def _scores(inside: pd.DataFrame, ratio: float) -> dict[str, float]:
     of_splits = [score(*truth_and_probability(split)) for _, split in inside.groupby("repeat", sort=False)]
     table = pd.DataFrame(of_splits, columns=list(METRICS))
-    return {metric: float(table[metric].mean()) for metric in METRICS} | bounds(table, ratio)
+    means = {metric: float(table[metric].mean()) for metric in METRICS}
+    # Of fewer that are tested an interval may have no width, and holds nothing.
+    tested = inside.groupby("repeat")["subject"].nunique().mean()
+    return means | (bounds(table, ratio) if tested >= LEAST_TESTED else {})
