@@ -241,6 +241,16 @@ def test_a_presentation_has_the_look_that_is_asked_for_and_names_it(radiograph, 
         assert image.info["Look"].startswith(look)
 
 
+def test_one_radiograph_seen_in_two_ways_is_two_objects_of_one_series(radiograph, tmp_path):
+    ways = (dict(look="film"), dict(look="linear"), dict(look="film", border="marked"))
+    seen = [
+        pydicom.dcmread(pssf.save(radiograph, tmp_path / f"{k}.dcm", intent="presentation", **way))
+        for k, way in enumerate(ways)
+    ]
+    assert len({one.SOPInstanceUID for one in seen}) == len(ways)
+    assert len({one.SeriesInstanceUID for one in seen}) == 1
+
+
 def test_an_unknown_look_is_refused_and_leaves_nothing(radiograph, tmp_path):
     for suffix in ("png", "dcm"):
         with pytest.raises(pssf.InputError, match="look = 'films'; allowed: linear, processed, film"):

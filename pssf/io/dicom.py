@@ -56,6 +56,8 @@ def write(
     if intent == "presentation":
         remark = f"for eyes, not for measurement of intensity; look {named_look(look)}"
         item.SourceImageSequence = [reference(uids, tables, "source_of_processing")]
+        # Of one radiograph seen in two ways both are objects of the series.
+        item.SOPInstanceUID = uid(uids[intent], remark, side or "")
     item.ImageComments = f"SYNTHETIC, no patient. Pixels {remark}.{_beam(radiograph.protocol)}"
     finish(item, pixels, path)
 
