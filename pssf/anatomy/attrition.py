@@ -8,7 +8,7 @@ from manifold3d import Manifold
 from ..geometry.mesh import Mesh
 from .contours import COMPARTMENT
 from .joint import KneeAssembly
-from .solids import mesh_of
+from .solids import mesh_of, solid_of
 from .wear import CONTACT_MM, MOST_MM, NOTHING_MM3, near, worn_outer
 
 # A depth is found by halving MOST_MM so often, to a thousandth of a millimetre.
@@ -58,8 +58,7 @@ def _depth_mm(plateau: Manifold, femur: Manifold) -> float:
 
 def _standing(assembly: KneeAssembly) -> tuple[Manifold, Manifold]:
     """Outer femur and tibia as they stand, the tibia not worn."""
-    femur, tibia = (
-        bone.outer.warp_batch(lambda points, move=move: move(np.array(points)))
-        for bone, move in ((assembly.femur, assembly.femur_mm), (assembly.tibia, assembly.tibia_mm))
+    return (
+        solid_of(assembly.outer_femur_mm(), assembly.femur.mesh.faces, "femur"),
+        solid_of(assembly.outer_tibia_mm(), assembly.tibia.mesh.faces, "tibia"),
     )
-    return femur, tibia

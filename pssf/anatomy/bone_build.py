@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from manifold3d import Manifold
 
 from ..core.checks import Array
 from ..data.anatomy import AnatomyTables
@@ -213,8 +212,7 @@ def stand_femur(points: Array, build: Build) -> Array:
 
     points  (n, 3)  mm
     """
-    slope = -np.tan(np.deg2rad(build.femur_valgus_deg)) - build.femur.slope
-    return _leaning(formed(points, build.femur) * build.scale, build, build.shape.femur.shaft_pivot_z_mm, +1, slope)
+    return formed_femur_stood(formed(points, build.femur), build)
 
 
 def stand_tibia(points: Array, build: Build) -> Array:
@@ -222,9 +220,20 @@ def stand_tibia(points: Array, build: Build) -> Array:
 
     points  (n, 3)  mm
     """
-    places = sloped(formed(points, build.tibia) * build.scale, build)
+    return formed_tibia_stood(formed(points, build.tibia), build)
+
+
+def formed_femur_stood(places: Array, build: Build) -> Array:
+    """(n, 3)  places of a femur, as `formed` gives them, at its size, shaft leaning; mm"""
+    slope = -np.tan(np.deg2rad(build.femur_valgus_deg)) - build.femur.slope
+    return _leaning(places * build.scale, build, build.shape.femur.shaft_pivot_z_mm, +1, slope)
+
+
+def formed_tibia_stood(places: Array, build: Build) -> Array:
+    """(n, 3)  places of a tibia, as `formed` gives them, at its size, plateau falling, shaft leaning; mm"""
     slope = np.tan(np.deg2rad(build.tibia_varus_deg)) - build.tibia.slope
-    return _leaning(places, build, build.shape.tibia.shaft_pivot_z_mm, -1, slope)
+    leant = sloped(places * build.scale, build)
+    return _leaning(leant, build, build.shape.tibia.shaft_pivot_z_mm, -1, slope)
 
 
 def _leaning(places: Array, build: Build, pivot_mm: float, end: int, slope: float) -> Array:
@@ -253,12 +262,6 @@ def plateau_fall(form: Form, shape: TibiaShape) -> float:
         places[:, 2] = plateau_height(places[:, 0], places[:, 1], shape.relief)
     heights = formed(places, form)[:, 2]
     return float(np.mean(heights[::2] - heights[1::2]) / (2 * _PLATEAU_Y_MM))
-
-
-def stood(solid: Manifold, build: Build, bone: str) -> Manifold:
-    """A solid of the mean man's femur or tibia as it stands in this knee."""
-    stand = {"femur": stand_femur, "tibia": stand_tibia}[bone]
-    return solid.warp_batch(lambda points: stand(np.array(points), build))
 
 
 def scaled(sections: object, scale: float) -> Array:

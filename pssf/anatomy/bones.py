@@ -9,11 +9,13 @@ from manifold3d import Manifold
 
 from ..core.checks import Array
 from ..data.bones import FemurShape, TibiaShape
+from ..geometry.cut import up_to
+from ..geometry.mesh import Mesh
 from ..model.knee import Osteophyte
-from .bone_build import Build, formed, scaled, stood
+from .bone_build import Build, formed, formed_femur_stood, formed_tibia_stood, scaled
 from .mean_bone import MeanBone
 from .osteophytes import BoneWithOsteophytes, grow
-from .solids import checked, column, thickness
+from .solids import column, mesh_of, solid_of, thickness
 from .uneven import MOST_SD, uneven_share
 
 # Shafts end here, outside the beam of any protocol in the package and within the soft tissue's own length.
@@ -81,8 +83,7 @@ def femur(build: Build, grown: BoneWithOsteophytes, shell_mm: Array) -> Bone:
     table, s, mean = build.shape.femur, build.scale, build.mean_femur
     marrow = mean.inner(shell_mm)
     heights = levels(table.canal_from_z_mm, (SHAFT_END_MM + _SPARE_MM) / s, _RING_MM)
-    canal = _canal(build, table, heights)
-    return _standing(build, "femur", Bone(grown.outer, grown.filled(marrow, s), canal))
+    return _standing(build, "femur", grown, grown.filled(marrow, s), _canal(build, table, heights))
 
 
 def tibia(build: Build, grown: BoneWithOsteophytes, shell_mm: Array) -> Bone:
@@ -93,16 +94,21 @@ def tibia(build: Build, grown: BoneWithOsteophytes, shell_mm: Array) -> Bone:
     table, s, mean = build.shape.tibia, build.scale, build.mean_tibia
     marrow = mean.inner(shell_mm)
     heights = levels(-(SHAFT_END_MM + _SPARE_MM) / s, table.canal_from_z_mm, _RING_MM)
-    canal = _canal(build, table, heights)
-    return _standing(build, "tibia", Bone(grown.outer, grown.filled(marrow, s), canal))
+    return _standing(build, "tibia", grown, grown.filled(marrow, s), _canal(build, table, heights))
 
 
-def _standing(build: Build, name: str, bone: Bone) -> Bone:
-    """Solids of the mean man's size as they stand in this knee, the inner ones cut off the shorter."""
+def _standing(build: Build, name: str, grown: BoneWithOsteophytes, inner: Mesh, canal: Manifold) -> Bone:
+    """Surfaces of the mean man's size as they stand in this knee, the inner ones cut off the shorter."""
+    up, stood = (1, formed_femur_stood) if name == "femur" else (-1, formed_tibia_stood)
+    marrow = mesh_of(canal)
     solids = []
-    for solid, short_mm in ((bone.outer, 0.0), (bone.inner, 2.0), (bone.canal, 4.0)):
-        up = 1 if name == "femur" else -1
-        solids.append(checked(trimmed(stood(solid, build, name), up, up * (SHAFT_END_MM - short_mm)), name))
+    for formed_mm, faces, short_mm in (
+        (grown.formed, grown.mesh.faces, 0.0),
+        (grown.deform(inner.vertices), inner.faces, 2.0),
+        (grown.deform(marrow.vertices), marrow.faces, 4.0),
+    ):
+        cut = up_to(Mesh(stood(formed_mm, build), faces), up, up * (SHAFT_END_MM - short_mm))
+        solids.append(solid_of(*cut, name))
     return Bone(*solids)
 
 

@@ -10,10 +10,10 @@ from ..core.checks import Array
 from ..data.bones import BoneShape
 from ..data.records import Pair
 from ..data.soft import Menisci, Meniscus
-from ..geometry.mesh import Indices
+from ..geometry.mesh import Indices, Mesh
 from .femur import field_of as femur_field
 from .implicit import Field, lengths, with_gradient
-from .solids import checked, closed_edges, dilate_rings, loft, mesh_of, ring
+from .solids import closed_edges, dilate_rings, loft, ring, solid_of
 from .tibia import above
 from .tibia import field_of as tibia_field
 
@@ -29,33 +29,38 @@ _THINNINGS = 12
 class Layer:
     """Cartilage on a bone: the bone's mesh, and the same mesh with the layer on it.
 
-    outer  the bone's solid
     bone   (n, 3)  vertices, at the mean man's size
     top    (n, 3)  the same, moved outward by the layer's thickness
     faces  (m, 3)
     """
 
-    outer: Manifold
     bone: Array
     top: Array
     faces: Indices
 
     def covered(self, top_mm: Array) -> Manifold:
         """The bone with its cartilage, its vertices (n, 3) moved to where they are with it in a knee."""
-        # The bone's own faces are kept, which takes half as long as to join them anew.
-        return checked(self.outer.warp_batch(lambda points: top_mm), "bone with cartilage")
+        return solid_of(top_mm, self.faces, "bone with cartilage")
 
-    def alone(self) -> tuple[Array, Array]:
-        """Vertices and faces of the cartilage alone; its lower side is the bone's own surface, face by face."""
-        thick = (self.top != self.bone).any(axis=1)
+    @property
+    def thick(self) -> NDArray[np.bool_]:
+        """(n,)  where it is on the bone"""
+        return np.asarray((self.top != self.bone).any(axis=1))
+
+    def alone(self) -> Indices:
+        """(k, 3)  faces of the cartilage alone: numbers of the bone's vertices, then of those on top
+
+        Its lower side is the bone's own surface, face by face.
+        """
+        thick = self.thick
         # A margin vertex, where the layer has no thickness, belongs to both sides; so the layer is closed.
         upper = np.where(thick, np.arange(len(thick)) + len(thick), np.arange(len(thick)))
         chosen = self.faces[thick[self.faces].any(axis=1)]
-        return np.vstack((self.bone, self.top)), np.vstack((upper[chosen], chosen[:, ::-1]))
+        return np.vstack((upper[chosen], chosen[:, ::-1]))
 
 
-def on_femur(outer: Manifold, shape: BoneShape, scale: float, spaces_mm: tuple[float, float]) -> Layer:
-    """Cartilage on an outer femur at the mean man's size.
+def on_femur(outer: Mesh, shape: BoneShape, scale: float, spaces_mm: tuple[float, float]) -> Layer:
+    """Cartilage on the surface of a femur at the mean man's size.
 
     shape      of the mean man's bones
     spaces_mm  medial and lateral joint space, of which the femur's cartilage takes its share
@@ -73,8 +78,8 @@ def on_femur(outer: Manifold, shape: BoneShape, scale: float, spaces_mm: tuple[f
     return _layer(outer, femur_field(shape.femur), zone, _full_mm(shape, scale, spaces_mm))
 
 
-def on_tibia(outer: Manifold, shape: BoneShape, scale: float, spaces_mm: tuple[float, float]) -> Layer:
-    """Cartilage on an outer tibia at the mean man's size, level; arguments as in `on_femur`."""
+def on_tibia(outer: Mesh, shape: BoneShape, scale: float, spaces_mm: tuple[float, float]) -> Layer:
+    """Cartilage on the surface of a tibia at the mean man's size, level; arguments as in `on_femur`."""
     parts = shape.cartilage.tibia
 
     def zone(points: Array) -> Array:
@@ -107,14 +112,12 @@ def _full_mm(shape: BoneShape, scale: float, spaces_mm: tuple[float, float]) -> 
     return full
 
 
-def _layer(outer: Manifold, field: Field, zone: Field, full_mm: Field) -> Layer:
-    mesh = mesh_of(outer)
-    points = np.array(mesh.vertices)
+def _layer(outer: Mesh, field: Field, zone: Field, full_mm: Field) -> Layer:
+    points, faces = outer
     # From the margin inwards it grows to its full thickness over 4 mm.
     thickness = full_mm(points) * np.clip(-zone(points) / 4.0, 0.0, 1.0)
     thickness[thickness < _THINNEST_MM] = 0.0
     candidates = np.flatnonzero(thickness)
-    faces = np.asarray(mesh.faces)
     grown = np.zeros(len(points), np.bool_)
     grown[candidates] = np.abs(field(points[candidates])) > _BARE_MM
     thickness[dilate_rings(grown, faces, _RINGS)] = 0.0
@@ -139,7 +142,7 @@ def _layer(outer: Manifold, field: Field, zone: Field, full_mm: Field) -> Layer:
     while len(pinched := _pinched(faces, thickness > 0)):
         around = np.isin(np.arange(len(points)), pinched)
         thickness[dilate_rings(around, faces, 1)] = 0.0
-    return Layer(outer, points, points + normals * thickness[:, None], faces)
+    return Layer(points, points + normals * thickness[:, None], faces)
 
 
 def _room(points: Array, bearing: NDArray[np.int64], way: Array, faces: Indices) -> Array:

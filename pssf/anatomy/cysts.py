@@ -11,7 +11,7 @@ from ..core.checks import Array, InputError
 from ..geometry.mesh import Mesh
 from ..model.knee import Cyst, Knee
 from .attrition import attrition_mm
-from .bone_build import stand_femur, stand_tibia
+from .bone_build import formed_femur_stood, formed_tibia_stood
 from .bones import Bone
 from .contours import COMPARTMENT
 from .joint import KneeAssembly
@@ -58,10 +58,10 @@ def cysts_of(
     if not knee.cysts:
         return {}
     worn_mm, build, pose = worn_mm or attrition_mm(assembly), assembly.build, assembly.pose
-    femur, tibia = (mesh_of(bone.outer).vertices for bone in (assembly.femur, assembly.tibia))
+    femur, tibia = assembly.femur.formed, assembly.tibia.formed
     ways = {
-        "femur": _Joint(stand_femur(femur, build), pose.femur(), -1.0, build.half_ml_mm),
-        "tibia": _Joint(stand_tibia(tibia, build), pose.tibia(), 1.0, build.half_ml_mm),
+        "femur": _Joint(formed_femur_stood(femur, build), pose.femur(), -1.0, build.half_ml_mm),
+        "tibia": _Joint(formed_tibia_stood(tibia, build), pose.tibia(), 1.0, build.half_ml_mm),
     }
     made: dict[str, list[CystSolids]] = {}
     for cyst in knee.cysts:

@@ -1,5 +1,6 @@
 """KneeAssembly: how the bones of a knee stand in a posture, with the joint spaces that the knee asks for."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,12 +9,11 @@ from ..core.checks import Array
 from ..geometry.mesh import Mesh
 from ..model.knee import Knee
 from ..model.protocol import Posture, Protocol, load_protocol
-from .bone_build import Build, stand_femur, stand_tibia
+from .bone_build import Build, formed_femur_stood, formed_tibia_stood, stand_femur, stand_tibia
 from .bones import grown_femur, grown_tibia, prepare
 from .flexion import flexed
 from .osteophytes import BoneWithOsteophytes
 from .pose import Pose, moved, rotation
-from .solids import mesh_of
 from .spaces import solve_pose
 
 
@@ -51,6 +51,14 @@ class KneeAssembly:
         points  (n, 3)  mm
         """
         return moved(stand_tibia(points, self.build), self.pose.tibia())
+
+    def outer_femur_mm(self) -> Array:
+        """(n, 3)  vertices of the outer femur in the leg as it stands"""
+        return moved(formed_femur_stood(self.femur.formed, self.build), self.pose.femur())
+
+    def outer_tibia_mm(self) -> Array:
+        """(n, 3)  vertices of the outer tibia in the leg as it stands, before it is worn"""
+        return moved(formed_tibia_stood(self.tibia.formed, self.build), self.pose.tibia())
 
     def turned(self, points: Array) -> Array:
         """(n, 3)  places of a leg that stands where the posture turns them, mm
@@ -90,13 +98,15 @@ def assemble(knee: Knee, build: Build, posture: Posture, protocol: Protocol) -> 
     """
     prepare(build)
     femur, tibia = grown_femur(build, knee.osteophytes), grown_tibia(build, knee.osteophytes)
-    defined = solve_pose(knee, build, femur.outer, tibia.outer, protocol)
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(lambda bone: bone.formed, (femur, tibia)))
+    defined = solve_pose(knee, build, femur, tibia, protocol)
 
     def at(flexion_deg: float) -> Pose:
         further = flexion_deg - protocol.flexion_deg
         if not further:
             return defined
-        vertices = stand_femur(mesh_of(femur.outer).vertices, build), stand_tibia(mesh_of(tibia.outer).vertices, build)
+        vertices = formed_femur_stood(femur.formed, build), formed_tibia_stood(tibia.formed, build)
         return flexed(defined, *vertices, build.half_ml_mm, further)
 
     # The femur's tilt closes the joint; its shaft gives that tilt back, so that varus_deg is the angle of the shafts of

@@ -1,6 +1,8 @@
 """Osteophytes: lips of the joint margins and spikes elsewhere that flow into the bone, each with a cortex."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property, partial
 
 import numpy as np
 from manifold3d import Manifold
@@ -8,12 +10,13 @@ from numpy.typing import NDArray
 
 from ..core.checks import Array, InputError
 from ..data.bones import Margins
+from ..geometry.mesh import Mesh
 from ..model.knee import Osteophyte
-from .implicit import blend
+from .implicit import Field, blend, project_to_surface
 from .lips import Deform, Lip, lip_at
 from .mean_bone import MeanBone
 from .remesh import laplacian_smooth
-from .solids import box_about, checked
+from .solids import mesh_of, solid_of
 from .spikes import Spike, at_margin, in_middle, on_spine
 
 _CORTEX_MM = 0.3
@@ -22,7 +25,8 @@ _THICKENING = 0.06
 # Rounds of evening out the mesh.
 _ROUNDS = 3
 _EDGE_MM, _ROUGH_EDGE_MM = 2.0, 1.2
-_DRAWN_IN_MM = 0.3
+# Points within are moved so far in, in so many steps, where they are less deep.
+_DRAWN_IN_MM, _STEPS = 0.3, 4
 # At a margin, at the mean man's size, what is less than this is a spike.
 _SMALL_MM = 0.38
 # Spongy bone that is cut off by surfaces that all but touch, which turns inside out when it is deformed.
@@ -31,28 +35,58 @@ _SPECK_MM3 = 1e-2
 OsteophyteShape = Lip | Spike
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BoneWithOsteophytes:
-    """A bone's outer solid with its osteophytes, in its frame at the mean man's size."""
+    """A bone's outer surface with its osteophytes, in its frame at the mean man's size.
 
-    outer: Manifold
+    name    of the bone
+    field   approximate distance from the surface, mm; points (n, 3) -> (n,)
+    make    gives the surface, without a solid, so that it may be asked for in any thread
+    deform  what the bone is deformed by, (n, 3) -> (n, 3) mm
+    """
+
+    name: str
+    field: Field
+    make: Callable[[], Mesh]
+    deform: Deform
     shapes: tuple[OsteophyteShape, ...] = ()
 
-    def filled(self, inner: Manifold, scale: float) -> Manifold:
-        """The trabecular solid of the bone with what is inside its osteophytes."""
+    @cached_property
+    def mesh(self) -> Mesh:
+        """Its surface."""
+        return self.make()
+
+    @cached_property
+    def outer(self) -> Manifold:
+        """The same as a solid."""
+        return solid_of(*self.mesh, f"{self.name} with osteophytes")
+
+    @cached_property
+    def formed(self) -> Array:
+        """(n, 3)  where its vertices are in this person's form, mm"""
+        return self.deform(self.mesh.vertices)
+
+    def filled(self, marrow: Mesh, scale: float) -> Mesh:
+        """The trabecular surface of the bone with what is inside its osteophytes."""
+        if not self.shapes:
+            return marrow
+        inner = solid_of(*marrow, "marrow")
         for shape in self.shapes:
             within = shape.solid(_CORTEX_MM / scale + _THICKENING * shape.size_mm)
-            about = self.outer ^ box_about(within, 2 * _DRAWN_IN_MM)
-            # A rounded margin may not hold the feet of a small one; what is outside of the bone, drawn in, is cut off.
-            if (within - about).volume() > 0:
-                within = within ^ about
-                for way in (*np.eye(3), *-np.eye(3), -shape.out):
-                    # One after the other: of two copies of the bone the surfaces cross everywhere.
-                    within.status()
-                    within = within ^ about.translate(_DRAWN_IN_MM * way)
             # With edges short enough to bend with the bone.
-            inner = inner + within.refine_to_length(_EDGE_MM)
-        return _without_specks(inner) if self.shapes else inner
+            fine = within.refine_to_length(_EDGE_MM)
+            inner = inner + fine.warp_batch(lambda points: self._drawn_in(np.array(points)))
+        return mesh_of(_without_specks(inner))
+
+    def _drawn_in(self, points: Array) -> Array:
+        """Points (n, 3) of what is inside an osteophyte, mm: a rounded margin may not hold the feet of a small one."""
+        shallow = self.field(points) > -_DRAWN_IN_MM
+        points[shallow] = project_to_surface(points[shallow], self.field, _drawn_in_mm, _STEPS)
+        return points
+
+
+def _drawn_in_mm(points: Array) -> Array:
+    return np.full(len(points), _DRAWN_IN_MM)
 
 
 def _without_specks(solid: Manifold) -> Manifold:
@@ -73,7 +107,7 @@ def grow(
     own = [osteophyte for osteophyte in osteophytes if osteophyte.bone == mean.name]
     shapes = [_shape(osteophyte, osteophyte.size_mm / scale, mean, margins, deform) for osteophyte in own]
     if not shapes:
-        return BoneWithOsteophytes(mean.outer)
+        return BoneWithOsteophytes(mean.name, mean.field, partial(mesh_of, mean.outer), deform)
     _refuse_hidden(osteophytes, shapes, mean.name)
 
     def whole(points: Array) -> Array:
@@ -92,8 +126,9 @@ def grow(
     rough = mean.outer
     for shape in shapes:
         rough = rough + shape.solid(0.0).refine_to_length(_ROUGH_EDGE_MM)
-    even = laplacian_smooth(rough, whole, _ROUNDS, near, [shape.farthest for shape in shapes])
-    return BoneWithOsteophytes(checked(even, f"{mean.name} with osteophytes"), tuple(shapes))
+    farthest = [shape.farthest for shape in shapes]
+    make = partial(laplacian_smooth, mesh_of(rough), whole, _ROUNDS, near, farthest)
+    return BoneWithOsteophytes(mean.name, whole, make, deform, tuple(shapes))
 
 
 def _shape(osteophyte: Osteophyte, size_mm: float, mean: MeanBone, margins: Margins, deform: Deform) -> OsteophyteShape:

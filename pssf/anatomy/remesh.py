@@ -1,7 +1,6 @@
 """Meshes of solids that lie on the level set of a field: smoothed over it, refined where it bends, free of folds."""
 
 from collections.abc import Callable, Sequence
-from functools import partial
 
 import numpy as np
 from manifold3d import Manifold
@@ -9,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array, diags_array
 
 from ..core.checks import Array
-from ..geometry.mesh import Indices
+from ..geometry.mesh import Indices, Mesh
 from .implicit import Field, lengths, project_to_surface, squares, with_gradient
 from .solids import dilate_rings, mesh_of, solid_of, split_where
 
@@ -47,7 +46,7 @@ def mesh_bone(rough: Manifold, field: Field, edge_mm: float, tolerances_mm: Sequ
     edge_mm        longest edge, away from the shaft
     tolerances_mm  how far middles of edges may be off the field
     """
-    even = laplacian_smooth(refined(rough, edge_mm, _SHAFT_FROM_MM), field, _ROUNDS)
+    even = solid_of(*laplacian_smooth(mesh_of(refined(rough, edge_mm, _SHAFT_FROM_MM)), field, _ROUNDS), "smoothed")
     # A tenth of the triangles, in flat places, is not needed.
     return [
         refine_to_tolerance(even, field, tolerance_mm, _SPLITS).simplify(0.4 * tolerance_mm)
@@ -56,18 +55,17 @@ def mesh_bone(rough: Manifold, field: Field, edge_mm: float, tolerances_mm: Sequ
 
 
 def laplacian_smooth(
-    solid: Manifold,
+    mesh: Mesh,
     field: Field,
     rounds: int,
     near: Choice | None = None,
     tips: Sequence[Array] = (),
-) -> Manifold:
-    """A solid settled on a field, its vertices spread evenly over it, free of the slivers that CSG leaves at creases.
+) -> Mesh:
+    """A closed surface settled on a field, its vertices spread evenly over it, free of slivers from creases of CSG.
 
     near  which vertices may move at all: (n, 3) -> (n,) bool; all of them if None
     tips  points (3,) of the field's surface, mm, that a coarse mesh would cut off
     """
-    mesh = mesh_of(solid)
     all_places, all_faces = np.array(mesh.vertices), np.asarray(mesh.faces)
     may_move = np.ones(len(all_places), np.bool_) if near is None else near(all_places)
     # A fold at the border of what may move needs room beyond it. Nothing else is touched, and most of a bone is not.
@@ -80,14 +78,13 @@ def laplacian_smooth(
     places[free] = project_to_surface(places[free], field, None, 5)
     for _ in range(rounds):
         places[free] = project_to_surface((places[free] + neighbour_mean_matrix @ places) / 2, field, None, 2)
-    places, faces = _fix_inverted_faces(places, faces, with_border[used], field)
-    for tip in tips:
-        places, faces = _add_tip(places, faces, field, tip)
+    places, faces = _fix_inverted_faces(places, faces, with_border[used], field, free)
+    places, faces = _with_tips(places, faces, field, tips)
     all_places[used] = places[: len(used)]
     added = np.arange(len(places) - len(used)) + len(all_places)
     number = np.concatenate((used, added))
     faces = np.vstack((all_faces[~touched], number[faces]))
-    return solid_of(np.vstack((all_places, places[len(used) :])), faces, "smoothed")
+    return Mesh(np.vstack((all_places, places[len(used) :])), faces)
 
 
 def neighbour_means(faces: Indices, count: int) -> csr_array:
@@ -100,22 +97,26 @@ def neighbour_means(faces: Indices, count: int) -> csr_array:
     return csr_array(diags_array(1.0 / beside.sum(axis=1)) @ beside)
 
 
-def _add_tip(places: Array, faces: Indices, field: Field, tip: Array) -> tuple[Array, Indices]:
-    """Places and faces with a tip of the field's surface, where they cut it off.
+def _with_tips(places: Array, faces: Indices, field: Field, tips: Sequence[Array]) -> tuple[Array, Indices]:
+    """Places and faces with tips of the field's surface, where they cut them off.
 
-    Edges about it are split, then the triangle below it gets a vertex there.
+    Edges about them are split, then the triangle below each gets a vertex there.
     """
-    below, away = _below(places, faces, tip)
-    if away >= _CUT_MM:
-        about = partial(_within, tip)
+    tips = [tip for tip in tips if _below(places, faces, tip)[1] >= _CUT_MM]
+    if tips:
+
+        def about(points: Array) -> NDArray[np.bool_]:
+            return np.asarray(np.any([_within(tip, points) for tip in tips], axis=0))
+
         places, faces = _split_where_off(places, faces, field, _TIP_TOLERANCE_MM, _TIP_SPLITS, about)
+    for tip in tips:
         below, away = _below(places, faces, tip)
-    if away < _CUT_MM:
-        return places, faces
-    one, two, three = faces[below]
-    new = len(places)
-    pieces = [[one, two, new], [two, three, new], [three, one, new]]
-    return np.vstack((places, tip)), np.vstack((np.delete(faces, below, axis=0), pieces))
+        if away >= _CUT_MM:
+            one, two, three = faces[below]
+            new = len(places)
+            pieces = [[one, two, new], [two, three, new], [three, one, new]]
+            places, faces = np.vstack((places, tip)), np.vstack((np.delete(faces, below, axis=0), pieces))
+    return places, faces
 
 
 def _below(places: Array, faces: Indices, tip: Array) -> tuple[int, float]:
@@ -142,14 +143,19 @@ def _within(tip: Array, points: Array) -> NDArray[np.bool_]:
     return np.asarray(squares(points - tip) < _TIP_MM**2)
 
 
-def _fix_inverted_faces(places: Array, faces: Indices, free: NDArray[np.bool_], field: Field) -> tuple[Array, Indices]:
+def _fix_inverted_faces(
+    places: Array, faces: Indices, free: NDArray[np.bool_], field: Field, moved: NDArray[np.bool_] | None = None
+) -> tuple[Array, Indices]:
     """Places and faces with triangles that face inwards laid flat: what is around them is spread evenly once more.
 
     First slivers get another edge, where that is enough. A patch that stays folded is widened turn by turn, since a
     narrow one about a tip has no room to turn; where that only drives the folds outwards, the places with fewest of
     them are taken up again with a wider patch. Slivers that are left get another edge.
+
+    free   which vertices may move, (n,)
+    moved  which have, so that their triangles may face inwards, (n,); those that may if None
     """
-    best, faces, fewest, used = _without_slivers(places, faces, free, field)
+    best, faces, fewest, used = _without_slivers(places, faces, free, field, moved)
     if not len(fewest):
         return best, faces
     neighbour_mean_matrix = neighbour_means(faces, len(places))
@@ -170,14 +176,15 @@ def _fix_inverted_faces(places: Array, faces: Indices, free: NDArray[np.bool_], 
 
 
 def _without_slivers(
-    places: Array, faces: Indices, free: NDArray[np.bool_], field: Field
+    places: Array, faces: Indices, free: NDArray[np.bool_], field: Field, moved: NDArray[np.bool_] | None = None
 ) -> tuple[Array, Indices, Indices, Indices]:
     """Places and faces with folded slivers joined to their neighbours by other edges, where that helps.
 
     And of those faces of which a corner may move: the ones that are still folded, and all.
     """
     used = _movable(places, faces, free)
-    folded = used[_face_inwards(places[used], field)]
+    suspect = used if moved is None else used[moved[used].any(axis=1)]
+    folded = suspect[_face_inwards(places[suspect], field)]
     if not len(folded):
         return places, faces, folded, used
     faces, folded = _flipped(places, faces, folded, field)

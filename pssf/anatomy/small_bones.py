@@ -1,12 +1,10 @@
 """Fibula, patella and fabella of a right knee, beside the bones that they lie on."""
 
-import atexit
 from collections.abc import Callable
-from functools import lru_cache
 
 import numpy as np
-from manifold3d import Manifold, OpType
-from scipy.interpolate import LinearNDInterpolator
+from manifold3d import Manifold
+from scipy.interpolate import LinearNDInterpolator, PchipInterpolator
 from scipy.optimize import brentq
 
 from ..core.checks import Array, InputError
@@ -17,21 +15,26 @@ from .bone_build import Build, eased, formed, scaled
 from .bones import SHAFT_END_MM, Bone, levels, trimmed
 from .implicit import lengths
 from .pose import Pose, rotation
-from .solids import checked, column, mesh_of, thickness
+from .solids import box_about, checked, column, mesh_of, thickness
 
 # Straight shafts and what trabeculae blur are drawn with fewer triangles, within this.
 _COARSER_MM = 0.02
 # Of the patella's sections, and between them.
 _PATELLA_COUNT, _PATELLA_STEP_MM = 64, 1.25
-# Of the patella, upwards and downwards.
-_DRAWN_IN_MM = 0.1
+# Of its cortex upwards and downwards: the least, and at either end.
+_DRAWN_IN_MM, _END_CORTEX_MM = 0.1, 0.4
 # Of the fibula, towards the tibia; and of the tip of its head.
 _JOINT_PLATE_MM = 0.7
 _TIP_MM = 0.3
+# Its head, where it bends most, ends so far below.
+_HEAD_MM = 40.0
+# What of the tibia is farther from the fibula than this takes nothing of it.
+_NEAR_FIBULA_MM = 5.0
 # Of the fibula, from here on it leans with the tibia's shaft (mean man's size).
 _FIBULA_LEANS_BELOW_MM = -25.0
-# The part of the femur that a patella can lie on, and what of it faces the front: as much as the sides of the trochlea.
-_FRONT_BELOW_MM, _FACES_FRONT = 90.0, 0.3
+# The part of the femur that a patella can lie on, what of it faces the front: as much as the sides of the trochlea, and
+# by how much that is broader than the patella.
+_FRONT_BELOW_MM, _FACES_FRONT, _BESIDE_MM = 90.0, 0.3, 6.0
 # The gap to the femur is that at so small a share of the patella's places, and at none less than such a share of it.
 _NEAR_SHARE, _LEAST_SHARE = 0.1, 0.6
 # Of its flexion the knee keeps so large a share from the patella, which flexes by two thirds (judgement).
@@ -55,15 +58,16 @@ def fibula(knee: Knee, build: Build, tibia: Manifold) -> Bone:
     joint = np.array([table.joint_mm])
     sideways = ((formed(joint, build.tibia) - joint) * s)[0]
     down = -knee.fibular_tip_mm - sections[:, 0].max()
-    heights = levels(-SHAFT_END_MM - down, sections[:, 0].max(), 1.5)
-    heights = np.sort(np.append(heights, heights[-1] - _TIP_MM))
+    top_mm = sections[:, 0].max()
+    shaft, head = levels(-SHAFT_END_MM - down, top_mm - _HEAD_MM, 4.0), levels(top_mm - _HEAD_MM, top_mm, 1.5)
+    heights = np.sort(np.concatenate((shaft[:-1], head, [top_mm - _TIP_MM])))
     # Rings at the same heights, so that between them too the inner loft lies within the outer one.
     within = heights[(heights > heights[0] + 1.4) & (heights < heights[-1])]
     outer, inner = (
         column(sections, inset, rings, "fibula", count=64).simplify(tolerance).translate((*sideways[:2], down))
         for inset, rings, tolerance in ((np.zeros_like, heights, _COARSER_MM / 2), (cortex, within, _COARSER_MM))
     )
-    near = trimmed(tibia, +1, -knee.fibular_tip_mm + 5.0)
+    near = trimmed(tibia ^ box_about(outer, _NEAR_FIBULA_MM), +1, -knee.fibular_tip_mm + 5.0)
     towards = np.array(table.faces) / np.linalg.norm(table.faces)
     # Simplified before they are cut: in the sharp edge that the cut leaves there is no room for it.
     return Bone(
@@ -75,9 +79,12 @@ def fibula(knee: Knee, build: Build, tibia: Manifold) -> Bone:
 def patella(build: Build) -> Bone:
     """Patella about its middle."""
     table, s = build.shape.patella, build.scale
-    outer, *drawn_in = _mean_patella(table)
-    inner = _patella_column(table, thickness(table.cortex, build.cortex), 0.4, "patella marrow")
-    inner = Manifold.batch_boolean([inner, *drawn_in], OpType.Intersect)
+    drawn_in = _drawn_in_mm(table, thickness(table.cortex, build.cortex))
+    low, high = min(table.sections)[0], max(table.sections)[0]
+    # Rings of both at the same heights, so that between them too the inner loft lies within the outer one.
+    within = levels(low + _END_CORTEX_MM, high - _END_CORTEX_MM, _PATELLA_STEP_MM)
+    outer = _patella_column(table, np.zeros_like, np.array([low, *within, high]), "patella")
+    inner = _patella_column(table, drawn_in, within, "patella marrow")
 
     def formed_as(solid: Manifold) -> Manifold:
         middle = np.array(table.centre_mm)
@@ -90,24 +97,29 @@ def patella(build: Build) -> Bone:
     )
 
 
-@lru_cache(maxsize=4)
-def _mean_patella(table: PatellaShape) -> tuple[Manifold, Manifold, Manifold]:
-    """The mean man's, and two copies of it that what is within is cut with.
+def _drawn_in_mm(table: PatellaShape, cortex: Callable[[Array], Array]) -> Callable[[Array], Array]:
+    """What is taken off a patella's sections by height: its cortex, and more where the outline is all but level.
 
-    Sections are drawn in sideways, which leaves little where the outline is all but level.
+    There little is left above and below of what is drawn in sideways.
     """
-    outer = _patella_column(table, np.zeros_like, 0.0, "patella")
-    return outer, outer.translate((0.0, 0.0, -_DRAWN_IN_MM)), outer.translate((0.0, 0.0, _DRAWN_IN_MM))
+    rows = scaled(table.sections, 1.0)
+    rows = rows[np.argsort(rows[:, 0])]
+    outline = PchipInterpolator(rows[:, 0], rows[:, 1:])
+
+    def inset(z_mm: Array) -> Array:
+        here, taken_mm = outline(z_mm), cortex(z_mm)
+        for way in (-_DRAWN_IN_MM, _DRAWN_IN_MM):
+            change = outline(z_mm + way) - here
+            # Of either half width, and of the middle along the same axis, whose columns are the other way round.
+            less_mm = np.abs(change[:, [3, 2]]) - change[:, :2]
+            taken_mm = np.maximum(taken_mm, less_mm.max(axis=1))
+        return taken_mm
+
+    return inset
 
 
-# manifold3d says on standard error what of it still stands when Python has ended.
-atexit.register(_mean_patella.cache_clear)
-
-
-def _patella_column(table: PatellaShape, inset: Callable[[Array], Array], end_mm: float, name: str) -> Manifold:
-    sections = scaled(table.sections, 1.0)
-    heights = levels(sections[:, 0].min() + end_mm, sections[:, 0].max() - end_mm, _PATELLA_STEP_MM)
-    return column(sections, inset, heights, name, 2.1, _PATELLA_COUNT)
+def _patella_column(table: PatellaShape, inset: Callable[[Array], Array], heights: Array, name: str) -> Manifold:
+    return column(scaled(table.sections, 1.0), inset, heights, name, 2.1, _PATELLA_COUNT)
 
 
 def patella_place(knee: Knee, build: Build, patella: Manifold, femur: Manifold, pose: Pose) -> Array:
@@ -126,8 +138,8 @@ def patella_place(knee: Knee, build: Build, patella: Manifold, femur: Manifold, 
     facing, to_leg = rotation(0, -_LAG * pose.flexion_deg), pose.femur_on_tibia()
     below = np.array(build.shape.patellar_tendon.tuberosity) * s + [0.0, 0.0, table.tendon_end_mm * s]
     below = facing @ to_leg[:, :3].T @ (below - to_leg[:, 3])
-    front = _front(femur, facing)
     across = formed(np.array([[0.0, 0.0, 20.0]]), build.femur)[0, 0] * s - knee.patellar_shift_mm
+    front = _front(femur, facing, across + np.array([points[:, 0].min() - _BESIDE_MM, points[:, 0].max() + _BESIDE_MM]))
     behind = points[points[:, 1] > np.median(points[:, 1])]
     behind = behind[:: max(1, len(behind) // _PLACES)]
 
@@ -156,14 +168,15 @@ def patella_place(knee: Knee, build: Build, patella: Manifold, femur: Manifold, 
     return np.column_stack((facing.T @ tilt, facing.T @ place))
 
 
-def _front(femur: Manifold, facing: Array) -> LinearNDInterpolator:
-    """(n, 2) x and z -> (n,) y  of the front of a femur that is turned, mm"""
+def _front(femur: Manifold, facing: Array, between_mm: Array) -> LinearNDInterpolator:
+    """(n, 2) x and z -> (n,) y  of the front of a femur that is turned, between two places (2,) in x, mm"""
     mesh = mesh_of(femur)
     faces = mesh.faces[mesh.vertices[mesh.faces[:, 0], 2] < _FRONT_BELOW_MM]
     first, second, third = (mesh.vertices @ facing.T)[faces.T]
     normals = np.cross(second - first, third - first)
     faces_front = normals[:, 1] < -_FACES_FRONT * lengths(normals)
     points = ((first + second + third) / 3)[faces_front]
+    points = points[(points[:, 0] > between_mm[0]) & (points[:, 0] < between_mm[1])]
     return LinearNDInterpolator(points[:, [0, 2]], points[:, 1])
 
 

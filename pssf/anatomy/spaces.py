@@ -5,18 +5,19 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from manifold3d import Manifold
 
 from ..core.checks import Array, InputError
+from ..geometry.cut import up_to
 from ..geometry.mesh import Indices, Mesh
 from ..geometry.view import View, magnification, project, view_of
 from ..model.knee import Knee
 from ..model.protocol import Protocol
-from .bone_build import Build, formed, stand_femur, stand_tibia
+from .bone_build import Build, formed, formed_femur_stood, formed_tibia_stood
 from .contours import measure_gap
 from .landmarks import plateau_floor
+from .osteophytes import BoneWithOsteophytes
 from .pose import Pose, moved, turned_by
-from .solids import closed_edges, edges_of, mesh_of
+from .solids import closed_edges, edges_of, mesh_of, solid_of
 from .subluxation import SubluxedPose
 from .wear import worn_outer
 
@@ -41,12 +42,13 @@ Measure = Callable[[Pose], tuple[Array, Array, float]]
 Measured = Callable[[Pose, Mesh, Indices], tuple[Array, Array, float]]
 
 
-def solve_pose(knee: Knee, build: Build, femur: Manifold, tibia: Manifold, protocol: Protocol) -> Pose:
+def solve_pose(
+    knee: Knee, build: Build, femur: BoneWithOsteophytes, tibia: BoneWithOsteophytes, protocol: Protocol
+) -> Pose:
     """Tilt and height of the femur that give both joint spaces as they are defined (Newton on the projection).
 
-    femur, tibia  outer solids at the mean man's size, in their own frames
-    protocol      that the knee's joint spaces are defined under, in whose posture the pose then is
-    raises        InputError if the spaces cannot be met, which the ranges of `Knee` exclude
+    protocol  that the knee's joint spaces are defined under, in whose posture the pose then is
+    raises    InputError if the spaces cannot be met, which the ranges of `Knee` exclude
     """
     posture = protocol.posture
     wanted = np.array([knee.jsw_medial_mm, knee.jsw_lateral_mm])
@@ -123,11 +125,11 @@ def _measure(measured: Measured, upper: Mesh) -> Measure:
     return measure
 
 
-def _measure_worn(measured: Measured, build: Build, femur: Manifold, tibia: Manifold) -> Measure:
+def _measure_worn(measured: Measured, build: Build, femur: BoneWithOsteophytes, tibia: BoneWithOsteophytes) -> Measure:
     """Spaces over a plateau that is worn where the femur stands in it."""
     above, below = (
-        solid.warp_batch(lambda points, stand=stand: stand(np.array(points), build)).trim_by_plane(way, -_SOLID_MM)
-        for solid, stand, way in ((femur, stand_femur, (0.0, 0.0, -1.0)), (tibia, stand_tibia, (0.0, 0.0, 1.0)))
+        solid_of(*up_to(Mesh(stood(bone.formed, build), bone.mesh.faces), up, up * _SOLID_MM), "joint")
+        for bone, stood, up in ((femur, formed_femur_stood, 1), (tibia, formed_tibia_stood, -1))
     )
 
     def measure(pose: Pose) -> tuple[Array, Array, float]:
@@ -159,19 +161,17 @@ def _measured(
     return np.array([gap.jsw_mm for gap in gaps]), np.array(x), _middle_mm(gaps, view)
 
 
-def _lower(femur: Manifold, build: Build) -> tuple[Array, Indices]:
-    """Vertices and edges of the lower end of a femur at the mean man's size, in this knee's."""
-    mesh = mesh_of(femur)
-    edges = closed_edges(mesh.faces)
-    lower = edges[(mesh.vertices[edges, 2] < _FEMUR_BELOW_MM).any(axis=1)]
-    return formed(mesh.vertices, build.femur) * build.scale, lower
+def _lower(femur: BoneWithOsteophytes, build: Build) -> tuple[Array, Indices]:
+    """Vertices and edges of the lower end of a femur at this knee's size."""
+    edges = closed_edges(femur.mesh.faces)
+    lower = edges[(femur.mesh.vertices[edges, 2] < _FEMUR_BELOW_MM).any(axis=1)]
+    return femur.formed * build.scale, lower
 
 
-def _upper(tibia: Manifold, build: Build) -> Mesh:
-    """The upper end of a tibia at the mean man's size, as it stands in this knee."""
-    mesh = mesh_of(tibia)
-    places = stand_tibia(mesh.vertices, build)
-    return Mesh(places, mesh.faces[(places[mesh.faces, 2] > 2 * _TIBIA_ABOVE_MM).any(axis=1)])
+def _upper(tibia: BoneWithOsteophytes, build: Build) -> Mesh:
+    """The upper end of a tibia as it stands in this knee."""
+    places, faces = formed_tibia_stood(tibia.formed, build), tibia.mesh.faces
+    return Mesh(places, faces[(places[faces, 2] > 2 * _TIBIA_ABOVE_MM).any(axis=1)])
 
 
 def _middle_mm(gaps: list, view: View) -> float:

@@ -2,12 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from manifold3d import Manifold
 from numpy.typing import NDArray
 
 from ..core.checks import Array
+from ..core.compiled import kernel
 from ..data.bones import CentralShape, Margin
 from .lips import Deform
 from .mean_bone import MeanBone
@@ -33,7 +35,7 @@ _FOOT_MM = 3.0
 _AROUND, _STAR = 6, (0, 6, 3, 1, 6, 4, 2, 6, 5, 0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Spike:
     """Cones from feet in the bone to tips, whose farthest stands out by its size.
 
@@ -71,14 +73,20 @@ class Spike:
 
     def field(self, points: Array) -> Array:
         """(n,)  approximate distance from the spike at points (n, 3), mm"""
+        away = np.empty(len(points))
+        _fill_cones(away, points, *self._cones, self.foot_mm, self.tip_mm)
+        return away
+
+    @cached_property
+    def _cones(self) -> tuple[Array, Array]:
+        """(cones, 3)  feet and tips of those from foot to foot too"""
         corners = np.arange(len(self.feet))
         shares = np.linspace(0.0, corners[-1], _CONES_A_SIDE * corners[-1] + 1)
         feet, tips = (
             np.stack([np.interp(shares, corners, ends[:, axis]) for axis in range(3)], axis=1)
             for ends in (self.feet, self.tips)
         )
-        # A plain minimum: blended, the cones would swell where they meet, in the tip.
-        return np.asarray(_cones(points, feet, self.foot_mm, tips, self.tip_mm).min(axis=0))
+        return feet, tips
 
     def solid(self, inset_mm: float) -> Manifold:
         """Hull of the balls, drawn in; the cortex takes the whole tip of a small one."""
@@ -185,15 +193,24 @@ def _standing_out(
     return make(stands_mm, out)
 
 
-def _cones(points: Array, feet: Array, foot_mm: float, tips: Array, tip_mm: float) -> Array:
-    """(cones, n)  approximate distances of points (n, 3) from cones between balls at feet and at tips (cones, 3)"""
-    axes = tips - feet
-    away = points - feet[:, None]
-    shares = np.clip((away @ axes[:, :, None])[..., 0] / (axes[:, None] @ axes[:, :, None])[..., 0], 0.0, 1.0)
-    away -= shares[..., None] * axes[:, None]
-    away *= away
-    # A sum over so short an axis takes numpy several times as long.
-    return np.asarray(np.sqrt(away[..., 0] + away[..., 1] + away[..., 2]) - foot_mm - shares * (tip_mm - foot_mm))
+@kernel()
+def _fill_cones(away: Array, points: Array, feet: Array, tips: Array, foot_mm: float, tip_mm: float) -> None:
+    """Fill approximate distances (n,) of points (n, 3) from the nearest of cones between balls at feet and at tips."""
+    for i in range(len(points)):
+        # A plain minimum: blended, the cones would swell where they meet, in the tip.
+        nearest = np.inf
+        for k in range(len(feet)):
+            along, square, squared = 0.0, 0.0, 0.0
+            for axis in range(3):
+                way = tips[k, axis] - feet[k, axis]
+                along += (points[i, axis] - feet[k, axis]) * way
+                square += way * way
+            share = min(max(along / square, 0.0), 1.0)
+            for axis in range(3):
+                off = points[i, axis] - feet[k, axis] - share * (tips[k, axis] - feet[k, axis])
+                squared += off * off
+            nearest = min(nearest, np.sqrt(squared) - foot_mm - share * (tip_mm - foot_mm))
+        away[i] = nearest
 
 
 def _ball(centre_mm: Array, radius_mm: float) -> Manifold:

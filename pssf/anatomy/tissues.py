@@ -53,15 +53,18 @@ def cartilage_of(knee: Knee, assembly: KneeAssembly) -> tuple[Covered, Covered]:
     shape, s = assembly.build.shape, assembly.build.scale
     spaces_mm = (knee.jsw_medial_mm, knee.jsw_lateral_mm)
 
-    def covered(name: str, layer: cartilage.Layer, move: Callable[[Array], Array]) -> Covered:
-        vertices, faces = layer.alone()
-        used, number = np.unique(faces, return_inverse=True)
-        mesh = Mesh(move(vertices[used]), number.reshape(-1, 3))
-        return Covered(layer, Part(name, "cartilage", mesh), move(layer.top))
+    def covered(name: str, layer: cartilage.Layer, bone_mm: Array, move: Callable[[Array], Array]) -> Covered:
+        thick, top_mm = layer.thick, bone_mm.copy()
+        top_mm[thick] = move(layer.top[thick])
+        used, number = np.unique(layer.alone(), return_inverse=True)
+        mesh = Mesh(np.vstack((bone_mm, top_mm))[used], number.reshape(-1, 3))
+        return Covered(layer, Part(name, "cartilage", mesh), top_mm)
 
+    femur = cartilage.on_femur(assembly.femur.mesh, shape, s, spaces_mm)
+    tibia = cartilage.on_tibia(assembly.tibia.mesh, shape, s, spaces_mm)
     return (
-        covered("femur_cartilage", cartilage.on_femur(assembly.femur.outer, shape, s, spaces_mm), assembly.femur_mm),
-        covered("tibia_cartilage", cartilage.on_tibia(assembly.tibia.outer, shape, s, spaces_mm), assembly.tibia_mm),
+        covered("femur_cartilage", femur, assembly.outer_femur_mm(), assembly.femur_mm),
+        covered("tibia_cartilage", tibia, assembly.outer_tibia_mm(), assembly.tibia_mm),
     )
 
 
