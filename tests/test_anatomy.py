@@ -261,7 +261,7 @@ def test_soft_structures_lie_clear_of_bones_and_of_each_other_within_the_fascia(
 
 def test_cartilage_takes_its_share_of_the_joint_space():
     for space in (2.0, 6.0):
-        layer = cartilage.on_femur(mean_femur(SHAPE.femur, TABLES.forms).outer, SHAPE, 1.0, (space, space))
+        layer = cartilage.on_femur(mesh_of(mean_femur(SHAPE.femur, TABLES.forms).outer), SHAPE, 1.0, (space, space))
         thick = np.linalg.norm(layer.top - layer.bone, axis=1)
         assert thick.max() == pytest.approx(0.47 * space, rel=1e-9)
         assert (thick[layer.bone[:, 2] > 60] == 0).all()

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from ..core.checks import Array, InputError
 from ..data.bones import Margins
-from ..geometry.mesh import Mesh
+from ..geometry.mesh import Indices, Mesh
 from ..model.knee import Osteophyte
 from .implicit import Field, blend, project_to_surface
 from .lips import Deform, Lip, lip_at
 from .mean_bone import MeanBone
 from .remesh import laplacian_smooth
-from .solids import mesh_of, solid_of
+from .solids import mesh_of, solid_of, split_where
 from .spikes import Spike, at_margin, in_middle, on_spine
 
 _CORTEX_MM = 0.3
@@ -25,8 +25,9 @@ _THICKENING = 0.06
 # Rounds of evening out the mesh.
 _ROUNDS = 3
 _EDGE_MM, _ROUGH_EDGE_MM = 2.0, 1.2
-# Points within are moved so far in, in so many steps, where they are less deep.
-_DRAWN_IN_MM, _STEPS = 0.3, 4
+# Places within are moved so far in, in so many steps, where they are less deep; edges are split, so many times, that are
+# less deep than the second at a quarter, half or three quarters of their way.
+_DRAWN_IN_MM, _LEAST_MM, _STEPS, _SPLITS, _ALONG = 0.3, 0.2, 4, 4, (0.25, 0.5, 0.75)
 # At a margin, at the mean man's size, what is less than this is a spike.
 _SMALL_MM = 0.38
 # Spongy bone that is cut off by surfaces that all but touch, which turns inside out when it is deformed.
@@ -74,19 +75,27 @@ class BoneWithOsteophytes:
         for shape in self.shapes:
             within = shape.solid(_CORTEX_MM / scale + _THICKENING * shape.size_mm)
             # With edges short enough to bend with the bone.
-            fine = within.refine_to_length(_EDGE_MM)
-            inner = inner + fine.warp_batch(lambda points: self._drawn_in(np.array(points)))
+            fine = mesh_of(within.refine_to_length(_EDGE_MM))
+            inner = inner + solid_of(*self._drawn_in(fine), "what is inside an osteophyte")
         return mesh_of(_without_specks(inner))
 
-    def _drawn_in(self, points: Array) -> Array:
-        """Points (n, 3) of what is inside an osteophyte, mm: a rounded margin may not hold the feet of a small one."""
-        shallow = self.field(points) > -_DRAWN_IN_MM
-        points[shallow] = project_to_surface(points[shallow], self.field, _drawn_in_mm, _STEPS)
-        return points
+    def _drawn_in(self, within: Mesh) -> Mesh:
+        """What is inside an osteophyte, drawn in where it is shallow: a margin may not hold the feet of a small one."""
+        places = within.vertices.copy()
+        shallow = self.field(places) > -_DRAWN_IN_MM
+        places[shallow] = self._as_deep(places[shallow])
 
+        def shallower(places: Array, edges: Indices) -> tuple[Indices, Array]:
+            ends = places[edges]
+            along = [(1 - share) * ends[:, 0] + share * ends[:, 1] for share in _ALONG]
+            across = (self.field(np.concatenate(along)).reshape(len(_ALONG), -1) > -_LEAST_MM).any(axis=0)
+            return edges[across], self._as_deep(ends[across].mean(axis=1))
 
-def _drawn_in_mm(points: Array) -> Array:
-    return np.full(len(points), _DRAWN_IN_MM)
+        # Where an edge crosses a crease its ends are deep and its middle need not be.
+        return Mesh(*split_where(places, within.faces, _SPLITS, shallower))
+
+    def _as_deep(self, points: Array) -> Array:
+        return project_to_surface(points, self.field, lambda points: np.full(len(points), _DRAWN_IN_MM), _STEPS)
 
 
 def _without_specks(solid: Manifold) -> Manifold:

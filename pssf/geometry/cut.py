@@ -30,7 +30,8 @@ def up_to(mesh: Mesh, up: int, end_mm: float) -> Mesh:
         np.column_stack((after, three, before))[~alone],
         np.column_stack((np.where(alone, before, after), np.where(alone, after, before), np.full(len(cut), -1))),
     )
-    vertices = np.vstack((vertices, vertices[len(mesh.vertices) :].mean(axis=0)))
+    middle = [*vertices[len(mesh.vertices) :, :2].mean(axis=0), end_mm]
+    vertices = np.vstack((vertices, middle))
     used, number = np.unique(np.vstack(faces) % len(vertices), return_inverse=True)
     return Mesh(vertices[used], number.reshape(-1, 3))
 
