@@ -25,8 +25,8 @@ _THICKENING = 0.06
 # Rounds of evening out the mesh.
 _ROUNDS = 3
 _EDGE_MM, _ROUGH_EDGE_MM = 2.0, 1.2
-# Places within are moved so far in, in so many steps, where they are less deep; edges are split, so many times, that are
-# less deep than the second at a quarter, half or three quarters of their way.
+# Places within are moved so far in, in so many steps, where they are less deep; edges are split, so many times, that
+# are less deep than the second at a quarter, half or three quarters of their way.
 _DRAWN_IN_MM, _LEAST_MM, _STEPS, _SPLITS, _ALONG = 0.3, 0.2, 4, 4, (0.25, 0.5, 0.75)
 # At a margin, at the mean man's size, what is less than this is a spike.
 _SMALL_MM = 0.38
