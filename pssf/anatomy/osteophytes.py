@@ -16,7 +16,7 @@ from .implicit import Field, blend, project_to_surface
 from .lips import Deform, Lip, lip_at
 from .mean_bone import MeanBone
 from .remesh import laplacian_smooth
-from .solids import mesh_of, solid_of, split_where
+from .solids import box_about, mesh_of, solid_of, split_where
 from .spikes import Spike, at_margin, in_middle, on_spine
 
 _CORTEX_MM = 0.3
@@ -25,9 +25,10 @@ _THICKENING = 0.06
 # Rounds of evening out the mesh.
 _ROUNDS = 3
 _EDGE_MM, _ROUGH_EDGE_MM = 2.0, 1.2
-# Places within are moved so far in, in so many steps, where they are less deep; edges are split, so many times, that
-# are less deep than the second at a quarter, half or three quarters of their way.
-_DRAWN_IN_MM, _LEAST_MM, _STEPS, _SPLITS, _ALONG = 0.3, 0.2, 4, 4, (0.25, 0.5, 0.75)
+# Of what is inside: places less deep than the first are moved in to there, in so many steps, which leaves tips where
+# they are; edges that come nearer to the surface than the second, at these shares of their way, are split, so often; a
+# bone that it is cut with is drawn in by the last.
+_SHALLOW_MM, _STEPS, _NEAR_MM, _ALONG, _SPLITS, _DRAWN_IN_MM = 0.2, 4, 0.1, (0.25, 0.5, 0.75), 4, 0.3
 # At a margin, at the mean man's size, what is less than this is a spike.
 _SMALL_MM = 0.38
 # Spongy bone that is cut off by surfaces that all but touch, which turns inside out when it is deformed.
@@ -76,26 +77,52 @@ class BoneWithOsteophytes:
             within = shape.solid(_CORTEX_MM / scale + _THICKENING * shape.size_mm)
             # With edges short enough to bend with the bone.
             fine = mesh_of(within.refine_to_length(_EDGE_MM))
-            inner = inner + solid_of(*self._drawn_in(fine), "what is inside an osteophyte")
+            drawn_in = self._drawn_in(fine)
+            if (_normals(fine) * _normals(drawn_in)).sum(axis=1).min() > 0:
+                inner = inner + solid_of(*self._split(drawn_in), "what is inside an osteophyte")
+            else:  # folded: solids, which take longer, do not fold
+                inner = inner + _within_bone(within, self.outer, shape.out).refine_to_length(_EDGE_MM)
         return mesh_of(_without_specks(inner))
 
     def _drawn_in(self, within: Mesh) -> Mesh:
         """What is inside an osteophyte, drawn in where it is shallow: a margin may not hold the feet of a small one."""
         places = within.vertices.copy()
-        shallow = self.field(places) > -_DRAWN_IN_MM
+        shallow = self.field(places) > -_SHALLOW_MM
         places[shallow] = self._as_deep(places[shallow])
+        return Mesh(places, within.faces)
 
-        def shallower(places: Array, edges: Indices) -> tuple[Indices, Array]:
+    def _split(self, within: Mesh) -> Mesh:
+        """The same with edges split that come too near to the surface: across a crease, whose sides hold their ends."""
+
+        def near(places: Array, edges: Indices) -> tuple[Indices, Array]:
+            # A middle is no nearer to the surface than an end by more than half an edge.
+            shallow = self.field(places) > -_EDGE_MM / 2 - _NEAR_MM
+            edges = edges[shallow[edges].any(axis=1)]
             ends = places[edges]
             along = [(1 - share) * ends[:, 0] + share * ends[:, 1] for share in _ALONG]
-            across = (self.field(np.concatenate(along)).reshape(len(_ALONG), -1) > -_LEAST_MM).any(axis=0)
+            across = (self.field(np.concatenate(along)).reshape(len(_ALONG), -1) > -_NEAR_MM).any(axis=0)
             return edges[across], self._as_deep(ends[across].mean(axis=1))
 
-        # Where an edge crosses a crease its ends are deep and its middle need not be.
-        return Mesh(*split_where(places, within.faces, _SPLITS, shallower))
+        return Mesh(*split_where(within.vertices, within.faces, _SPLITS, near))
 
     def _as_deep(self, points: Array) -> Array:
-        return project_to_surface(points, self.field, lambda points: np.full(len(points), _DRAWN_IN_MM), _STEPS)
+        return project_to_surface(points, self.field, lambda points: np.full(len(points), _SHALLOW_MM), _STEPS)
+
+
+def _normals(mesh: Mesh) -> Array:
+    one, two, three = mesh.vertices[mesh.faces.T]
+    return np.cross(two - one, three - one)
+
+
+def _within_bone(within: Manifold, bone: Manifold, out: Array) -> Manifold:
+    """What of a solid is in a bone drawn in."""
+    about = bone ^ box_about(within, 2 * _DRAWN_IN_MM)
+    within = within ^ about
+    for way in (*np.eye(3), *-np.eye(3), -out):
+        # One after the other: of two copies of the bone the surfaces cross everywhere.
+        within.status()
+        within = within ^ about.translate(_DRAWN_IN_MM * way)
+    return within
 
 
 def _without_specks(solid: Manifold) -> Manifold:
