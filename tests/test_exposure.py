@@ -145,3 +145,20 @@ def test_a_marker_of_lead_lies_in_the_upper_corner_of_the_field_and_nowhere_else
         assert (rows < 128).all()
         assert (cols < 128).all() if left else (cols > 128).all()
         assert np.abs(marked - plain)[128:].max() < 60
+
+
+def test_truth_tells_how_the_radiograph_was_taken():
+    knee = pssf.Knee(flexion_deg=3.0, rotation_deg=-2.0, lean_deg=1.5)
+    protocol = pssf.draw_exposure(COARSE, rng=np.random.default_rng(5), side="right")
+    told = pssf.build(knee, protocol).truth(protocol).taking
+    changed = {
+        field.name
+        for field in dataclasses.fields(protocol)
+        if getattr(protocol, field.name) != getattr(COARSE, field.name)
+    }
+    assert changed - {"sod_mm"} <= told.keys()
+    own = {"flexion_deg": 3.0, "rotation_deg": -2.0, "tilt_deg": 1.5}
+    assert told == {
+        name: getattr(protocol, name) if name not in own else pytest.approx(getattr(protocol, name) + own[name])
+        for name in told
+    }

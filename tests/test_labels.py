@@ -73,6 +73,9 @@ def test_labels_of_a_cohort_are_read_back_as_the_field_reads_them(made, tmp_path
         assert float(made_row["grade_read"]) == truth.grade_read == float(reading["XRKL_READ"])
         assert float(made_row["truth_jsw_225_mm"]) == pytest.approx(truth.jsw_at_mm[0.225], abs=1e-4)
         assert {name: float(made_row[f"truth_{name}"]) for name in truth.readings} == truth.readings
+        assert {name: made_row[f"truth_taking_{name}"] for name in truth.taking} == {
+            name: str(value) for name, value in truth.taking.items()
+        }
         for name, (row, col) in truth.landmarks_px.items():
             name = name.removesuffix("_joint_line")
             assert float(made_row[f"truth_{name}_row_px"]) == pytest.approx(row, abs=1e-4)

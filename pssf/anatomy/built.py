@@ -20,6 +20,7 @@ from ..geometry.mesh import Mesh
 from ..geometry.scene import Scene, Surface
 from ..geometry.view import View, view_of
 from ..model.axes import axes
+from ..model.exposure import taking_of
 from ..model.knee import Knee
 from ..model.oarsi import oarsi
 from ..model.protocol import Posture, Protocol
@@ -30,7 +31,7 @@ from .bone_build import build_of
 from .cysts import CystSolids, cyst_meshes, cysts_of
 from .joint import KneeAssembly, assemble, defining_protocol
 from .plateau import along_plateau, inter_margin_mm
-from .pose import moved
+from .pose import composed
 from .shells import check_nesting, drawn_in, is_nested
 from .solids import checked, mesh_of
 from .tissues import Covered, between, cartilage_of
@@ -65,7 +66,8 @@ class BuiltKnee:
 
     def truth(self, protocol: Protocol) -> Truth:
         """Labels and landmarks on a radiograph of it under a protocol; without masks, which `simulate` casts."""
-        return self.truth_in(view_of(self.aimed(protocol)))
+        aimed = self.aimed(protocol)
+        return replace(self.truth_in(view_of(aimed)), taking=taking_of(self.knee, aimed))
 
     def truth_in(self, view: View) -> Truth:
         """The same in a view of one's own, of the knee where its scene has it."""
@@ -248,12 +250,12 @@ def _bones(knee: Knee, assembly: KneeAssembly, shells_mm: tuple[Array, Array], a
         "femur": (femur, pose.femur(), build.femur.frame(build.scale)),
         "tibia": (tibia, pose.tibia(), build.tibia.frame(build.scale)),
         "fibula": (fibula, pose.tibia(), still),
-        "patella": (patella, _after(place.result(), pose.femur()), still),
+        "patella": (patella, composed(place.result(), pose.femur()), still),
     }
     if knee.fabella_mm:
         fabella, in_femur = small_bones.fabella(knee, build, femur.outer)
-        parts["fabella"] = (fabella, _after(in_femur, pose.femur()), still)
-    placed = {name: _Placed(_placed(part, at), _after(inner, at)) for name, (part, at, inner) in parts.items()}
+        parts["fabella"] = (fabella, composed(in_femur, pose.femur()), still)
+    placed = {name: _Placed(_placed(part, at), composed(inner, at)) for name, (part, at, inner) in parts.items()}
     plate_mm = build.shape.tibia.plate_mm * max(build.plates.medial, build.plates.lateral) * build.scale
     whole = placed["tibia"].solids
     tibia = worn(whole, placed["femur"].solids.outer, plate_mm)
@@ -263,11 +265,6 @@ def _bones(knee: Knee, assembly: KneeAssembly, shells_mm: tuple[Array, Array], a
         name: part if nests[name] else replace(part, solids=drawn_in(name, part.solids))
         for name, part in placed.items()
     }
-
-
-def _after(first: Array, then: Array) -> Array:
-    """(3, 4)  one transform after another"""
-    return np.column_stack((then[:, :3] @ first[:, :3], moved(first[None, :, 3], then)[0]))
 
 
 def _texture(knee: Knee, bone: str, table: TrabecularBone, assembly: KneeAssembly, frame: Array) -> Trabeculae:

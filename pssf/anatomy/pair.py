@@ -9,6 +9,7 @@ from ..geometry.density import Density, Moved
 from ..geometry.mesh import Mesh
 from ..geometry.scene import Scene, Surface
 from ..geometry.view import view_of
+from ..model.exposure import taking_of
 from ..model.knee import Knee
 from ..model.protocol import Protocol
 from ..model.radiograph import Truth
@@ -35,7 +36,12 @@ class BuiltPair:
         view = view_of(protocol)
         right, left = (
             # A knee beside the middle is seen as one in the middle by a source and a detector beside it.
-            built.truth_in(replace(view, source_mm=_moved(view.source_mm, -x), centre_mm=_moved(view.centre_mm, -x)))
+            replace(
+                built.truth_in(
+                    replace(view, source_mm=_moved(view.source_mm, -x), centre_mm=_moved(view.centre_mm, -x))
+                ),
+                taking=taking_of(built.knee, protocol),
+            )
             for built, x in zip(self.knees, _places(self.apart_mm), strict=True)
         )
         return right, left

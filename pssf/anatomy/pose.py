@@ -90,6 +90,14 @@ def rotation(axis: int, degrees: float) -> Array:
     return matrix
 
 
+def composed(first: Array, then: Array) -> Array:
+    """(3, 4)  one transform after another
+
+    first, then  (3, 4)  mm
+    """
+    return np.column_stack((then[:, :3] @ first[:, :3], moved(first[None, :, 3], then)[0]))
+
+
 def moved(vertices_mm: Array, transform: Array) -> Array:
     """(n, 3)  vertices after a (3, 4) transform, mm"""
     return vertices_mm @ transform[:, :3].T + transform[:, 3]

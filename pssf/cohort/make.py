@@ -183,4 +183,5 @@ def _truth_columns(truth: Truth) -> Row:
         place = name.removesuffix("_joint_line")
         columns |= {f"{place}_row_px": round(row, 4), f"{place}_col_px": round(col, 4)}
     columns |= {f"attrition_{name}_mm": depth for name, depth in truth.attrition_mm.items()}
+    columns |= {f"taking_{name}": value for name, value in truth.taking.items()}
     return columns | dict(truth.readings)

@@ -27,6 +27,7 @@ class _Truth(Record, frozen=True):
     grade_read: int | None
     attrition_mm: dict[str, float]
     readings: dict[str, int | float]
+    taking: dict[str, int | float | str]
     landmarks_px: dict[str, tuple[float, float]]
 
 
@@ -122,6 +123,7 @@ def _truth_table(truth: Truth) -> dict[str, Any]:
         "grade_read": truth.grade_read,
         "attrition_mm": dict(truth.attrition_mm),
         "readings": dict(truth.readings),
+        "taking": dict(truth.taking),
         "landmarks_px": {name: list(place) for name, place in truth.landmarks_px.items()},
     }
 

@@ -8,6 +8,7 @@ import numpy as np
 from ..core.checks import InputError, require_choice, require_generator
 from ..data.exposures import exposures
 from ..data.fields import FieldLaw, field_laws
+from .knee import Knee
 from .protocol import Protocol
 
 _CUT_SD = 2.0
@@ -15,6 +16,11 @@ _CUT_SD = 2.0
 _STEP = 0.001
 # Only a protocol that bends the knee bends it more or less.
 _OF_BENT = ("flexion_deg", "tibia_forward_deg")
+# What is drawn, beside how the leg stands.
+_TAKEN = (
+    *("centre_x_mm", "centre_z_mm", "beam_angle_deg", "tibia_forward_deg", "tube_kv", "mas", "sdd_mm"),
+    *("field_width_mm", "field_height_mm", "marker"),
+)
 # Letter of a side.
 MARKERS = {"right": "R", "left": "L"}
 
@@ -49,6 +55,16 @@ def draw_exposure(protocol: Protocol, *, rng: np.random.Generator, side: str | N
     if protocol.apart_mm:  # what is drawn is the field of one knee
         field |= {name: getattr(protocol, name) for name in ("field_width_mm", "field_height_mm")}
     return replace(protocol, **(field | within))
+
+
+def taking_of(knee: Knee, protocol: Protocol) -> dict[str, float | str]:
+    """How a knee is taken under a protocol, by the names of its fields: all that `draw_exposure` varies.
+
+    How the leg stands (flexion_deg, rotation_deg, tilt_deg) is the knee's own and the protocol's together.
+    """
+    taken: dict[str, float | str] = {name: getattr(protocol, name) for name in _TAKEN}
+    own = {"flexion_deg": knee.flexion_deg, "rotation_deg": knee.rotation_deg, "tilt_deg": knee.lean_deg}
+    return taken | {name: round(getattr(protocol, name) + degrees, 4) for name, degrees in own.items()}
 
 
 def _normal(rng: np.random.Generator) -> float:

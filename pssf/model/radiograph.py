@@ -32,6 +32,7 @@ class Truth:
                        tibial_slope_deg and insall_salvati (`model.axes`); seen from the front also inter_margin_mm, how
                        far the front margin of the medial plateau stands over its back one on this radiograph, scaled to
                        the joint plane
+    taking             how it was taken (`model.exposure.taking_of`): pose, beam, dose, field, marker
     masks              if asked for: name -> (rows, cols) bool, where a bone or an osteophyte is seen
     """
 
@@ -43,6 +44,7 @@ class Truth:
     attrition_mm: Mapping[str, float] = field(default_factory=dict)
     grade_read: int | None = None
     readings: Mapping[str, float] = field(default_factory=dict)
+    taking: Mapping[str, float | str] = field(default_factory=dict)
     masks: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict, compare=False, repr=False)
 
     @property
