@@ -147,7 +147,8 @@ def _meaning(
             of_shares = space.shares(table, names, designed.bounds, designed.samples, run.settings.seed)
     if designed.pairs is not None:
         table = _with_region(designed.pairs, "pairs", base, run)
-        of_slopes = space.slopes(base, table, manifest, names, designed.bounds)
+        before = manifest[manifest["protocol"] == run.settings.reference]
+        of_slopes = space.slopes(base, table, before, names, designed.bounds)
     both = space.beside(follows, of_slopes, of_shares)
     section = meaning_section(of_shares, both, most, designed.bounds)
     return Answers({"shares": of_shares, "slopes": of_slopes, "follows": both}, [section])

@@ -69,7 +69,7 @@ def slopes(
 
     base      radiographs of the cohort under the reference, with a region: knee, features
     pairs     of `space.plan_pairs`, with a region: of_knee, kind (parameter), what a manifest has, features
-    manifest  of the cohort
+    manifest  of the cohort, under the reference
     """
     before = _values(manifest).drop_duplicates("knee").set_index("knee")
     own = base.drop_duplicates("knee").set_index("knee")[names]
