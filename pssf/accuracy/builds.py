@@ -35,7 +35,7 @@ _RANGES = {
     "limb_ap_mm": (90.0, 160.0),
     "fat_mm": (3.0, 25.0),
     "lean_deg": (-12.0, 12.0),
-    "fibular_tip_mm": (5.0, 22.0),
+    "fibular_tip_mm": (5.0, 26.0),
     "insall_salvati": (0.7, 1.6),
     "patellar_shift_mm": (-5.0, 10.0),
     "patellar_tilt_deg": (-8.0, 14.0),
