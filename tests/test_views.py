@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 import pssf
 from pssf import InputError
-from pssf.accuracy import view_scatter, views
+from pssf.accuracy import criteria, view_scatter, views
 from pssf.anatomy import small_bones
 from pssf.anatomy.bend import bend_of, sheared_deg
 from pssf.anatomy.landmarks import CONTOUR_LANDMARKS
@@ -19,7 +19,7 @@ from pssf.data.dicom import dicom_tables
 from pssf.data.fields import beam_range_deg
 from pssf.data.references import references
 from pssf.geometry.mesh import Mesh
-from pssf.geometry.view import project, view_of
+from pssf.geometry.view import magnification, project, view_of
 from pssf.io import dicom
 
 LATERAL, SKYLINE = (pssf.load_protocol(name) for name in ("lateral", "skyline"))
@@ -307,3 +307,32 @@ def test_a_taking_of_both_knees_keeps_the_field_of_both():
     drawn = pssf.draw_exposure(pssf.load_protocol("bilateral"), rng=np.random.default_rng(1))
     assert (drawn.field_width_mm, drawn.field_height_mm) == (0, 0)
     assert drawn.apart_mm == 210
+
+
+def test_criteria_of_views_are_measured_on_what_is_seen():
+    found = criteria.in_views(KNEE)
+    assert set(found) == set(references().criteria)
+    rear = dataclasses.replace(KNEE, fibular_tip_mm=25.0)
+    lower = criteria.in_views(rear)
+    # A fibula that ends farther down stands beside a narrower tibia.
+    assert lower["ap_head_under_tibia_percent"] < found["ap_head_under_tibia_percent"]
+    assert 1.2 < found["rosenberg_notch_over_ap"] < 4.0
+
+
+def test_shadows_are_clear_by_the_distance_between_them_in_the_joint_plane():
+    view = view_of(pssf.load_protocol("lateral"))
+    one, other = np.zeros((2, 40, 60), np.bool_)
+    one[10:20, 5:15], other[12:18, 25:40] = True, True
+    assert criteria._clear_mm(one, other, view) == pytest.approx(11 * view.pixel_mm / magnification(view))
+    assert criteria._clear_mm(one, one, view) == 0.0
+
+
+def test_condyles_are_apart_on_a_lateral_that_is_turned():
+    protocol = pssf.load_protocol("lateral")
+    view = view_of(protocol)
+    apart = [
+        criteria._condyles_apart_mm(pssf.build(dataclasses.replace(KNEE, rotation_deg=degrees), protocol), view)
+        for degrees in (-10.0, 0.0, 10.0)
+    ]
+    assert apart[1] < 4.0
+    assert min(apart[0], apart[2]) > apart[1]

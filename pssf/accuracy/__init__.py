@@ -37,6 +37,7 @@ from ..simulation import versions
 from .agreement import agreement_rows
 from .builds import build_rows
 from .chain import chain_rows
+from .criteria import criterion_rows
 from .engines import Row, engine_rows, growth_rows, nested_rows
 from .focal import focal_rows
 from .gvxr import gvxr_rows
@@ -55,7 +56,7 @@ from .views import view_rows
 TABLES = (
     "engines", "growth", "nested", "stages", "chain", "agreement", "spectrum", "focal_spot", "physics",
     "monte_carlo", "scatter", "tessellation", "texture_steps", "texture_trace", "texture", "builds", "knees", "views",
-    "view_scatter",
+    "view_scatter", "criteria",
 )  # fmt: skip
 # Only by name: minutes long and about the study rather than about a radiograph; and those that need another package.
 BY_NAME = ("localisation", "localisation_limits", "ablation", "backends", "gvxr", "latency")
@@ -73,7 +74,7 @@ def measure(
     """Measure what is asked for and write it as CSV, with machine.json and a figure; returns their paths.
 
     tables    of TABLES or BY_NAME; "growth" is worked out from "engines"
-    knees     how many are drawn for "agreement", "texture", "builds", "knees" and "views"
+    knees     how many are drawn for "agreement", "texture", "builds", "knees", "views" and "criteria"
     readme    source checkout whose READMEs get the tables, too
     progress  told what is being measured
     raises    InputError for an unknown table, a folder that is no checkout, a disk that is full or cannot be written
@@ -128,6 +129,7 @@ def _jobs(
         "knees": lambda: knee_rows(knees, workers),
         "views": lambda: view_rows(knees, workers),
         "view_scatter": lambda: view_scatter_rows(workers),
+        "criteria": lambda: criterion_rows(knees, workers),
         "localisation": lambda: localisation_rows(knees, workers),
         "localisation_limits": lambda: limit_rows(knees, workers),
         "ablation": lambda: _ablation(workers),

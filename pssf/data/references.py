@@ -34,6 +34,13 @@ class ScatterCases(Record, frozen=True):
     slab: tuple[tuple[float, float, float, float], ...]
 
 
+class Criterion(Record, frozen=True):
+    """What a guide to positioning asks of a view."""
+
+    view: str
+    asked: str
+
+
 class References(Record, frozen=True):
     """All of `data/reference.toml`.
 
@@ -44,6 +51,7 @@ class References(Record, frozen=True):
     texture      quantity -> range of real films
     quality      quantity of `pssf quality` -> value or range
     views        quantity of `pssf accuracy --tables views` -> value or range
+    criteria     quantity of `pssf accuracy --tables criteria` -> what is asked
     beam         "kV_mmAl" -> first and second HVL (mm Al), mean keV, photons/mm2/mAs, air kerma (uGy/mAs) at 1 m
     """
 
@@ -54,6 +62,7 @@ class References(Record, frozen=True):
     texture: dict[str, Known]
     quality: dict[str, Known]
     views: dict[str, Known]
+    criteria: dict[str, Criterion]
     beam: dict[str, Numbers]
 
 
