@@ -224,3 +224,24 @@ def test_every_drawn_look_shows_a_limb_from_dark_to_bright():
 def test_a_look_needs_a_generator():
     with pytest.raises(InputError, match=r"rng = 7; allowed: a numpy Generator"):
         pssf.draw_look(rng=7)
+
+
+@pytest.mark.parametrize("look", ["linear", "processed"])
+def test_a_radiograph_is_shown_by_its_own_detector_pitch_and_field(look):
+    protocol = dataclasses.replace(
+        pssf.load_protocol("reference"),
+        **{
+            "rows": 200,
+            "cols": 160,
+            "pixel_mm": 1.2,
+            "detector": "gos",
+            "field_width_mm": 120.0,
+            "field_height_mm": 180.0,
+        },
+    )
+    radiograph = pssf.simulate(pssf.Knee(), protocol)
+    told = {"detector": "gos", "pixel_mm": 1.2, "field_mm": (120.0, 180.0)}
+    shown = pssf.present(radiograph, look=look)
+    assert_array_equal(shown, pssf.present(radiograph.pixels, look=look, **told))
+    assert (shown[:, :20] == 0).all()
+    assert (pssf.present(radiograph.pixels, look=look) != shown).any()

@@ -22,7 +22,7 @@ _LEAF, _PENUMBRA, _MARKER, _APART = 0.025, 0.002, 0.055, 0.02
 
 
 def present(
-    pixels: NDArray[np.uint16],
+    pixels: NDArray[np.uint16] | Radiograph,
     *,
     bits: int = 8,
     side: str | None = None,
@@ -33,7 +33,7 @@ def present(
 ) -> NDArray[np.uint8 | np.uint16]:
     """(rows, cols)  for eyes, bone bright
 
-    pixels    (rows, cols) linear in the energy absorbed
+    pixels    (rows, cols) linear in the energy absorbed; or a Radiograph, which knows its detector, pitch and field
     bits      8 (uint8), or up to 16 (uint16)
     side      "right" or "left" draws the edge of the collimator and the marker R or L, on the lateral side of the knee
     detector  that they were read by, whose offset is taken off
@@ -46,6 +46,10 @@ def present(
               of range
     """
     require_whole("bits", bits, 8, 16, "")
+    if isinstance(pixels, Radiograph):
+        protocol = pixels.protocol
+        detector, pixel_mm = protocol.detector, protocol.pixel_mm
+        field_mm, pixels = (protocol.field_width_mm, protocol.field_height_mm), pixels.pixels
     panels = detectors()
     require_choice("detector", detector, tuple(panels))
     shown_as = look_of(look, looks())
@@ -65,16 +69,7 @@ def for_eyes(
     radiograph: Radiograph, bits: int = 8, side: str | None = None, look: str | Processed | Film = "processed"
 ) -> NDArray[np.uint8 | np.uint16]:
     """(rows, cols)  a radiograph as files for eyes hold it; arguments as `present` has them"""
-    protocol = radiograph.protocol
-    return present(
-        radiograph.pixels,
-        bits=bits,
-        side=side,
-        detector=protocol.detector,
-        look=look,
-        pixel_mm=protocol.pixel_mm,
-        field_mm=(protocol.field_width_mm, protocol.field_height_mm),
-    )
+    return present(radiograph, bits=bits, side=side, look=look)
 
 
 def named_look(look: Processed | Film | None) -> str:
