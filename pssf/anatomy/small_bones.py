@@ -71,7 +71,8 @@ def fibula(knee: Knee, build: Build, tibia: Manifold) -> Bone:
     towards = np.array(table.faces) / np.linalg.norm(table.faces)
     # Simplified before they are cut: in the sharp edge that the cut leaves there is no room for it.
     return Bone(
-        outer=checked(outer - near.translate(-table.gap_to_tibia_mm * towards), "fibula"),
+        # Without the tibia itself too: a lip of it may be thinner than the gap.
+        outer=checked(outer - near.translate(-table.gap_to_tibia_mm * towards) - near, "fibula"),
         inner=checked(inner - near.translate(-(table.gap_to_tibia_mm + _JOINT_PLATE_MM) * towards), "fibula marrow"),
     )
 
