@@ -78,32 +78,39 @@ class BoneWithOsteophytes:
             # With edges short enough to bend with the bone.
             fine = mesh_of(within.refine_to_length(_EDGE_MM))
             drawn_in = self._drawn_in(fine)
-            if (_normals(fine) * _normals(drawn_in)).sum(axis=1).min() > 0:
-                inner = inner + solid_of(*self._split(drawn_in), "what is inside an osteophyte")
+            if drawn_in is not None:
+                inner = inner + solid_of(*drawn_in, "what is inside an osteophyte")
             else:  # folded: solids, which take longer, do not fold
                 inner = inner + _within_bone(within, self.outer, shape.out).refine_to_length(_EDGE_MM)
         return mesh_of(_without_specks(inner))
 
-    def _drawn_in(self, within: Mesh) -> Mesh:
-        """What is inside an osteophyte, drawn in where it is shallow: a margin may not hold the feet of a small one."""
-        places = within.vertices.copy()
-        shallow = self.field(places) > -_SHALLOW_MM
-        places[shallow] = self._as_deep(places[shallow])
-        return Mesh(places, within.faces)
+    def _drawn_in(self, within: Mesh) -> Mesh | None:
+        """What is inside an osteophyte, drawn in where it is shallow; None where that folds it.
 
-    def _split(self, within: Mesh) -> Mesh:
-        """The same with edges split that come too near to the surface: across a crease, whose sides hold their ends."""
+        A margin may not hold the feet of a small one. Where an edge crosses a crease its ends may be deep and its
+        middle not: it is split, and the middle drawn in.
+        """
+        for _ in range(_SPLITS):
+            places = within.vertices.copy()
+            shallow = self.field(places) > -_SHALLOW_MM
+            places[shallow] = self._as_deep(places[shallow])
+            moved = Mesh(places, within.faces)
+            if (_normals(within) * _normals(moved)).sum(axis=1).min() <= 0:
+                return None
+            within = Mesh(*split_where(*moved, 1, self._near))
+            if len(within.faces) == len(moved.faces):
+                break
+        return moved
 
-        def near(places: Array, edges: Indices) -> tuple[Indices, Array]:
-            # A middle is no nearer to the surface than an end by more than half an edge.
-            shallow = self.field(places) > -_EDGE_MM / 2 - _NEAR_MM
-            edges = edges[shallow[edges].any(axis=1)]
-            ends = places[edges]
-            along = [(1 - share) * ends[:, 0] + share * ends[:, 1] for share in _ALONG]
-            across = (self.field(np.concatenate(along)).reshape(len(_ALONG), -1) > -_NEAR_MM).any(axis=0)
-            return edges[across], self._as_deep(ends[across].mean(axis=1))
-
-        return Mesh(*split_where(within.vertices, within.faces, _SPLITS, near))
+    def _near(self, places: Array, edges: Indices) -> tuple[Indices, Array]:
+        """Of edges (n, 2) those that come too near to the surface, and their middles."""
+        # A middle is no nearer to the surface than an end by more than half an edge.
+        shallow = self.field(places) > -_EDGE_MM / 2 - _NEAR_MM
+        edges = edges[shallow[edges].any(axis=1)]
+        ends = places[edges]
+        along = [(1 - share) * ends[:, 0] + share * ends[:, 1] for share in _ALONG]
+        across = (self.field(np.concatenate(along)).reshape(len(_ALONG), -1) > -_NEAR_MM).any(axis=0)
+        return edges[across], ends[across].mean(axis=1)
 
     def _as_deep(self, points: Array) -> Array:
         return project_to_surface(points, self.field, lambda points: np.full(len(points), _SHALLOW_MM), _STEPS)
