@@ -41,15 +41,15 @@ def test_bones_and_joint_spaces_stay(both):
     np.testing.assert_allclose(spaces[1], spaces[0], rtol=0, atol=1e-9)
 
 
-def test_the_limb_swells_to_front_back_and_medial_about_the_joint_alone():
+def test_the_limb_swells_to_front_back_and_medial_about_the_joint_alone(both):
     # With room for the patella: a limb that has been widened for bones swells by so much less.
-    both = [build(Knee(limb_ap_mm=128.0, effusion_mm=effusion_mm)) for effusion_mm in (0.0, 6.0)]
-    (low, high), (low_swollen, high_swollen) = (about(built, "muscle", 0.0) for built in both)
+    roomy = [build(Knee(limb_ap_mm=128.0, effusion_mm=effusion_mm)) for effusion_mm in (0.0, 6.0)]
+    (low, high), (low_swollen, high_swollen) = (about(built, "muscle", 0.0) for built in roomy)
     more = np.concatenate([low - low_swollen, high_swollen - high])
     # Lateral, front, medial, back; where bone stood out the limb had room for it already, by up to 1 mm.
     by = 6.0 * np.array([0.0, TABLE.front_and_back, TABLE.medial, TABLE.front_and_back])
     np.testing.assert_allclose(more, by, rtol=0, atol=1.0)
-    far, far_swollen = (about(built, "muscle", -150.0) for built in both)
+    far, far_swollen = (about(built, "muscle", -120.0) for built in both)
     np.testing.assert_allclose(far_swollen, far, rtol=0, atol=0.2)
 
 

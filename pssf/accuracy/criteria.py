@@ -25,7 +25,7 @@ Mask = NDArray[np.bool_]
 # Of a fibula what is so far below its tip is its head. Of a femur condyles are what is below the second height and
 # farther from the middle than the third, at the mean man's size.
 _HEAD_MM, _CONDYLE_MM, _ASIDE_MM = 20.0, 20.0, 8.0
-_VIEWS = ("ap_standing", "rosenberg", "lateral", "skyline")
+_VIEWS, _BONES = ("ap_standing", "rosenberg", "lateral", "skyline"), ("femur", "tibia", "fibula", "patella")
 
 
 def criterion_rows(count: int, workers: int) -> list[Row]:
@@ -52,11 +52,11 @@ def in_views(knee: Knee) -> dict[str, float]:
     built = {name: build(turned.get(name, knee), protocol) for name, protocol in protocols.items()}
     views = {name: view_of(protocol) for name, protocol in protocols.items()}
     ap, lateral, skyline = (_shadows(built[name], views[name]) for name in ("ap_standing", "lateral", "skyline"))
+    front, tunnel = (_spots(built[name], views[name]) for name in ("ap_standing", "rosenberg"))
     return {
-        **_front(built["ap_standing"], views["ap_standing"]),
+        **_front(front, ap["patella"], views["ap_standing"]),
         "ap_head_under_tibia_percent": _head_under_tibia_percent(ap, views["ap_standing"]),
-        "rosenberg_notch_over_ap": _notch_mm(built["rosenberg"], views["rosenberg"])
-        / _notch_mm(built["ap_standing"], views["ap_standing"]),
+        "rosenberg_notch_over_ap": _notch_mm(tunnel, views["rosenberg"]) / _notch_mm(front, views["ap_standing"]),
         "lateral_condyles_apart_mm": _condyles_apart_mm(built["lateral"], views["lateral"]),
         "lateral_head_under_tibia_percent": _head_under_tibia_percent(lateral, views["lateral"]),
         "lateral_patella_clear_mm": _clear_mm(lateral["patella"], lateral["femur"], views["lateral"]),
@@ -66,8 +66,7 @@ def in_views(knee: Knee) -> dict[str, float]:
 
 def _shadows(built: BuiltKnee, view: View) -> dict[str, Mask]:
     """Bone -> (rows, cols)  where it is seen"""
-    solids = built.solids()
-    return {name: shadow(solids[name], view) for name in ("femur", "tibia", "fibula", "patella")}
+    return {one.name: shadow(one.arrays, view) for one in built.scene.surfaces if one.name in _BONES}
 
 
 def _mm(pixels: float, view: View) -> float:
@@ -79,8 +78,7 @@ def _spots(built: BuiltKnee, view: View) -> dict[str, Array]:
     return {name: np.array(place) for name, place in built.truth_in(view).landmarks_px.items()}
 
 
-def _front(built: BuiltKnee, view: View) -> dict[str, float]:
-    spots, patella = _spots(built, view), shadow(built.solids()["patella"], view)
+def _front(spots: dict[str, Array], patella: Mask, view: View) -> dict[str, float]:
     ends = spots["medial_epicondyle"][1], spots["lateral_epicondyle"][1]
     off_px = np.argwhere(patella)[:, 1].mean() - np.mean(ends)
     eminence = (spots["medial_spine"] + spots["lateral_spine"]) / 2
@@ -90,8 +88,7 @@ def _front(built: BuiltKnee, view: View) -> dict[str, float]:
     }
 
 
-def _notch_mm(built: BuiltKnee, view: View) -> float:
-    spots = _spots(built, view)
+def _notch_mm(spots: dict[str, Array], view: View) -> float:
     condyles = (spots["femur_medial_condyle"] + spots["femur_lateral_condyle"]) / 2
     return _mm(float(condyles[0] - spots["notch_top"][0]), view)
 

@@ -42,11 +42,6 @@ def levels(low_mm: float, high_mm: float, step_mm: float) -> Array:
     return np.linspace(low_mm, high_mm, max(2, round((high_mm - low_mm) / step_mm) + 1))
 
 
-def trimmed(solid: Manifold, direction: int, end_mm: float) -> Manifold:
-    """The solid up to a height; direction +1: below it, -1: above it."""
-    return solid.trim_by_plane((0.0, 0.0, -float(direction)), -direction * end_mm)
-
-
 def grown_femur(build: Build, osteophytes: tuple[Osteophyte, ...]) -> BoneWithOsteophytes:
     """The outer femur at the mean man's size, in its own frame, osteophytes and all."""
     mean, margins = build.mean_femur, build.shape.osteophytes

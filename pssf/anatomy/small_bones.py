@@ -12,7 +12,7 @@ from ..data.bones import PatellaShape
 from ..geometry.freeform import displaced
 from ..model.knee import Knee
 from .bone_build import Build, eased, formed, scaled
-from .bones import SHAFT_END_MM, Bone, levels, trimmed
+from .bones import SHAFT_END_MM, Bone, levels
 from .implicit import lengths
 from .pose import Pose, rotation
 from .solids import box_about, checked, column, mesh_of, thickness
@@ -57,8 +57,8 @@ def fibula(knee: Knee, build: Build, tibia: Manifold) -> Bone:
     # It goes where this person's tibia has the joint for it.
     joint = np.array([table.joint_mm])
     sideways = ((formed(joint, build.tibia) - joint) * s)[0]
-    down = -knee.fibular_tip_mm - sections[:, 0].max()
     top_mm = sections[:, 0].max()
+    down = -knee.fibular_tip_mm - top_mm
     shaft, head = levels(-SHAFT_END_MM - down, top_mm - _HEAD_MM, 4.0), levels(top_mm - _HEAD_MM, top_mm, 1.5)
     heights = np.sort(np.concatenate((shaft[:-1], head, [top_mm - _TIP_MM])))
     # Rings at the same heights, so that between them too the inner loft lies within the outer one.
@@ -67,7 +67,7 @@ def fibula(knee: Knee, build: Build, tibia: Manifold) -> Bone:
         column(sections, inset, rings, "fibula", count=64).simplify(tolerance).translate((*sideways[:2], down))
         for inset, rings, tolerance in ((np.zeros_like, heights, _COARSER_MM / 2), (cortex, within, _COARSER_MM))
     )
-    near = trimmed(tibia ^ box_about(outer, _NEAR_FIBULA_MM), +1, -knee.fibular_tip_mm + 5.0)
+    near = (tibia ^ box_about(outer, _NEAR_FIBULA_MM)).trim_by_plane((0.0, 0.0, -1.0), knee.fibular_tip_mm - 5.0)
     towards = np.array(table.faces) / np.linalg.norm(table.faces)
     # Simplified before they are cut: in the sharp edge that the cut leaves there is no room for it.
     return Bone(
