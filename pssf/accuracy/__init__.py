@@ -15,6 +15,8 @@ monte_carlo  the Monte Carlo of scatter beside an independent one
 scatter    the kernel of scatter beside the Monte Carlo (scatter_fit fits it once more)
 focal      blur of the focal spot against rays from points of it
 localisation  the joint found and refused: simulations right and wrong on purpose  (extra "study"; not among "all")
+coverage   how often the study's intervals hold the truth            (extra "study"; not among "all")
+refutation what the study claims of random labels                  (extra "study"; not among "all")
 ablation   run time of the study against what is left out of it  (extra "study"; not among "all")
 backends   features by MIRP beside those by pyradiomics   (group "peers"; not among "all")
 gvxr       the ray caster beside gVirtualXray           (group "peers"; not among "all")
@@ -25,8 +27,10 @@ figure     error against run time, drawn                      (extra "study")
 import os
 import platform
 from collections.abc import Callable, Collection
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from ..core.checks import require_choice
 from ..explore.latency import latency_rows
@@ -59,7 +63,9 @@ TABLES = (
     "view_scatter", "criteria",
 )  # fmt: skip
 # Only by name: minutes long and about the study rather than about a radiograph; and those that need another package.
-BY_NAME = ("localisation", "localisation_limits", "ablation", "backends", "gvxr", "latency")
+BY_NAME = (
+    "localisation", "localisation_limits", "coverage", "refutation", "ablation", "backends", "gvxr", "latency",
+)  # fmt: skip
 
 
 def measure(
@@ -132,8 +138,10 @@ def _jobs(
         "criteria": lambda: criterion_rows(knees, workers),
         "localisation": lambda: localisation_rows(knees, workers),
         "localisation_limits": lambda: limit_rows(knees, workers),
-        "ablation": lambda: _ablation(workers),
-        "backends": _backends,
+        "coverage": lambda: _of_study("coverage").coverage_rows(workers),
+        "refutation": lambda: _of_study("refutation").refutation_rows(workers),
+        "ablation": lambda: _of_study("ablation").ablation_rows(workers),
+        "backends": lambda: _of_study("backends").backend_rows(),
         "gvxr": lambda: gvxr_rows(workers),
         "latency": latency_rows,
     }
@@ -143,19 +151,9 @@ def _machine() -> dict[str, str | int | None]:
     return {"machine": platform.processor() or platform.machine(), "cores": os.cpu_count(), **versions()}
 
 
-def _backends() -> list[Row]:
+def _of_study(name: str) -> Any:
+    """A module of this folder that needs the extra `study`."""
     from ..study import require_extra
 
     require_extra()
-    from .backends import backend_rows
-
-    return backend_rows()
-
-
-def _ablation(workers: int) -> list[Row]:
-    from ..study import require_extra
-
-    require_extra()
-    from .ablation import ablation_rows
-
-    return ablation_rows(workers)
+    return import_module(f".{name}", __package__)

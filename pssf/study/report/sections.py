@@ -293,7 +293,7 @@ def confounders_section(table: pd.DataFrame) -> Section:
             "feature less what it follows of the confounder at a given grade, by least squares in training.",
         ),
         table=pd.DataFrame(shown),
-        note="The strongest tie; confounders.csv has all, with p. Age changes nothing in an image: what a model gains "
-        "by it comes by way of what goes with age and grade in this cohort, or is chance.",
+        note="The strongest tie; confounders.csv has all, with p. Of age an image shows thinner trabeculae alone: what "
+        "else a model gains by it comes by way of what goes with age and grade in this cohort, or is chance.",
         pictures=(picture,),
     )
