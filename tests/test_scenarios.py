@@ -5,7 +5,7 @@ import pandas as pd
 from made_up import NAMES, features
 
 from pssf.study import StudySettings
-from pssf.study.learn.scenarios import one_split
+from pssf.study.learn.scenarios import _one_each, one_split
 from pssf.study.learn.split import split_subjects
 from pssf.study.statistics.scores import score_splits
 
@@ -29,12 +29,26 @@ def test_signal_is_found_in_every_scenario_and_the_same_twice():
     table = features(10, noise=0.2)
     outcome = one_split(0, table=table, names=NAMES, settings=FAST)
     scores = score_splits(outcome.predictions)
-    assert set(scores["scenario"]) == {"within", "cross", "cross_stable", "cross_harmonised", "multi"}
+    assert set(scores["scenario"]) == {"within", "cross", "cross_stable", "cross_harmonised", "multi", "mixed"}
     models = scores[scores["selection"] != "none"]
     assert (models.loc[models["task"] == "0 vs 2", "auc"] > 0.9).all()
     pd.testing.assert_frame_equal(
         outcome.predictions, one_split(0, table=table, names=NAMES, settings=FAST).predictions
     )
+
+
+def test_mixed_takes_every_knee_once_and_spreads_each_grade_over_the_protocols():
+    table = features(10)
+    protocols = sorted(table["protocol"].unique())
+    taken = table[_one_each(table, protocols, seed=0, repeat=0)]
+    assert sorted(taken["knee"]) == sorted(table["knee"].unique())
+    counts = taken.groupby(["grade", "protocol"]).size().unstack()
+    assert counts.shape == (table["grade"].nunique(), len(protocols))
+    assert (counts.max(axis=1) - counts.min(axis=1)).max() <= 1
+    # By chance, another way in another split, and whatever the order of rows.
+    assert set(taken["radiograph"]) != set(table[_one_each(table, protocols, seed=0, repeat=1)]["radiograph"])
+    turned = table[::-1]
+    assert set(taken["radiograph"]) == set(turned[_one_each(turned, protocols, seed=0, repeat=0)]["radiograph"])
 
 
 def mean_auc(table: pd.DataFrame, names: list[str], model: str, repeats: int = 6) -> float:

@@ -1,4 +1,8 @@
-"""Within, cross and multi protocol: train and test on held-out subjects, many times over."""
+"""Within, cross and multi protocol: train and test on held-out subjects, many times over.
+
+Multi-protocol training has as many radiographs of each knee as there are protocols. What is due to their number and
+what to the protocols is told apart by `mixed`: every knee under one of them, as many radiographs as within a protocol.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -18,6 +22,7 @@ from .selection import preparation
 from .split import seed_of_split, split_subjects
 from .transfer import harmonise, stable_features
 
+_STREAM = 6  # key under a repeat, beside those of `ladder`, `responses` and `confounders`
 Part = tuple[pd.DataFrame, NDArray[np.int64]]
 
 
@@ -63,6 +68,7 @@ def one_split(repeat: int, *, table: pd.DataFrame, names: list[str], settings: S
     protocols = protocols_of(table, settings.reference)
     stable = None
     if len(protocols) > 1:
+        table = table.assign(mixed=_one_each(table, protocols, settings.seed, repeat))
         stable = stable_features(table[table["subject"].isin(split.training)], names, protocols)
     gathered = _Gathered()
     for task, classes in tasks_of(table["grade"]).items():
@@ -98,6 +104,8 @@ def _recipes(
             yield _Recipe(reference, selection, stable, models, [("cross_stable", *test[1:]) for test in plain])
         if others:
             yield _Recipe("all", selection, names, models, multi)
+        if others and len(parts.classes) == 2:
+            yield _Recipe("mixed", selection, names, models, [("mixed", *test[1:]) for test in within])
     for label, (classifier, columns) in baselines_of(parts.training, names).items():
         yield _Recipe(reference, NONE, columns, {label: classifier}, within)
         if others:
@@ -139,7 +147,18 @@ def _follow(
 
 
 def _of(table: pd.DataFrame, protocol: str) -> pd.DataFrame:
+    if protocol == "mixed":
+        return table[table["mixed"]]
     return table if protocol == "all" else table[table["protocol"] == protocol]
+
+
+def _one_each(table: pd.DataFrame, protocols: list[str], seed: int, repeat: int) -> NDArray[np.bool_]:
+    """(radiographs,) whether a radiograph is its knee's only one where each knee is taken once, every grade alike."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(repeat, _STREAM)))
+    own: dict[Any, str] = {}
+    for _, knees in table.drop_duplicates("knee").sort_values("knee").groupby("grade")["knee"]:
+        own |= {knee: protocols[place % len(protocols)] for place, knee in enumerate(rng.permutation(knees))}
+    return np.asarray(table["protocol"] == table["knee"].map(own))
 
 
 def _harmonised(parts: _Parts, names: list[str], protocol: str, reference: str) -> pd.DataFrame:

@@ -258,6 +258,7 @@ def _changes(differences: pd.DataFrame, settings: StudySettings) -> list[dict[st
     claimed = (
         ("cross minus within", "Another protocol lowers the performance", -1),
         ("multi minus cross", "Training on all protocols brings it back", +1),
+        ("mixed minus cross", "Training on all protocols brings it back", +1),
     )
     rows = []
     for comparison, claim, side in claimed:

@@ -24,6 +24,8 @@ COMPARISONS = {
     "cross minus within": ("cross", "within"),
     "multi minus within": ("multi", "within"),
     "multi minus cross": ("multi", "cross"),
+    "mixed minus cross": ("mixed", "cross"),
+    "multi minus mixed": ("multi", "mixed"),
     "stable features minus all": ("cross_stable", "cross"),
     "harmonised minus plain": ("cross_harmonised", "cross"),
 }
