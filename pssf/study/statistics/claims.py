@@ -9,7 +9,7 @@ decided only where they stay after Holm's correction for the arms compared, sinc
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.stats import t as t_distribution
 
 from ...core.checks import Array
 from ..predictions import TASKS, truth_and_probability
@@ -148,21 +148,22 @@ def _stable(reliability: pd.DataFrame) -> list[dict[str, object]]:
         columns = (form, f"{form} low", f"{form} high")
         stable = [int((part[column] >= THRESHOLD).sum()) for column in columns]
         value, high = (float(part[column].max()) for column in (columns[0], columns[2]))
-        low = float(pd.Series(_together(*part[[*columns[:2]]].to_numpy(np.float64).T)).max())
+        tested = int(part["subjects"].median())
+        values, lows = part[[*columns[:2]]].to_numpy(np.float64).T
+        low = float(pd.Series(_together(values, lows, tested)).max())
         share = f"{stable[0]} of {len(part)} features are ≥ {THRESHOLD:.2f}, {stable[1]} by their lower bound"
         measure = f"greatest {form}, {across}; {share} (paper: 43 of 107)"
-        tested = int(part["subjects"].median())
         rows.append(_row("A subset of features is stable", measure, (value, low, high), THRESHOLD, tested=tested))
     return rows
 
 
-def _together(values: Array, lows: Array) -> Array:
+def _together(values: Array, lows: Array, subjects: int) -> Array:
     """(n,)  lower bounds that hold all at once, from values and lower bounds, each (n,), of which each alone holds
 
-    Bonferroni's level on Fisher's z, in which an ICC is about normal.
+    Bonferroni's level on Fisher's z, in which an ICC is about normal, by t as of `icc_interval`.
     """
     z, z_low = (np.arctanh(np.clip(ends, -_SURE, _SURE)) for ends in (values, lows))
-    one, all_of_them = norm.isf([_TAIL, _TAIL / len(values)])
+    one, all_of_them = t_distribution.isf([_TAIL, _TAIL / len(values)], max(1, subjects - 1))
     return np.where(lows < values, np.tanh(z - (z - z_low) * all_of_them / one), lows)
 
 

@@ -1,12 +1,18 @@
-"""Intervals of ICCs by a bootstrap of subjects, each drawn with all its knees; the conditions are held fixed."""
+"""Intervals of ICCs by a bootstrap of subjects, each drawn with all its knees; the conditions are held fixed.
+
+Percentiles of the samples' ICCs run short: of 10 to 60 subjects with two knees they hold a true ICC of 0.3 to 0.99 in
+87 to 95 %. Fisher's z (1925, Statistical Methods, section 38), in which an ICC is about normal, with the SD of the
+samples' and quantiles of t holds it in 93 to 96. Of features as skewed as a lognormal one neither does.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import t as t_distribution
 
 from ...core.checks import Array
-from .metrics import percentiles
 
 _STREAM = 2**31 + 2  # beside those of `intervals` and `claims`
+_EDGE = 1e-12  # by how much less than its ends an ICC has a finite z
 Interval = tuple[float, float]
 
 
@@ -21,15 +27,31 @@ def knee_weights(subjects: NDArray[np.int64], *, replicates: int, seed: int) -> 
     return drawn[:, place].astype(np.float64)
 
 
-def icc_intervals_by_weights(values: Array, weights: Array) -> tuple[Interval, Interval]:
-    """The 2.5th and 97.5th percentile of ICC(2,1) and ICC(3,1) over samples of knees.
+def icc_interval(value: float, drawn: Array, *, conditions: int, subjects: int) -> Interval:
+    """The 95 % interval of an ICC; NaN where no sample has one.
 
-    values   (knees, conditions) of any unit, finite, not all the same
-    weights  (replicates, knees) counts
-    returns  NaN where no sample has an ICC
+    value  the ICC of all
+    drawn  (replicates,) of samples of the subjects, dimensionless
     """
-    agreement, consistency = icc_by_weights(values, weights)
-    return percentiles(agreement), percentiles(consistency)
+    known = drawn[np.isfinite(drawn)]
+    if not len(known) or not np.isfinite(value):
+        return float("nan"), float("nan")
+    z = _fisher(np.array([value, *known]), conditions)
+    half = t_distribution.ppf(0.975, max(1, subjects - 1)) * z[1:].std()
+    low, high = _back(z[0] + half * np.array([-1.0, 1.0]), conditions)
+    # What the clipping of an ICC of 1 takes away is not the interval's.
+    return float(min(low, value)), float(max(high, value))
+
+
+def _fisher(icc: Array, conditions: int) -> Array:
+    clipped = np.clip(icc, -1 / (conditions - 1) + _EDGE, 1 - _EDGE)
+    return 0.5 * np.log((1 + (conditions - 1) * clipped) / (1 - clipped))
+
+
+def _back(z: Array, conditions: int) -> Array:
+    # Of e^2z through its inverse, which does not overflow.
+    less = np.exp(-2 * z)
+    return np.asarray((1 - less) / (1 + (conditions - 1) * less))
 
 
 def icc_by_weights(values: Array, weights: Array) -> tuple[Array, Array]:

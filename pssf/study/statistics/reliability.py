@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...core.checks import Array
 from .degenerate import is_degenerate
-from .icc_by_subject import icc_intervals_by_weights, knee_weights
+from .icc_by_subject import Interval, icc_by_weights, icc_interval, knee_weights
 
 ICC_FORMS = ("ICC(2,1)", "ICC(3,1)")
 THRESHOLD = 0.90  # "excellent" in Koo & Li 2016, and what the paper counts
@@ -17,7 +17,7 @@ _BANDS = ((0.90, "excellent"), (0.75, "good"), (0.50, "moderate"))
 _COLUMNS = ["feature", "across", "knees", "subjects"]
 _COLUMNS += [f"{form}{end}" for form in ICC_FORMS for end in ("", " low", " high")]
 _COLUMNS += ["class", "share_knee", "share_condition", "share_residual"]
-_UNKNOWN = ((float("nan"),) * 2,) * 2
+_UNKNOWN: tuple[Interval, ...] = ((float("nan"),) * 2,) * 2
 REPEATS = {"noise": "repeated noise", "perturbation": "small perturbations"}
 
 
@@ -169,11 +169,14 @@ def _rows(
     for index, name in enumerate(names):
         whole = np.isfinite(values[:, :, index]).all(axis=1)
         one = values[whole, :, index]
-        forms, bounds = icc(one), _UNKNOWN
+        forms, bounds, tested = icc(one), _UNKNOWN, len(set(subjects[whole].tolist()))
         if np.isfinite(forms[0]):
-            bounds = icc_intervals_by_weights(one, weights[:, whole])
-        row: dict[str, object] = {"feature": name, "across": label, "knees": len(one)}
-        row["subjects"] = len(set(subjects[whole].tolist()))
+            drawn, conditions = icc_by_weights(one, weights[:, whole]), one.shape[1]
+            bounds = tuple(
+                icc_interval(form, of_form, conditions=conditions, subjects=tested)
+                for form, of_form in zip(forms, drawn, strict=True)
+            )
+        row: dict[str, object] = {"feature": name, "across": label, "knees": len(one), "subjects": tested}
         for form, value, (low, high) in zip(ICC_FORMS, forms, bounds, strict=True):
             row |= {form: value, f"{form} low": low, f"{form} high": high}
         row["class"] = _band(bounds[0][0])

@@ -12,7 +12,7 @@ import pandas as pd
 
 from ...core.checks import Array
 from .degenerate import is_degenerate
-from .icc_by_subject import icc_by_weights, knee_weights
+from .icc_by_subject import icc_by_weights, icc_interval, knee_weights
 from .intervals import estimate, estimate_share
 from .metrics import mean_interval, percentiles
 from .reliability import icc
@@ -64,7 +64,8 @@ def curves_of_features(
             if np.isfinite(agreement):
                 drawn = icc_by_weights(one[whole], weights[:, whole])[0]
                 samples.append(np.concatenate([[agreement], drawn]))
-                low, high = percentiles(drawn)
+                tested = part["subject"].to_numpy()[whole]
+                low, high = icc_interval(agreement, drawn, conditions=2, subjects=len(set(tested.tolist())))
                 bounds = {"value": agreement, "low": low, "high": high}
                 rows.append(label | {"measure": ICC, "feature": names[index]} | bounds)
         if samples:
