@@ -80,7 +80,7 @@ def test_a_grade_that_is_missing_from_training_under_one_protocol_leaves_its_arm
     lost = cohort["subject"].isin(split.training) & (cohort["grade"] == 2) & (cohort["protocol"] == "reference")
     outcomes, tables = study(cohort[~lost], dataclasses.replace(LIGHT, repeats=1))
     found = outcomes[0].predictions
-    assert set(found["trained_on"]) == {"all"}
+    assert set(found["trained_on"]) == {"all", "mixed"}
     assert outcomes[0].offered.columns.tolist() == ["task", "trained_on", "selection", "repeat", "feature"]
     for name in ("calibration", "calibration_curve", "importance", "permutation"):
         assert tables[name].empty, name
@@ -96,7 +96,7 @@ def test_features_that_are_all_constant_give_chance_in_every_scenario(selection)
     models = tables["scores"][tables["scores"]["selection"] != "none"]
     assert (models["auc"] == 0.5).all()
     assert (models["auc_low"] == 0.5).all()
-    assert set(models["scenario"]) == {"within", "cross", "cross_harmonised", "multi"}  # no feature is stable
+    assert set(models["scenario"]) == {"within", "cross", "cross_harmonised", "multi", "mixed"}  # no feature is stable
     assert [outcome.stable for outcome in outcomes] == [0, 0]
     assert tables["calibration"].query("selection != 'none'")["slope"].fillna(0).abs().max() < 1e-6
     assert (tables["permutation"]["drop"] == 0).all()
