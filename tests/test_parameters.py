@@ -8,6 +8,7 @@ import pytest
 from scipy.stats import spearmanr
 
 from pssf.data.grades import grade_table
+from pssf.io.records import read_manifest
 from pssf.study.statistics.parameters import composition, follows, morphology, parameters_of, strongest
 from pssf.study.tables import laws_of
 
@@ -76,3 +77,12 @@ def test_ranges_are_of_the_table_that_the_manifest_names():
         assert laws_of(other) is None
     assert morphology(parameters_of(told), None)["low"].isna().all()
     assert morphology(parameters_of(told), grade_table("people"))["low"].isna().all()
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_manifest_of_many_columns_is_read_and_added_to_without_a_warning(tmp_path):
+    rows = pd.DataFrame({f"truth_{k}": [1.5, 2.5] for k in range(150)})
+    rows.assign(knee=[0, 1], subject=[0, 1], grade=[0, 2], sex=["female", "male"]).to_csv(
+        tmp_path / "m.csv", index=False
+    )
+    assert parameters_of(read_manifest(tmp_path / "m.csv"))["female"].tolist() == [1.0, 0.0]
