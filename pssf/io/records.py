@@ -260,5 +260,5 @@ def read_manifest(path: Path) -> "pd.DataFrame":
     allowed = "manifest.csv of a cohort"
     held = io.StringIO(read_text(path))
     table: pd.DataFrame = parsed(path, held, pd.read_csv, fault="not a manifest", allowed=allowed)
-    # pandas reads every column apart, and warns whoever adds one to more than a hundred such; a copy lays them together.
+    # pandas reads every column apart, and warns who adds one to more than a hundred; a copy lays them together.
     return table.copy()
