@@ -1,9 +1,6 @@
-"""How often the study's intervals hold the truth, over cohorts that are each split, trained and tested anew.
+"""How often the study's intervals hold the truth, by the cohorts of `pssf.accuracy.coverage`.
 
-Two grades of Gaussian features a known distance apart, and logistic regression: the AUC and the balanced accuracy of a
-linear model on endless subjects are a formula, and so is its mean F1 on tests of the size of a split's, on which that
-depends; their mean over fresh training sets of the size of a split's is the truth. What is asked of the intervals is
-95 %; misses are binomial, and bounds at four standard deviations.
+What is asked of the intervals is 95 %; misses are binomial, and bounds at four standard deviations.
 """
 
 import numpy as np

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from made_up import features
 from numpy.testing import assert_allclose
 
-from pssf.study.statistics.icc_by_subject import icc_by_weights, icc_interval, knee_weights
+from pssf.study.statistics.icc_by_subject import icc_by_weights, icc_interval, icc_intervals_by_weights, knee_weights
 from pssf.study.statistics.metrics import percentiles
 from pssf.study.statistics.reliability import (
     count_stable,
@@ -31,7 +31,9 @@ def draw(knees: int, conditions: int, *, of_condition: float, noise: float, seed
 def test_conditions_that_agree_to_the_last_digit_have_an_icc_of_one_without_width():
     values = np.repeat(np.arange(6.0)[:, None], 3, axis=1)
     assert icc(values) == (1.0, 1.0)
-    assert_allclose(bounds(values, np.arange(6), replicates=50), 1.0)
+    found = bounds(values, np.arange(6), replicates=50)
+    assert_allclose(found, 1.0)
+    assert all(low == high for low, high in found)
 
 
 @pytest.mark.parametrize("offset", [0.0, 1.0, 1e6])
@@ -132,11 +134,10 @@ def pairs(subjects: int, seed: int) -> np.ndarray:
     return knees[:, None] + 0.5 * rng.normal(size=(2 * subjects, 3))
 
 
-def bounds(values: np.ndarray, subjects: np.ndarray, *, replicates: int = 500, seed: int = 0) -> list:
+def bounds(values: np.ndarray, subjects: np.ndarray, *, replicates: int = 500, seed: int = 0) -> tuple:
     """Intervals of both forms."""
-    drawn = icc_by_weights(values, knee_weights(subjects, replicates=replicates, seed=seed))
-    own = {"conditions": values.shape[1], "subjects": len(set(subjects))}
-    return [icc_interval(form, of_form, **own) for form, of_form in zip(icc(values), drawn, strict=True)]
+    weights = knee_weights(subjects, replicates=replicates, seed=seed)
+    return icc_intervals_by_weights(icc(values), values, weights, len(set(subjects)))
 
 
 @pytest.mark.parametrize("subjects", [10, 60])
@@ -175,6 +176,9 @@ def test_knees_that_say_the_same_twice_do_not_narrow_an_interval():
 
 def test_a_sample_that_is_the_cohort_has_its_icc():
     values = draw(30, 3, of_condition=0.5, noise=0.4, seed=2)
+    found = icc_intervals_by_weights(icc(values), values, np.ones((1, 30)), 30)
+    for (low, high), known in zip(found, icc(values), strict=True):
+        assert low == high == pytest.approx(known, abs=1e-12)
     assert_allclose(np.ravel(icc_by_weights(values, np.ones((1, 30)))), icc(values), atol=1e-12)
 
 

@@ -26,7 +26,7 @@ from .engines import Row
 
 # Twenty subjects a grade are six tested, the fewest that anything is decided from.
 FEWEST = 20
-MEASURES = ("auc", "balanced_accuracy", "macro_f1")
+_MEASURES = ("auc", "balanced_accuracy", "macro_f1")
 _FEATURES, _SPLITS = 5, 20
 # Model -> the features that it sees; the JSW's arm stands for a model that knows less.
 _SEEN = {"lr": slice(0, _FEATURES), "jsw": slice(0, 2)}
@@ -55,7 +55,7 @@ class Population:
         return rng.normal(size=(subjects, _FEATURES)) + grade[:, None] * self._step(), grade
 
     def truth(self, trained: int, tested: int) -> dict[str, Array]:
-        """Model -> mean (MEASURES) of those that have learnt from so many subjects, on so many of each grade."""
+        """Model -> mean (_MEASURES) of those that have learnt from so many subjects, on so many of each grade."""
         rng = np.random.default_rng(1)
         of_model: dict[str, list[tuple[float, float, float]]] = {name: [] for name in _SEEN}
         for _ in range(600):
@@ -115,8 +115,8 @@ def _one_cohort(seed: int, apart: float, per_grade: int, truth: dict[str, Array]
     splits, ratio = score_splits(predictions), share_tested(listed)
     of = intervals(splits, ratio).set_index("model").loc["lr"]
     less = differences(splits, ratio).set_index("metric")
-    row = {name: not of[f"{name}_low"] <= truth["lr"][k] <= of[f"{name}_high"] for k, name in enumerate(MEASURES)}
-    for k, name in enumerate(MEASURES):
+    row = {name: not of[f"{name}_low"] <= truth["lr"][k] <= of[f"{name}_high"] for k, name in enumerate(_MEASURES)}
+    for k, name in enumerate(_MEASURES):
         gain = truth["lr"][k] - truth["jsw"][k]
         row[f"difference of {name}"] = not less.loc[name, "low"] <= gain <= less.loc[name, "high"]
     low, high = _bootstrap(predictions, grade, seed)

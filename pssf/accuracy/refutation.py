@@ -24,7 +24,7 @@ NAMES = [
 # Of logistic regression one claim is, and of any other model another one.
 SETTINGS = StudySettings(models=("lr", "xgb"), selections=("l1",), repeats=8, replicates=400)
 # The stability of features does not depend on labels: this one is refuted by features without a knee's part.
-OF_NO_LABEL = "A subset of features is stable"
+_OF_NO_LABEL = "A subset of features is stable"
 
 
 def random_cohort(seed: int, subjects: int = 90) -> pd.DataFrame:
@@ -46,7 +46,7 @@ def refutation_rows(workers: int, cohorts: int = 20) -> list[Row]:
     tables = ordered_map(_claimed, range(cohorts), shared={}, workers=workers)
     verdicts = joined(table.assign(seed=seed) for seed, table in enumerate(tables))
     any_holds = (verdicts["verdict"] == "holds").groupby([verdicts["claim"], verdicts["seed"]], sort=False).any()
-    counts = any_holds.groupby("claim", sort=False).sum().drop(OF_NO_LABEL)
+    counts = any_holds.groupby("claim", sort=False).sum().drop(_OF_NO_LABEL)
     return [{"claim": claim, "cohorts": cohorts, "held": int(count)} for claim, count in counts.items()]
 
 

@@ -27,6 +27,21 @@ def knee_weights(subjects: NDArray[np.int64], *, replicates: int, seed: int) -> 
     return drawn[:, place].astype(np.float64)
 
 
+def icc_intervals_by_weights(
+    forms: tuple[float, float], values: Array, weights: Array, subjects: int
+) -> tuple[Interval, ...]:
+    """`icc_interval` of ICC(2,1) and ICC(3,1).
+
+    forms    both, of all knees
+    values   (knees, conditions) of any unit, finite, not all the same
+    weights  (replicates, knees) counts
+    """
+    own = {"conditions": values.shape[1], "subjects": subjects}
+    return tuple(
+        icc_interval(form, drawn, **own) for form, drawn in zip(forms, icc_by_weights(values, weights), strict=True)
+    )
+
+
 def icc_interval(value: float, drawn: Array, *, conditions: int, subjects: int) -> Interval:
     """The 95 % interval of an ICC; NaN where no sample has one.
 
@@ -37,6 +52,8 @@ def icc_interval(value: float, drawn: Array, *, conditions: int, subjects: int) 
     if not len(known) or not np.isfinite(value):
         return float("nan"), float("nan")
     z = _fisher(np.array([value, *known]), conditions)
+    if not np.ptp(z[1:]):  # rounding would give it a width, and a claim would be decided from that
+        return value, value
     half = t_distribution.ppf(0.975, max(1, subjects - 1)) * z[1:].std()
     low, high = _back(z[0] + half * np.array([-1.0, 1.0]), conditions)
     # What the clipping of an ICC of 1 takes away is not the interval's.

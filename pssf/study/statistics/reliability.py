@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...core.checks import Array
 from .degenerate import is_degenerate
-from .icc_by_subject import Interval, icc_by_weights, icc_interval, knee_weights
+from .icc_by_subject import Interval, icc_intervals_by_weights, knee_weights
 
 ICC_FORMS = ("ICC(2,1)", "ICC(3,1)")
 THRESHOLD = 0.90  # "excellent" in Koo & Li 2016, and what the paper counts
@@ -171,11 +171,7 @@ def _rows(
         one = values[whole, :, index]
         forms, bounds, tested = icc(one), _UNKNOWN, len(set(subjects[whole].tolist()))
         if np.isfinite(forms[0]):
-            drawn, conditions = icc_by_weights(one, weights[:, whole]), one.shape[1]
-            bounds = tuple(
-                icc_interval(form, of_form, conditions=conditions, subjects=tested)
-                for form, of_form in zip(forms, drawn, strict=True)
-            )
+            bounds = icc_intervals_by_weights(forms, one, weights[:, whole], tested)
         row: dict[str, object] = {"feature": name, "across": label, "knees": len(one), "subjects": tested}
         for form, value, (low, high) in zip(ICC_FORMS, forms, bounds, strict=True):
             row |= {form: value, f"{form} low": low, f"{form} high": high}
