@@ -34,6 +34,7 @@ _RANGES = {
     "tibial_slope_deg": (0.0, 12.0),
     "limb_ap_mm": (90.0, 160.0),
     "fat_mm": (3.0, 25.0),
+    "skin_folds": (0.0, 0.85),
     "lean_deg": (-12.0, 12.0),
     "fibular_tip_mm": (5.0, 26.0),
     "insall_salvati": (0.7, 1.6),

@@ -10,7 +10,8 @@ from ..model.knee import Knee
 from .bend import bend_of, sheared_deg
 from .bone_build import Build, eased
 from .muscles import FASCIA_POWER, intermuscular_fat
-from .solids import column
+from .skin_folds import folded
+from .solids import column_rings, loft
 
 # Least tissue between bone and fascia; over the patella and the tibial crest there is hardly more.
 _COVER_MM = 3.0
@@ -22,6 +23,7 @@ _COARSER_MM = 0.03
 # that its end stays out of the picture.
 _LEVELS_MM = np.linspace(-205.0, 205.0, 38)
 _LONGER_MM, _LONGER_PER_DEG_MM, _RING_MM = 150.0, 4.0, 11.0
+_COUNT = 64
 
 
 def layers(knee: Knee, build: Build, flexion_deg: float, bone_points_mm: Array) -> dict[str, Manifold]:
@@ -45,18 +47,19 @@ def layers(knee: Knee, build: Build, flexion_deg: float, bone_points_mm: Array) 
     fascia = _hold(coarse - np.array([0.0, wrap_ml, wrap_ap, 0.0, 0.0]), straight_mm)
     rings = np.append(_LEVELS_MM, np.arange(1.0, 1.0 + longer_mm // _RING_MM) * _RING_MM + _LEVELS_MM[-1])
 
-    def grown(ml_mm: float, ap_mm: float, name: str) -> Manifold:
-        sections = fascia + np.array([0.0, ml_mm, ap_mm, 0.0, 0.0])
-        return column(sections, np.zeros_like, rings, name, power=FASCIA_POWER, count=64).simplify(_COARSER_MM)
-
+    outer, fatty, within = (
+        column_rings(fascia + np.array([0.0, ml_mm, ap_mm, 0.0, 0.0]), rings, FASCIA_POWER, _COUNT)
+        for ml_mm, ap_mm in ((wrap_ml, wrap_ap), (wrap_ml - skin, wrap_ap - skin), (0.0, 0.0))
+    )
+    if knee.skin_folds > 0.0:
+        outer, fatty = folded(outer, fatty, within, table.folds, knee.skin_folds, build.scale, knee.form_seed)
     solids = {
-        "skin": grown(wrap_ml, wrap_ap, "skin"),
-        "adipose": grown(wrap_ml - skin, wrap_ap - skin, "adipose"),
-        "muscle": grown(0.0, 0.0, "muscle"),
-        "intermuscular_fat": intermuscular_fat(
-            build.shape.muscles, build.shape.deep_fat, fascia, _LEVELS_MM, build.scale
-        ),
+        name: loft(places, name).simplify(_COARSER_MM)
+        for name, places in (("skin", outer), ("adipose", fatty), ("muscle", within))
     }
+    solids["intermuscular_fat"] = intermuscular_fat(
+        build.shape.muscles, build.shape.deep_fat, fascia, _LEVELS_MM, build.scale
+    )
     return {name: bend.solid(solid, name) for name, solid in solids.items()}
 
 

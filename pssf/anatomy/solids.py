@@ -233,12 +233,23 @@ def column(
     inset_mm    height (k,) -> thickness (k,) taken off both half axes
     heights_mm  (k,)    levels of the rings, rising
     """
+    return loft(column_rings(sections, heights_mm, power, count, inset_mm(heights_mm)), name, across=across)
+
+
+def column_rings(
+    sections: Array, heights_mm: Array, power: float = SHAFT_POWER, count: int = 96, inset_mm: Array | float = 0.0
+) -> Array:
+    """(k, count, 3)  the rings of a `column`
+
+    sections    (n, 5)  z, half ML, half AP, centre y, centre x, mm; any order in z
+    heights_mm  (k,)    levels of the rings, rising
+    inset_mm    (k,) or a number, taken off both half axes
+    """
     table = np.asarray(sections, dtype=np.float64)
     table = table[np.argsort(table[:, 0])]
     half_x, half_y, centre_y, centre_x = PchipInterpolator(table[:, 0], table[:, 1:])(heights_mm).T
-    inset = inset_mm(heights_mm)
-    a, b = np.maximum(half_x - inset, 0.05), np.maximum(half_y - inset, 0.05)
-    return loft(rings(a, b, np.column_stack((centre_x, centre_y, heights_mm)), power, count), name, across=across)
+    a, b = np.maximum(half_x - inset_mm, 0.05), np.maximum(half_y - inset_mm, 0.05)
+    return rings(a, b, np.column_stack((centre_x, centre_y, heights_mm)), power, count)
 
 
 def thickness(table: Rows | Array, factor: float = 1.0) -> Callable[[Array], Array]:

@@ -5,7 +5,7 @@ from functools import cache
 from pathlib import Path
 
 from ..core.checks import InputError
-from .records import Numbers, Pair, Record, record
+from .records import Numbers, Pair, Record, Rows, record
 from .tables import read_toml
 
 _FOLDER = Path(__file__).resolve().parent / "grades"
@@ -135,6 +135,15 @@ class Effusion(Record, frozen=True):
     bounds_mm: Pair
 
 
+class SkinFolds(Record, frozen=True):
+    """The deepest that a person's folds of skin may be; less is as likely.
+
+    most  rows of BMI, kg/m2, and share of the fat
+    """
+
+    most: Rows
+
+
 class Subluxation(Record, frozen=True):
     """Of the tibia to lateral where the medial side narrows, mm: mean and deviation by grade, least and most."""
 
@@ -186,6 +195,7 @@ class SeverityGrades(_Shared, frozen=True):
     subluxation: Subluxation | None = None
     notch: Notch | None = None
     effusion: Effusion | None = None
+    skin_folds: SkinFolds | None = None
 
     @property
     def grades(self) -> tuple[int, ...]:

@@ -101,6 +101,25 @@ class Effusion(Record, frozen=True):
     medial: float
 
 
+class SkinFold(Record, frozen=True):
+    """A furrow along part of the limb's turn.
+
+    z              of its middle, mm
+    towards_deg    of its middle about the limb: 0 medial, 90 behind, 180 lateral, 270 in front
+    half_turn_deg  from its middle to where it ends
+    drop_mm        of its ends below its middle
+    width_mm       of the furrow at the skin
+    share          of the deepest furrow's depth
+    """
+
+    z: float
+    towards_deg: float
+    half_turn_deg: float
+    drop_mm: float
+    width_mm: float
+    share: float
+
+
 class Limb(Record, frozen=True):
     """Skin, fat and fascia. sections: z, half ML beyond the bone-related width, half AP over that at the joint, y."""
 
@@ -108,3 +127,4 @@ class Limb(Record, frozen=True):
     capsule_mm: float
     skin_mm: float
     anterior_fat_share: float
+    folds: tuple[SkinFold, ...]

@@ -19,7 +19,7 @@ from .severity import severity_fields
 _FARTHEST_SD = 2.0
 # What the two knees of a person share.
 _BODY_FIELDS = (
-    "sex", "stature_mm", "bone_scale", "cortex_scale", "bmi", "limb_ap_mm", "fat_mm", "age_years",
+    "sex", "stature_mm", "bone_scale", "cortex_scale", "bmi", "limb_ap_mm", "fat_mm", "skin_folds", "age_years",
     "bone_density", "shape", "fibular_tip_mm", "insall_salvati", "fabella_mm",
 )  # fmt: skip
 
@@ -103,6 +103,9 @@ def drawn_knee(laws: DrawLaws, *, grade: int, rng: np.random.Generator, **fixed:
     laws.bmi.check("bmi", bmi)
     drawn |= _limb(bmi, sex, drawn, laws.limbs)
     drawn["bone_density"] = round(_normal(rng.spawn(1)[0], laws.density, sex) + denser, 4)
+    if isinstance(law, SeverityGrades) and law.skin_folds is not None:
+        most = np.interp(bmi, *np.array(law.skin_folds.most).T)
+        drawn["skin_folds"] = round(float(most) * rng.spawn(1)[0].random(), 4)
     return from_table(Knee, {**drawn, **fixed}, "draw_knee")
 
 

@@ -109,6 +109,7 @@ class Knee:
     varus_deg          angle between femoral and tibial shaft beyond the normal valgus of 5 deg; positive is varus
     notch_growth_mm    of bone into the notch: on its walls and roof, over the eminence and, less, the plateaus' floors
     effusion_mm        how much thicker than in health capsule, synovium and fluid are about the joint
+    skin_folds         how deep furrows of the skin are at most, in shares of the fat beneath them; 0 is none
     subluxation_mm     of the tibia to lateral, as the femur stands on it; joint spaces stay what they are
     flexion_deg        of the femur about the medio-lateral axis
     rotation_deg       of the leg about its long axis; positive is internal
@@ -170,6 +171,7 @@ class Knee:
     subluxation_mm: float = 0.0
     notch_growth_mm: float = 0.0
     effusion_mm: float = 0.0
+    skin_folds: float = 0.0
 
     def __post_init__(self) -> None:
         check_fields("knee", self)

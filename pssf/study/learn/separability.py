@@ -29,7 +29,7 @@ _PLAIN = (
     "jsw_medial_mm", "jsw_lateral_mm", "subchondral_plate", "varus_deg", "flexion_deg", "rotation_deg", "bone_scale",
     "cortex_scale", "tibial_slope_deg", "lean_deg", "fibular_tip_mm", "insall_salvati", "patellar_shift_mm",
     "patellar_tilt_deg", "fabella_mm", "bmi", "limb_ap_mm", "fat_mm", "stature_mm", "age_years", "bone_density",
-    "subluxation_mm", "notch_growth_mm", "effusion_mm",
+    "subluxation_mm", "notch_growth_mm", "effusion_mm", "skin_folds",
 )  # fmt: skip
 
 

@@ -1,0 +1,91 @@
+"""Folds of skin: fat and skin go in together, never through the fascia, and nothing else moves."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pssf import InputError, Knee, build, draw_knee, load_protocol
+from pssf.anatomy.skin_folds import folded
+from pssf.anatomy.solids import column_rings
+from pssf.data.anatomy import anatomy_tables
+from pssf.raycast import trace
+
+FOLDS = anatomy_tables().shape.soft.folds
+HEIGHTS_MM = np.linspace(-200.0, 200.0, 38)
+FAT_MM, SKIN_MM = 12.0, 1.6
+
+
+def rings(wider_mm):
+    sections = np.array([[-206.0, 50.0, 55.0, 10.0, 0.0], [0.0, 48.0, 58.0, 6.0, 2.0], [206.0, 70.0, 74.0, 2.0, 3.0]])
+    return column_rings(sections + np.array([0.0, wider_mm, wider_mm, 0.0, 0.0]), HEIGHTS_MM, 2.25, 64)
+
+
+def surface(built, name):
+    return next(one.mesh for one in built.scene.surfaces if one.name == name)
+
+
+@settings(max_examples=25, deadline=None)
+@given(depth=st.floats(0.01, 0.85), seed=st.integers(0, 2**32), scale=st.floats(0.85, 1.15))
+def test_skin_and_fat_go_in_alike_and_stay_about_the_fascia(depth, seed, scale):
+    skin, fat = folded(rings(FAT_MM + SKIN_MM), rings(FAT_MM), rings(0.0), FOLDS, depth, scale, seed)
+    heights_mm = skin[:, 0, 2]
+    assert (np.diff(heights_mm) > 0).all()
+    assert np.isin(HEIGHTS_MM, heights_mm).all()
+    assert np.array_equal(fat[..., 2], skin[..., 2])
+
+    def straight(given):
+        columns = given.reshape(len(given), -1)
+        drawn = [np.interp(heights_mm, HEIGHTS_MM, column) for column in columns.T]
+        return np.column_stack(drawn).reshape(-1, *given.shape[1:])
+
+    fascia, unfolded = straight(rings(0.0)), straight(rings(FAT_MM))
+    np.testing.assert_allclose(skin - fat, straight(rings(FAT_MM + SKIN_MM)) - unfolded, rtol=0, atol=1e-9)
+    left = np.linalg.norm(fat - fascia, axis=-1) / np.linalg.norm(unfolded - fascia, axis=-1)
+    assert left.min() >= 1 - depth - 1e-9
+    assert left.max() <= 1 + 1e-9
+    assert left.min() < 1 - 0.01 * depth
+    # Far from all folds the outline is what it was.
+    far = np.abs(heights_mm) > 110.0
+    np.testing.assert_allclose(left[far], 1.0, rtol=0, atol=1e-9)
+
+
+def test_no_folds_are_the_limb_as_it_was_and_folds_move_skin_and_fat_alone():
+    plain, deep = build(Knee(bmi=36.0)), build(Knee(bmi=36.0, skin_folds=0.85))
+    for one in plain.scene.surfaces:
+        same = np.array_equal(one.mesh.vertices, surface(deep, one.name).vertices)
+        assert same == (one.name not in ("skin", "adipose")), one.name
+    lost = [surface(plain, name).volume - surface(deep, name).volume for name in ("skin", "adipose")]
+    assert 100.0 < lost[1] < 10_000.0
+    assert lost[0] == pytest.approx(lost[1], rel=0.15)
+
+
+def test_paths_through_folds_add_up_and_none_is_negative():
+    protocol = replace(load_protocol("fixed_flexion"), rows=256, cols=256, pixel_mm=1.2)
+    traced = [
+        trace(built.scene, built.aimed(protocol))
+        for built in (build(Knee(bmi=38.0, fat_mm=24.0, skin_folds=depth)) for depth in (0.0, 0.85))
+    ]
+    assert min(path.min() for one in traced for path in one.path_mm.values()) >= 0.0
+    thinner = traced[0].path_mm["adipose"] - traced[1].path_mm["adipose"]
+    assert thinner.max() > 4.0
+    assert np.median(np.abs(thinner)) < 0.05
+
+
+def test_people_have_them_by_their_weight_and_the_paper_none():
+    def drawn(bmi, table="people"):
+        streams = (np.random.default_rng(seed) for seed in range(40))
+        return np.array([draw_knee(grade=1, rng=rng, table=table, bmi=bmi).skin_folds for rng in streams])
+
+    assert not drawn(21.0).any()
+    assert not drawn(38.0, "paper").any()
+    assert drawn(30.0).max() <= 0.4
+    assert drawn(38.0).max() <= 0.72
+    assert drawn(38.0).mean() == pytest.approx(0.36, abs=3 * 0.72 / np.sqrt(12 * 40))
+
+
+def test_a_depth_through_the_fascia_is_refused():
+    with pytest.raises(InputError, match=r"skin_folds = 1"):
+        Knee(skin_folds=1.0)
