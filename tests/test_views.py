@@ -271,7 +271,12 @@ def test_how_far_off_is_told_from_the_nearer_end_of_a_range():
 
 def test_all_that_is_known_of_films_of_people_is_measured_on_knees():
     found = views.on_films((1, KNEE), anatomy_tables(), beam_range_deg())
-    assert set(found) | {"beam_along_plateau_sd_deg"} == set(references().views)
+    assert set(found) - set(views._OTHERWISE) | {"beam_along_plateau_sd_deg"} == set(references().views)
+    assert set(views._OTHERWISE.values()) < set(references().views)
+    assert found["inter_margin_missed_by_more_mm"] > found["inter_margin_lyon_schuss_mm"]
+    assert found["aligned_within_more_percent"] >= found["aligned_at_11_deg_percent"]
+    # The front of the shaft turns into the film's plane, its axis does not.
+    assert found["slope_per_rotation_front_deg"] > found["slope_per_rotation_deg"]
     assert found["inter_margin_lyon_schuss_mm"] < found["inter_margin_fixed_flexion_mm"]
     assert 90 < found["sulcus_angle_deg"] < 180
 

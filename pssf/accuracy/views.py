@@ -33,6 +33,16 @@ ALIGNED_MM = 1.5
 _FIXED_DEG = 11.0
 # A reader's tangent to the medial plateau, at 30 degrees to its horizontal, touches its front and its back edge.
 _TOUCH_DEG, _ABOVE_MM, _INNER, _OUTER = 30.0, -30.0, 0.36, 0.85
+# Other readings of what sources do not say, beside the same reference: a wider bound, a taking that misses by more, and
+# the shaft's axis as a film shows it, through the middles or the fronts of its outline at two heights.
+_WIDER_MM, _MISSED_BY = 2.5, 1.6
+_AXES_MM, _BAND_MM = (-120.0, -60.0), 6.0
+_OTHERWISE = {
+    "inter_margin_missed_by_more_mm": "inter_margin_lyon_schuss_mm",
+    "aligned_within_more_percent": "aligned_at_11_deg_percent",
+    "slope_per_rotation_outline_deg": "slope_per_rotation_deg",
+    "slope_per_rotation_front_deg": "slope_per_rotation_deg",
+}
 # Turns of the leg from where a lateral is meant to be; more than any that is not taken again.
 TURNS_DEG = (-10.0, -5.0, 0.0, 5.0, 10.0)
 
@@ -48,7 +58,12 @@ def view_rows(count: int, workers: int) -> list[Row]:
     values = {name: np.array([one[name] for one in measured]) for name in measured[0]}
     means = {name: (float(value.mean()), float(value.std(ddof=1))) for name, value in values.items()}
     means["beam_along_plateau_sd_deg"] = (means["beam_along_plateau_deg"][1], float("nan"))
-    return [_row(name, known, means[name], count) for name, known in references().views.items()]
+    known = references().views
+    rows = []
+    for name in known:
+        alike = [other for other, first in _OTHERWISE.items() if first == name]
+        rows += [_row(one, known[name], means[one], count) for one in (name, *alike)]
+    return rows
 
 
 def _row(name: str, known: Known, measured: tuple[float, float], count: int) -> Row:
@@ -86,11 +101,15 @@ def on_films(job: tuple[int, Knee], tables: AnatomyTables, range_deg: Pair) -> d
     tibia = outer_bones(assembly)[1]
     aimed = along_plateau(assembly, tibia, schuss, range_deg)
     level = replace(schuss, beam_along="horizontal", beam_angle_deg=_FIXED_DEG)
-    aligned = abs(inter_margin_mm(assembly, tibia, view_of(level))) <= ALIGNED_MM
+    missed = replace(schuss, beam_angle_deg=_MISSED_BY * schuss.beam_angle_deg)
+    missed = along_plateau(assembly, tibia, missed, range_deg)
+    apart_mm = abs(inter_margin_mm(assembly, tibia, view_of(level)))
     measured |= {
         "inter_margin_lyon_schuss_mm": abs(inter_margin_mm(assembly, tibia, view_of(aimed))),
+        "inter_margin_missed_by_more_mm": abs(inter_margin_mm(assembly, tibia, view_of(missed))),
         "beam_along_plateau_deg": aimed.beam_angle_deg,
-        "aligned_at_11_deg_percent": 100.0 * aligned,
+        "aligned_at_11_deg_percent": 100.0 * (apart_mm <= ALIGNED_MM),
+        "aligned_within_more_percent": 100.0 * (apart_mm <= _WIDER_MM),
     }
     # A radiographer turns a lateral until the condyles meet, whatever way the foot points by itself.
     turned = replace(knee, rotation_deg=0.0)
@@ -102,18 +121,27 @@ def _slopes(knee: Knee, tables: AnatomyTables) -> dict[str, float]:
     assembly = assemble(knee, build_of(knee, tables), protocol.posture, defining_protocol(knee))
     tibia, frame = outer_bones(assembly)[1], assembly.pose.tibia()
     own = Mesh((tibia.vertices - frame[:, 3]) @ frame[:, :3], tibia.faces)
-    slopes = []
-    for turn in TURNS_DEG:
-        pose = replace(assembly.pose, rotation_deg=assembly.pose.rotation_deg + turn)
-        slopes.append(slope_deg(replace(assembly, pose=pose), own))
-    per_degree = float(np.polyfit(TURNS_DEG, slopes, 1)[0])
-    return {"slope_on_lateral_deg": slopes[TURNS_DEG.index(0.0)], "slope_per_rotation_deg": abs(per_degree)}
+    turned = [
+        replace(assembly, pose=replace(assembly.pose, rotation_deg=assembly.pose.rotation_deg + turn))
+        for turn in TURNS_DEG
+    ]
+    slopes = {axis: [slope_deg(one, own, axis) for one in turned] for axis in ("bone", "outline", "front")}
+    # As a reader's: whichever way the slope goes with the turn.
+    per_degree = {axis: abs(float(np.polyfit(TURNS_DEG, read, 1)[0])) for axis, read in slopes.items()}
+    return {
+        "slope_on_lateral_deg": slopes["bone"][TURNS_DEG.index(0.0)],
+        "slope_per_rotation_deg": per_degree["bone"],
+        "slope_per_rotation_outline_deg": per_degree["outline"],
+        "slope_per_rotation_front_deg": per_degree["front"],
+    }
 
 
-def slope_deg(assembly: KneeAssembly, tibia: Mesh) -> float:
+def slope_deg(assembly: KneeAssembly, tibia: Mesh, axis: str = "bone") -> float:
     """Fall of the medial plateau backwards on a lateral, between the places that a reader's tangents touch.
 
     tibia  its outer surface in its own frame
+    axis   across which it falls: the bone's own ("bone"), or the shaft's through the middles ("outline") or the fronts
+           ("front") of its outline on the film
     """
     view, frame, half = view_of(load_protocol("lateral")), assembly.pose.tibia(), assembly.build.half_ml_mm
     points = tibia.vertices
@@ -122,13 +150,24 @@ def slope_deg(assembly: KneeAssembly, tibia: Mesh) -> float:
     def seen(places: Array) -> Array:
         return project(assembly.seen(moved(places, frame)), view)
 
-    low, high = seen(np.array([[0.0, 0.0, -100.0], [0.0, 0.0, -20.0]]))
-    up = (high - low) / np.linalg.norm(high - low)
-    back = np.array([up[1], -up[0]]) * assembly.mirror[0]
+    up, back = _across(seen(np.array([[0.0, 0.0, -100.0], [0.0, 0.0, -20.0]])), assembly.mirror[0])
+    if axis != "bone":
+        ends = []
+        for height_mm in _AXES_MM:
+            outline = seen(points[np.abs(points[:, 2] - height_mm) < _BAND_MM])
+            front, rear = outline[(outline @ back).argmin()], outline[(outline @ back).argmax()]
+            ends.append(front if axis == "front" else (front + rear) / 2)
+        up, back = _across(np.array(ends), assembly.mirror[0])
     height, across = seen(medial) @ up, seen(medial) @ back
     turn = np.deg2rad(_TOUCH_DEG)
     front, rear = ((height * np.cos(turn) + way * across * np.sin(turn)).argmax() for way in (-1.0, 1.0))
     return float(np.rad2deg(np.arctan2(height[front] - height[rear], across[rear] - across[front])))
+
+
+def _across(ends: Array, mirror: float) -> tuple[Array, Array]:
+    """Directions on the film along a shaft from the lower to the upper of two places (2, 2), px, and backwards."""
+    up = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+    return up, np.array([up[1], -up[0]]) * mirror
 
 
 def _sulcus(knee: Knee, tables: AnatomyTables) -> dict[str, float]:
