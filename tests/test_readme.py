@@ -115,6 +115,13 @@ def test_a_caption_of_contours_says_whose_they_are(given, command, tmp_path, mon
     assert f"`uv run {command}`" in (folder / "meshes" / "README.md").read_text().split("<!-- /table -->")[0]
 
 
+def test_knees_by_other_grades_have_tables_of_their_own():
+    names = ["films_found", "films_domains", "contours"]
+    assert realism.shown_as(names, "people") == {name: name for name in names}
+    assert realism.shown_as(names, "paper") == {"films_domains_paper": "films_domains"}
+    assert realism.shown_as(names, "own.toml") == {}
+
+
 def test_pictures_that_a_readme_shows_are_copied_and_others_are_not(tmp_path):
     pictures = [tmp_path / "out" / name for name in ("engines.png", "engines.csv", "other.png")]
     pictures[0].parent.mkdir()
@@ -178,7 +185,8 @@ def test_every_layout_is_of_something_that_a_command_measures():
     studied = {"scores", "reliability", "claims", "cost", "quality_reference"}
     sources = {layout.rows or name for name, layout in readmes().table.items()}
     beside_people = {name for names in realism.SHOWN.values() for name in names}
-    assert sources == {*TABLES, *BY_NAME, *studied, *beside_people}
+    beside = {f"{name}_{grades}" for grades, names in realism.SHOWN_BESIDE.items() for name in names}
+    assert sources == {*TABLES, *BY_NAME, *studied, *beside_people, *beside}
 
 
 @pytest.mark.parametrize("path", READMES, ids=lambda path: str(path.relative_to(ROOT)))

@@ -88,12 +88,12 @@ def realism(
     from ..core.execution import Execution
     from ..core.progress import bar
     from ..io.readme import open_checkout
-    from ..realism.run import SHOWN, measure
+    from ..realism.run import PICTURED, SHOWN, measure, shown_as
     from ..study import require_extra
 
     require_extra()
     given = {"contours": True, "bones": bones is not None, "films": films is not None}
-    shown = [name for part, names in SHOWN.items() if given[part] for name in names]
+    shown = shown_as([name for part, names in SHOWN.items() if given[part] for name in names], grades)
     checkout = open_checkout(readme, shown, protocol=protocol, knees=knees, sample=_sample(cohort, protocol, knees))
     execution = Execution(workers=workers, bar=bar)
     measured = measure(
@@ -107,7 +107,8 @@ def realism(
         grades=grades,
         seed=seed,
     )
-    checkout.take({name: measured.rows.get(name, []) for name in shown}, measured.paths)
+    pictures = measured.paths if grades == PICTURED else []
+    checkout.take({place: measured.rows.get(name, []) for place, name in shown.items()}, pictures)
     for line in measured.lines:
         print(line)
     print(f"page      {measured.page}")

@@ -1,6 +1,6 @@
 """The meter: what is given is measured, and one page says how far simulated knees are from people's."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -42,6 +42,10 @@ SHOWN = {
     "bones": ("bones", "bones_forms"),
     "films": ("films_found", "films_domains", "films_transfer", "films_effects"),
 }
+# The table of grades whose knees these are of, and the pictures; of knees by another one some are shown, under names of
+# their own.
+PICTURED = "people"
+SHOWN_BESIDE = {"paper": ("films_domains", "films_transfer", "films_effects")}
 _FILMS_FOLDER = "simulated"
 # Read as text wherever films are listed.
 _TEXT = ("sha256", "key", "file", "source", "subject", "status", "side", "polarity", "pixel_from", "reason")
@@ -74,6 +78,13 @@ class Realism:
     lines: tuple[str, ...]
     paths: tuple[Path, ...]
     rows: dict[str, list[Row]]
+
+
+def shown_as(measured: Iterable[str], grades: str) -> dict[str, str]:
+    """Name of a table of the READMEs -> the rows that it shows, of knees by a table of grades."""
+    if grades == PICTURED:
+        return {name: name for name in measured}
+    return {f"{name}_{grades}": name for name in measured if name in SHOWN_BESIDE.get(grades, ())}
 
 
 def measure(
