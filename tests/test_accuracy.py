@@ -196,7 +196,8 @@ def test_random_knees_build():
     assert -1e-6 < row["least_path_mm"] <= 0
     assert (row["built"], row["refused"], row["first_refusal"]) == (4, 0, "")
     assert row["jsw_error_mm"] < 1e-3
-    assert 100_000 < row["least_triangles"] <= row["most_triangles"] < 260_000
+    # Furrows of the skin add some 4,000 to what had been below 260,000.
+    assert 100_000 < row["least_triangles"] <= row["most_triangles"] < 264_000
 
 
 def test_a_run_writes_the_tables_that_are_asked_for(tmp_path, monkeypatch):
