@@ -17,6 +17,9 @@ from .figures import png
 RUNG_COLOURS = dict(zip(RUNGS, ("#000000", "0.45", "#E69F00", "#0072B2", "#56B4E9", "#009E73"), strict=True))
 _ASKED = (("radiomics", "measured"), ("texture", "measured"), ("both", "measured"))
 
+# As `statistics.learning.power` leaves pairs of grades out.
+_NO_POWER = "no room for the difference\nbelow an AUC of 1,\nor splits that do not differ"
+
 
 def ladder(rungs: pd.DataFrame, differences: pd.DataFrame) -> bytes:
     """A column a pair of grades: AUC of every rung with its interval above, paired differences below.
@@ -103,6 +106,10 @@ def learning(curves: pd.DataFrame, power: pd.DataFrame) -> bytes:
 
 
 def _powers(axis: Any, rows: pd.DataFrame) -> None:
+    if rows.empty:
+        axis.set_axis_off()
+        axis.text(0.5, 0.5, _NO_POWER, ha="center", va="center", fontsize=8, color="0.4", transform=axis.transAxes)
+        return
     axis.axhline(WANTED, color="0.7", linewidth=1, linestyle="--")
     for _, row in rows.iterrows():
         at = np.geomspace(row["subjects"] / 4, max(4 * row["subjects"], 1.3 * row["needed_high"]), 60)

@@ -91,8 +91,8 @@ def meaning(shares: pd.DataFrame, follows: pd.DataFrame, leading: Sequence[str])
     shares   of `statistics.space.shares`
     follows  of `statistics.space.beside`
     """
-    figure = Figure(figsize=(12.4, 4.6), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
+    figure = Figure(figsize=(15.4, 4.8), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1.9, 1.0))
     table = shares[shares["feature"].isin(leading)]
     if len(table):
         _shares(left, table, leading)
@@ -127,7 +127,7 @@ def _shares(axis: Any, table: pd.DataFrame, leading: Sequence[str]) -> None:
         low, high = cells.loc[(names[row], groups[col]), ["total_low", "total_high"]]
         text = f"{value:.2f}\n{low:.2f} to {high:.2f}".replace("-", "−")
         axis.text(col, row, text, ha="center", va="center", fontsize=7, color="white" if value > 0.6 else "black")
-    axis.set_xticks(range(len(groups)), [name.replace(" and ", "\nand ") for name in groups], fontsize=8)
+    axis.set_xticks(range(len(groups)), ["\n".join(name.split(" ", 1)) for name in groups], fontsize=8)
     axis.set_yticks(range(len(names)), [_plain(name) for name in names], fontsize=8)
     axis.set_title("total share of variance, 95 %", fontsize=9)
 
