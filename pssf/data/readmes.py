@@ -53,5 +53,10 @@ class Readmes(Record, frozen=True):
 
 @cache
 def readmes() -> Readmes:
-    """All of the READMEs' tables."""
-    return record(Readmes, data("readme"), "readme")
+    """All of the READMEs' tables; what a layout does not say is as of the one that it is `like`."""
+    given = data("readme")
+    layouts = given["table"]
+    for name, layout in layouts.items():
+        if "like" in layout:
+            layouts[name] = layouts[layout.pop("like")] | layout
+    return record(Readmes, given, "readme")
