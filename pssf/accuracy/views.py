@@ -152,16 +152,19 @@ def slope_deg(assembly: KneeAssembly, tibia: Mesh, axis: str = "bone") -> float:
 
     up, back = _across(seen(np.array([[0.0, 0.0, -100.0], [0.0, 0.0, -20.0]])), assembly.mirror[0])
     if axis != "bone":
-        ends = []
-        for height_mm in _AXES_MM:
-            outline = seen(points[np.abs(points[:, 2] - height_mm) < _BAND_MM])
-            front, rear = outline[(outline @ back).argmin()], outline[(outline @ back).argmax()]
-            ends.append(front if axis == "front" else (front + rear) / 2)
-        up, back = _across(np.array(ends), assembly.mirror[0])
+        bands = (seen(points[np.abs(points[:, 2] - height_mm) < _BAND_MM]) for height_mm in _AXES_MM)
+        up, back = _across(np.array([_shaft_at(band, back, axis) for band in bands]), assembly.mirror[0])
     height, across = seen(medial) @ up, seen(medial) @ back
     turn = np.deg2rad(_TOUCH_DEG)
     front, rear = ((height * np.cos(turn) + way * across * np.sin(turn)).argmax() for way in (-1.0, 1.0))
     return float(np.rad2deg(np.arctan2(height[front] - height[rear], across[rear] - across[front])))
+
+
+def _shaft_at(outline: Array, back: Array, axis: str) -> Array:
+    """(2,)  front of a band of the shaft (n, 2) on the film, or the middle between front and rear, px"""
+    across = outline @ back
+    front, rear = outline[across.argmin()], outline[across.argmax()]
+    return front if axis == "front" else (front + rear) / 2
 
 
 def _across(ends: Array, mirror: float) -> tuple[Array, Array]:
