@@ -24,7 +24,7 @@ OF_SPACES = [
 ]
 OURS = [
     *("jsw_lateral_mm", "attrition_medial_mm", "attrition_lateral_mm"),
-    *("femorotibial_deg", "tibial_slope_deg", "insall_salvati", "inter_margin_mm"),
+    *("femorotibial_deg", "hip_knee_ankle_deg", "tibial_slope_deg", "insall_salvati", "inter_margin_mm"),
 ]
 
 

@@ -28,8 +28,8 @@ def write_labels(cohort: str | Path, out: str | Path) -> list[Path]:
                        JSW300 (medial) and LJSW700 to LJSW900 (lateral), mm; by names of our own, since it has none for
                        them: XRKL_READ, where a reader is drawn, the least lateral space (jsw_lateral_mm), how far the
                        front margin of the medial plateau stands over its back one (inter_margin_mm; its TPCFDS, from
-                       plateau to rim, has no sign), depths of attrition (mm), femorotibial angle, slope and patellar
-                       height (`axes`)
+                       plateau to rim, has no sign), depths of attrition (mm), femorotibial and hip-knee-ankle angle,
+                       slope and patellar height (`axes`)
     landmarks/*.pts    the sixteen contour landmarks
     coco.json          the same as COCO keypoints
     images/GRADE/*.png 8 bit, for eyes, as torchvision's ImageFolder and others read them

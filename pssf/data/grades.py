@@ -144,6 +144,12 @@ class SkinFolds(Record, frozen=True):
     most: Rows
 
 
+class Hip(Record, frozen=True):
+    """Where a hip's centre is seen from the knee: mean and deviation of the femur's mechanical axis from its shaft."""
+
+    mechanical_axis_deg: Pair
+
+
 class Subluxation(Record, frozen=True):
     """Of the tibia to lateral where the medial side narrows, mm: mean and deviation by grade, least and most."""
 
@@ -196,6 +202,7 @@ class SeverityGrades(_Shared, frozen=True):
     notch: Notch | None = None
     effusion: Effusion | None = None
     skin_folds: SkinFolds | None = None
+    hip: Hip | None = None
 
     @property
     def grades(self) -> tuple[int, ...]:

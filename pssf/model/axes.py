@@ -7,17 +7,20 @@ _STRAIGHT_DEG = 180.0
 
 
 def axes(knee: Knee, femur: FemurShape) -> dict[str, float]:
-    """femorotibial_deg (lateral angle of the shafts of the straight leg: 180 straight, more is varus), tibial_slope_deg
-    (mean of both sides) and insall_salvati.
+    """Angles of the straight leg, lateral, 180 straight and more varus, and ratios, by name.
+
+    femorotibial_deg    of the shafts
+    hip_knee_ankle_deg  of the mechanical axes; the Osteoarthritis Initiative's is 180 less this, varus negative. The
+                        femur's is as far from its shaft as `Knee.mechanical_axis_deg` says; the tibia's is its shaft's
+    tibial_slope_deg    mean of both sides
+    insall_salvati      as `Knee`
 
     femur  the mean man's
-
-    A hip-knee-ankle angle is not among them: a knee has neither a femoral head nor an ankle, and the angle from the
-    femur's shaft to its mechanical axis, which people spread in (2.9 to 6.8 deg, PMC7875943), is no parameter of it.
     """
-    valgus_deg = femur.valgus_deg - knee.varus_deg
+    femorotibial_deg = _STRAIGHT_DEG - femur.valgus_deg + knee.varus_deg
     return {
-        "femorotibial_deg": round(_STRAIGHT_DEG - valgus_deg, 4),
+        "femorotibial_deg": round(femorotibial_deg, 4),
+        "hip_knee_ankle_deg": round(femorotibial_deg + knee.mechanical_axis_deg, 4),
         "tibial_slope_deg": knee.tibial_slope_deg,
         "insall_salvati": knee.insall_salvati,
     }

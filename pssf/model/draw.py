@@ -20,7 +20,7 @@ _FARTHEST_SD = 2.0
 # What the two knees of a person share.
 _BODY_FIELDS = (
     "sex", "stature_mm", "bone_scale", "cortex_scale", "bmi", "limb_ap_mm", "fat_mm", "skin_folds", "age_years",
-    "bone_density", "shape", "fibular_tip_mm", "insall_salvati", "fabella_mm",
+    "bone_density", "shape", "fibular_tip_mm", "insall_salvati", "fabella_mm", "mechanical_axis_deg",
 )  # fmt: skip
 
 
@@ -106,6 +106,8 @@ def drawn_knee(laws: DrawLaws, *, grade: int, rng: np.random.Generator, **fixed:
     if isinstance(law, SeverityGrades) and law.skin_folds is not None:
         most = np.interp(bmi, *np.array(law.skin_folds.most).T)
         drawn["skin_folds"] = round(float(most) * rng.spawn(1)[0].random(), 4)
+    if isinstance(law, SeverityGrades) and law.hip is not None:
+        drawn["mechanical_axis_deg"] = _normal(rng.spawn(1)[0], law.hip.mechanical_axis_deg, sex)
     return from_table(Knee, {**drawn, **fixed}, "draw_knee")
 
 

@@ -107,6 +107,9 @@ class Knee:
     cysts              at most MOST_CYSTS
     subchondral_plate  thickness of the plate relative to a healthy one, of the `sclerotic_side`
     varus_deg          angle between femoral and tibial shaft beyond the normal valgus of 5 deg; positive is varus
+    mechanical_axis_deg
+                       of the femur, from its shaft towards the hip's centre. The hip is beyond the picture: of all
+                       that a radiograph holds, only the label hip_knee_ankle_deg follows it
     notch_growth_mm    of bone into the notch: on its walls and roof, over the eminence and, less, the plateaus' floors
     effusion_mm        how much thicker than in health capsule, synovium and fluid are about the joint
     skin_folds         how deep furrows of the skin are at most, in shares of the fat beneath them; 0 is none
@@ -172,6 +175,7 @@ class Knee:
     notch_growth_mm: float = 0.0
     effusion_mm: float = 0.0
     skin_folds: float = 0.0
+    mechanical_axis_deg: float = 5.0
 
     def __post_init__(self) -> None:
         check_fields("knee", self)

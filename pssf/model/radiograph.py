@@ -28,8 +28,8 @@ class Truth:
     attrition_mm       medial and lateral -> greatest depth worn off the plateau in the posture that joint spaces are
                        defined under, whatever this radiograph's; 0 where bones do not meet
     grade              KL grade that the knee was drawn for; grade_read the one that a reader gives, where one is drawn
-    readings           OARSI grades by the names of the Osteoarthritis Initiative (`model.oarsi`), femorotibial_deg,
-                       tibial_slope_deg and insall_salvati (`model.axes`); seen from the front also inter_margin_mm, how
+    readings           OARSI grades by the names of the Osteoarthritis Initiative (`model.oarsi`), angles and
+                       ratios (`model.axes`); seen from the front also inter_margin_mm, how
                        far the front margin of the medial plateau stands over its back one on this radiograph, scaled to
                        the joint plane
     taking             how it was taken (`model.exposure.taking_of`): pose, beam, dose, field, marker
