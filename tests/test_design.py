@@ -50,6 +50,21 @@ def test_a_plan_takes_the_same_knees_at_every_step_each_with_noise_of_its_own():
     assert not seeds & {exposure.seed for exposure in exposures}
 
 
+@pytest.mark.parametrize(
+    ("counts", "knees", "grades"),
+    [
+        ([4, 4, 4, 4, 4], 8, [0, 0, 0, 0, 3, 3, 4, 4]),
+        ([4, 1, 1, 4, 4], 6, [0, 0, 0, 3, 4, 4]),
+        ([2, 1, 1, 0, 2], 4, [0, 0, 4, 4]),
+    ],
+)
+def test_curves_are_of_the_widest_contrast_that_a_cohort_has(counts, knees, grades):
+    people = plan_cohort("people", seed=3, overrides={"knees": counts})
+    plan = plan_curves(people, knees=knees, reference="fixed_flexion")
+    assert sorted(case.knee.grade for case in plan.cases) == grades
+    assert len({case.subject for case in plan.cases}) == knees
+
+
 def test_an_axis_that_is_left_out_leaves_the_others_as_they_are():
     whole = plan_curves(PLAN, knees=4, reference="reference")
     part = plan_curves(PLAN, knees=4, reference="reference", axes=("tilt",))
@@ -62,5 +77,5 @@ def test_what_cannot_be_planned_is_refused():
     with pytest.raises(InputError, match="protocol = 'other'"):
         plan_curves(PLAN, knees=4, reference="other")
     without = plan_cohort("quick", seed=3, overrides={"knees": [3, 3], "protocols": ["reference"]})
-    with pytest.raises(InputError, match="none of grade 2"):
+    with pytest.raises(InputError, match="grades = 0, 1; allowed: 0 and, of 2, 3 and 4"):
         plan_curves(without, knees=4, reference="reference")

@@ -57,8 +57,8 @@ def study(
     curves: Annotated[
         int,
         typer.Option(
-            help="Knees of grades 0 and 2 to take again along dose, kV, focal spot, scatter, pixel, distance, tilt and "
-            "rotation, for response curves, 56 radiographs each; 0: none."
+            help="Knees, half of grade 0 and half of 3 and 4, or 2 where there are none, to take again along dose, kV, "
+            "focal spot, scatter, pixel, distance, tilt and rotation, for response curves; 56 radiographs each. 0: none"
         ),
     ] = 0,
     shares: Annotated[

@@ -13,6 +13,7 @@ import numpy as np
 from ..cohort.plan import Case, Exposure, Plan
 from ..core.checks import InputError, require_whole
 from ..model.protocol import Protocol
+from .predictions import TASKS, contrast_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 _CURVES = 6
 # A radiographer halves mAs for 15 % more kV (Bushong, Radiologic Science for Technologists; from memory).
 _KV_EXPONENT = np.log(2) / np.log(1.15)
-GRADES = (0, 2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,24 +146,26 @@ AXES = {
 
 
 def plan_curves(plan: Plan, *, knees: int, reference: str, axes: Sequence[str] = tuple(AXES)) -> Plan:
-    """Knees of a cohort, of grades 0 and 2 alike and one a subject, taken at every step of every axis.
+    """Knees of a cohort, one a subject, taken at every step of every axis: half of grade 0, half of the others of the
+    contrast (`predictions.contrast_of`), which are alike in number.
 
     An exposure's kind is its axis, its turn the number of the step from 1.
 
     knees      in all; fewer where the cohort has not so many subjects of a grade
     reference  protocol of the plan that is varied, as each knee was taken by it
     raises     InputError for fewer than four knees, a protocol that the plan does not have or that cannot be so varied,
-               or a plan without one of the grades
+               or a plan whose grades make no contrast
     """
     require_whole("curves", knees, 4, 100_000, "knees")
-    chosen = []
-    for grade in GRADES:
-        first = {case.subject: case for case in reversed(plan.cases) if case.knee.grade == grade}
-        if not first:
-            raise InputError(
-                f"curves = {knees} knees: the cohort has none of grade {grade}; allowed: of grades 0 and 2"
-            )
-        chosen += sorted(first.values(), key=lambda case: case.index)[: knees // len(GRADES)]
+    present = {case.knee.grade for case in plan.cases if case.knee.grade is not None}
+    classes = TASKS[contrast_of(present)]
+    chosen: list[Case] = []
+    for grades in (tuple(present & set(one)) for one in classes):
+        for place, grade in enumerate(sorted(grades)):
+            taken = {case.subject for case in chosen}
+            first = {case.subject: case for case in reversed(plan.cases) if case.knee.grade == grade}
+            free = sorted((first[one] for one in first.keys() - taken), key=lambda case: case.index)
+            chosen += free[: (knees // len(classes) + place) // len(grades)]
     cases = [_taken(plan.seed, case, reference, axes) for case in sorted(chosen, key=lambda case: case.index)]
     return Plan(preset=f"{plan.preset}, curves", seed=plan.seed, repeats=plan.repeats, cases=tuple(cases))
 

@@ -13,7 +13,7 @@ from .learn.responses import respond
 from .learn.separability import separability
 from .learn.split import split_subjects
 from .measuring import Run, measured_by_design
-from .predictions import joined
+from .predictions import contrast_of, joined
 from .report.page import Picture
 from .report.sections import (
     Section,
@@ -170,7 +170,8 @@ def _curves(curves: pd.DataFrame, base: pd.DataFrame, names: list[str], most: Se
     places = breaks.breaks(of_features, of_models, axes, settings.difference)
     whole = joined([of_features.table, of_models])
     tables = {f"curve_{name}": whole[whole["axis"] == name].reset_index(drop=True) for name in axes}
-    section = curves_section(tables, places, axes, most, int(curves["knee"].nunique()))
+    knees, task = int(curves["knee"].nunique()), contrast_of(curves["grade"])
+    section = curves_section(tables, places, axes, most, knees, task)
     return Answers(tables | {"breaks": places}, [section])
 
 

@@ -9,7 +9,7 @@ from scipy.special import logit
 
 from ...core.execution import Execution
 from ...data.code import require_code
-from ..predictions import TASKS, class_of
+from ..predictions import TASKS, Classes, class_of, contrast_of
 from ..settings import StudySettings
 from ..statistics.metrics import auc
 from ..statistics.subjects import worst_grades
@@ -18,7 +18,6 @@ from .models import tune
 from .selection import preparation
 from .split import seed_of_split
 
-CLASSES = TASKS["0 vs 2"]
 _SPLIT = 3  # key of the stream under a repeat, beside that of `ladder`
 _VALIDATION = 0.15
 _CLIP = 1e-6
@@ -37,7 +36,7 @@ class Halves:
 def split_curves(base: pd.DataFrame, curved: list[Any], seed: int, repeat: int) -> Halves:
     """Half of the subjects with curves are tested; of all others 15 per cent validate, and the rest is learnt from.
 
-    base    one row a radiograph: subject, grade (0 or 2)
+    base    one row a radiograph: subject, grade
     curved  subjects with curves
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(repeat, _SPLIT)))
@@ -57,19 +56,20 @@ def split_curves(base: pd.DataFrame, curved: list[Any], seed: int, repeat: int) 
 def respond(
     base: pd.DataFrame, steps: pd.DataFrame, names: list[str], settings: StudySettings, execution: Execution
 ) -> pd.DataFrame:
-    """What models of the reference make of every step, split by split.
+    """What models of the reference make of every step, split by split: of the contrast that the steps' grades are of.
 
     The first model and selection of the settings, whatever their results.
 
     base     radiographs of the cohort under the reference, with a region: knee, subject, grade, features
     steps    radiographs along the axes, with a region: knee, subject, grade, kind (axis), turn, features
     returns  repeat, axis, turn, trained, curved (subjects of whom half are tested), test_subjects; auc, and auc_own of
-             the same knees as the cohort has them; shift: mean change of the log odds of grade 2, by which a threshold
-             would have to move
+             the same knees as the cohort has them; shift: mean change of the log odds of the worse class, by which
+             a threshold would have to move
     raises   WorkersLostError when workers keep being killed
     """
-    base, steps = (table[table["grade"].isin(sum(CLASSES, ()))] for table in (base, steps))
-    shared = {"base": base, "steps": steps, "names": names, "settings": settings}
+    classes = TASKS[contrast_of(steps["grade"])]
+    base, steps = (table[table["grade"].isin(sum(classes, ()))] for table in (base, steps))
+    shared = {"base": base, "steps": steps, "names": names, "settings": settings, "classes": classes}
     tables = each_split(respond_split, range(settings.repeats), shared, execution, "response curves")
     return pd.DataFrame([row for rows in tables for row in rows], columns=_COLUMNS)
 
@@ -81,6 +81,7 @@ def respond_split(
     steps: pd.DataFrame,
     names: list[str],
     settings: StudySettings,
+    classes: Classes,
     code: dict[str, str],
 ) -> list[dict[str, Any]]:
     """Rows of `respond` of one split.
@@ -95,8 +96,8 @@ def respond_split(
     training, validation, test = (
         base[base["subject"].isin(of)] for of in (halves.training, halves.validation, halves.test)
     )
-    fit_on, check_on = ((part[names], class_of(part["grade"].to_numpy(), CLASSES)) for part in (training, validation))
-    if len(set(fit_on[1])) < len(CLASSES):
+    fit_on, check_on = ((part[names], class_of(part["grade"].to_numpy(), classes)) for part in (training, validation))
+    if len(set(fit_on[1])) < len(classes):
         return []
     prepared = preparation(settings.selections[0], rho=settings.rho, most=settings.most_features, seed=seed)
     fitted = tune(prepared.fit(*fit_on), settings.models[0], fit_on, check_on, seed=seed)
@@ -108,7 +109,7 @@ def respond_split(
     own = odds(test)
     rows = []
     for (axis, turn), part in steps[steps["knee"].isin(own.index)].groupby(["kind", "turn"], sort=False):
-        here, positive = odds(part), (part["grade"] == CLASSES[1][0]).to_numpy()
+        here, positive = odds(part), part["grade"].isin(classes[1]).to_numpy()
         before = own.loc[here.index]
         row = {"repeat": repeat, "axis": axis, "turn": int(turn), "trained": len(halves.training)}
         row |= {"curved": len(curved)}

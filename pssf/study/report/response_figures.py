@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from matplotlib.ticker import ScalarFormatter
+from matplotlib.ticker import ScalarFormatter, SymmetricalLogLocator
 
 from ..design import Axis
 from ..statistics.breaks import STABLE
@@ -17,20 +17,23 @@ from .figures import png
 
 # Okabe & Ito 2008, a colour a feature; what is of all features or of the model is black.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
+# Changes beyond this are drawn on a scale that is logarithmic beyond 1.
+_FAR_SD = 3.0
 _PANELS = {
     SHIFT: "change of a feature, SD of knees",
     ICC: "ICC(2,1) with the protocol's own",
     ODDS: "threshold shift, log odds",
-    AUC: "AUC, grade 0 vs 2",
+    AUC: "AUC, grade {task}",
 }
 
 
-def response(curves: pd.DataFrame, breaks: pd.DataFrame, axis: Axis, leading: Sequence[str]) -> bytes:
+def response(curves: pd.DataFrame, breaks: pd.DataFrame, axis: Axis, leading: Sequence[str], task: str) -> bytes:
     """One axis: feature values, ICC, threshold shift and AUC, each with its interval.
 
     curves   rows of one axis, of `statistics.responses`
     breaks   rows of one axis, of `statistics.breaks`
     leading  features that are drawn one by one
+    task     whose AUC it is
     """
     figure = Figure(figsize=(13.2, 3.7), layout="constrained")
     axes = figure.subplots(1, len(_PANELS))
@@ -39,13 +42,15 @@ def response(curves: pd.DataFrame, breaks: pd.DataFrame, axis: Axis, leading: Se
         rows = curves[curves["measure"] == measure]
         for name in leading if measure in (SHIFT, ICC) else [""]:
             _curve(panel, rows[rows["feature"] == name], colours.get(name, "black"), name)
-        panel.set_ylabel(label, fontsize=9)
+        panel.set_ylabel(label.format(task=task), fontsize=9)
         panel.axvline(axis.own, color="0.75", linewidth=1, linestyle=":")
         _scaled(panel, axis)
     _curve(axes[1], curves[curves["measure"] == MEDIAN_ICC], "black", "median of all features")
-    # Features of noise change by fifty times what others do.
-    axes[0].set_yscale("symlog", linthresh=1.0)
-    axes[0].yaxis.set_major_formatter(ScalarFormatter())
+    # Features of noise change by fifty times what others do; without them a linear scale has the better ticks.
+    if max(np.abs(axes[0].get_ylim())) > _FAR_SD:
+        axes[0].set_yscale("symlog", linthresh=1.0)
+        axes[0].yaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=1.0, subs=[1, 2, 5]))
+        axes[0].yaxis.set_major_formatter(ScalarFormatter())
     axes[1].axhline(THRESHOLD, color="0.6", linewidth=1, linestyle="--")
     axes[1].set_ylim(-0.05, 1.04)
     axes[3].set_ylim(0.0, 1.04)

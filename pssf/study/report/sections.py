@@ -163,6 +163,7 @@ def curves_section(
     axes: Mapping[str, Axis],
     leading: Sequence[str],
     knees: int,
+    task: str,
 ) -> Section:
     """What becomes of features and models along the axes of `design`.
 
@@ -170,11 +171,12 @@ def curves_section(
     breaks   of `statistics.breaks`
     leading  features that are drawn one by one
     knees    with curves
+    task     that their grades are of
     """
     pictures = [
         Picture(
             name=f"curve_{name}",
-            png=response_figures.response(tables[f"curve_{name}"], breaks[breaks["axis"] == name], axis, leading),
+            png=response_figures.response(tables[f"curve_{name}"], breaks[breaks["axis"] == name], axis, leading, task),
             alt=f"Change of features, their ICC, threshold shift and AUC against {axis.label}",
             caption=f"{axis.label[0].upper()}{axis.label[1:]}: change of the features that models lean on most, their "
             "ICC(2,1) with the cohort's own radiographs, the log odds by which a threshold would have to move, and "
@@ -196,7 +198,7 @@ def curves_section(
         short="Curves",
         title="Response curves",
         sentences=(
-            f"{knees} knees of grades 0 and 2, taken again with one thing of the protocol changed at a time, each time "
+            f"{knees} knees, of grade {task}, taken again with one thing of the protocol changed at a time, each time "
             "with noise of its own. Models are those of the first selection, learnt under the protocol as it is, "
             "tested on half of these knees, which they have not seen, in every split.",
             "A conclusion is followed from the protocol's own step outwards to where it first breaks. Intervals of a "
