@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 
 import pssf
 from pssf import InputError, Knee
+from pssf.data.grades import grade_table
+from pssf.data.oarsi import oarsi_cuts
 from pssf.data.progress import progress_law
 from pssf.model.knee import knee_table
 
@@ -60,10 +62,37 @@ def test_the_grade_steps_up_where_the_change_crosses_what_makes_one():
                   osteophytes=(pssf.Osteophyte(site="medial_tibia", size_mm=2.0),))  # fmt: skip
     visits = [pssf.progress(narrow, 12.0, np.random.default_rng(seed)) for seed in range(60)]
     for later in visits:
-        lost = max(1 - later.jsw_medial_mm / 3.92, 1 - later.jsw_lateral_mm / 4.6)
-        assert later.grade == 2 + (lost >= 0.23) + (lost >= 0.6)
+        lost = max(1 - later.jsw_medial_mm / (3.71 + 0.3), 1 - later.jsw_lateral_mm / (5.22 + 0.3))
+        assert later.grade == 2 + (lost >= 0.26) + (lost >= 0.67)
         assert later.grade_read == later.grade - 1
     assert len({later.grade for later in visits}) > 1
+
+
+def test_a_doubtful_osteophyte_that_becomes_definite_makes_kl_2():
+    doubtful = Knee(jsw_as="read", jsw_medial_mm=6.0, jsw_lateral_mm=7.0, grade=1,
+                    osteophytes=(pssf.Osteophyte(site="medial_tibia", size_mm=1.0),))  # fmt: skip
+    visits = [pssf.progress(doubtful, 4.0, np.random.default_rng(seed)) for seed in range(60)]
+    for later in visits:
+        assert later.grade == 1 + (max(one.size_mm for one in later.osteophytes) >= 1.2)
+    assert len({later.grade for later in visits}) == 2
+
+
+def test_no_drawn_knee_has_stepped_up_before_it_begins():
+    for grade in (0, 1):
+        stayed = [pssf.progress(drawn(grade, seed), 0.0, np.random.default_rng(seed)).grade for seed in range(60)]
+        assert set(stayed) == {grade}
+        sizes = [one.size_mm for seed in range(60) for one in drawn(grade, seed).osteophytes if "spine" not in one.site]
+        assert max(sizes) <= progress_law().step.definite_mm[grade]
+
+
+def test_spaces_that_are_lost_are_lost_of_those_of_the_table_of_people():
+    laws, cuts = grade_table("people").spaces, oarsi_cuts()
+    assert cuts.healthy_mm["read"] == tuple(mean for mean, _ in laws.medial["0"])
+    assert cuts.men_more_mm["read"] == laws.men_more_mm
+    narrows = ((laws.medial, cuts.healthy_mm["read"][0]), (laws.lateral, cuts.healthy_mm["read"][1]))
+    lost = np.array([[1 - law[grade][0][0] / healthy for grade in ("2", "3", "4")] for law, healthy in narrows])
+    between = (lost[:, 1:] + lost[:, :-1]) / 2
+    assert np.abs(between - np.array(progress_law().step.lost)).max() < 0.02
 
 
 @pytest.mark.parametrize("grade", range(5))

@@ -7,14 +7,24 @@ from .tables import data
 
 
 class OarsiCuts(Record, frozen=True):
-    """All of `data/oarsi.toml`; healthy_mm of each way to measure: the medial and the lateral space."""
+    """All of `data/oarsi.toml`.
+
+    healthy_mm   of each way to measure, the medial and the lateral space, of a half of men and a half of women
+    men_more_mm  of each way, what men have more than women
+    """
 
     osteophyte_mm: Triple
     narrowing: Triple
     healthy_mm: dict[str, Pair]
+    men_more_mm: dict[str, float]
     plate: Triple
     attrition_mm: Triple
-    cyst_mm: Triple
+
+    def healthy(self, side: str, *, sex: str, jsw_as: str) -> float:
+        """A healthy joint space, mm, by the measure that `Knee.jsw_as` names."""
+        medial, lateral = self.healthy_mm[jsw_as]
+        more = self.men_more_mm[jsw_as] * (0.5 if sex == "male" else -0.5)
+        return (medial if side == "medial" else lateral) + more
 
 
 @cache

@@ -12,7 +12,7 @@ class Step(Record, frozen=True):
     """What makes a KL grade of a built knee: mm of osteophytes, shares of a healthy space that are lost."""
 
     doubtful_mm: float
-    definite_mm: float
+    definite_mm: Numbers
     lost: Pair
 
 

@@ -11,7 +11,7 @@ _BONES, _SIDES = {"femur": "F", "tibia": "T"}, {"medial": "M", "lateral": "L"}
 
 
 def oarsi(knee: Knee, attrition_mm: Mapping[str, float], cuts: OarsiCuts, spongy: TrabecularBone) -> dict[str, int]:
-    """Name -> grade 0 to 3: XROS.. osteophytes, XRJS. narrowing, XRSC.. sclerosis, XRCY.. cysts, XRATT. attrition.
+    """Name -> grade 0 to 3: XROS.. osteophytes, XRJS. narrowing, XRSC.. sclerosis, XRATT. attrition. 0, 1: XRCY.. cysts
 
     F or T is the bone, M or L the side.
     attrition_mm  medial and lateral -> depth worn off the plateau, as `Truth` tells it; without, it is not graded
@@ -26,7 +26,7 @@ def oarsi(knee: Knee, attrition_mm: Mapping[str, float], cuts: OarsiCuts, spongy
             sizes = [one.size_mm for one in knee.osteophytes if one.site == f"{side}_{bone}"]
             grades[f"XROS{letter}{of_side}"] = _grade(max(sizes, default=0.0), cuts.osteophyte_mm)
     for side, of_side in _SIDES.items():
-        healthy = cuts.healthy_mm[knee.jsw_as][0 if side == "medial" else 1]
+        healthy = cuts.healthy(side, sex=knee.sex, jsw_as=knee.jsw_as)
         grades[f"XRJS{of_side}"] = _grade(1 - getattr(knee, f"jsw_{side}_mm") / healthy, cuts.narrowing)
     for bone, letter in _BONES.items():
         for side, of_side in _SIDES.items():
@@ -35,8 +35,7 @@ def oarsi(knee: Knee, attrition_mm: Mapping[str, float], cuts: OarsiCuts, spongy
             grades[f"XRSC{letter}{of_side}"] = _grade(1 + share * (knee.subchondral_plate - 1), cuts.plate)
     for bone, letter in _BONES.items():
         for side, of_side in _SIDES.items():
-            sizes = [one.diameter_mm for one in knee.cysts if one.site == f"{side}_{bone}"]
-            grades[f"XRCY{letter}{of_side}"] = _grade(max(sizes, default=0.0), cuts.cyst_mm)
+            grades[f"XRCY{letter}{of_side}"] = int(any(one.site == f"{side}_{bone}" for one in knee.cysts))
     worn = {f"XRATT{_SIDES[side]}": _grade(depth, cuts.attrition_mm) for side, depth in attrition_mm.items()}
     return grades | worn
 

@@ -36,7 +36,8 @@ def progress(knee: Knee, years: float, rng: np.random.Generator) -> Knee:
     require_generator(rng)
     require("years", years, 0, _MOST_YEARS, "years")
     law, cuts, of_varus = progress_law(), oarsi_cuts(), field_laws("knee")["varus_deg"]
-    stage = _stage(knee, law.step, cuts)
+    definite_mm = law.step.definite_mm[_MOST_GRADE if knee.grade is None else knee.grade]
+    stage = _stage(knee, law.step, cuts, definite_mm)
     lost_already = {side: _lost(knee, side, cuts) for side in _SIDES}
     course = _draw_course(law, knee, stage if knee.grade is None else knee.grade, lost_already, rng)
     other = other_compartment(course.narrows)
@@ -58,7 +59,7 @@ def progress(knee: Knee, years: float, rng: np.random.Generator) -> Knee:
     )
     if knee.grade is None:
         return later
-    steps = _stage(later, law.step, cuts) - stage
+    steps = _stage(later, law.step, cuts, definite_mm) - stage
     read = None if knee.grade_read is None else min(_MOST_GRADE, knee.grade_read + steps)
     return replace(later, grade=min(_MOST_GRADE, knee.grade + steps), grade_read=read)
 
@@ -136,10 +137,10 @@ def _risen(value: float, rise: float, most: float) -> float:
     return round(max(value, min(most, value + rise)), 4)
 
 
-def _stage(knee: Knee, step: Step, cuts: OarsiCuts) -> int:
-    """The KL grade of what a knee is built with."""
+def _stage(knee: Knee, step: Step, cuts: OarsiCuts, definite_mm: float) -> int:
+    """The KL grade of what a knee is built with, where an osteophyte of such a size is definite."""
     largest = max((one.size_mm for one in knee.osteophytes if one.site in _MARGINS), default=0.0)
-    if largest < step.definite_mm:
+    if largest < definite_mm:
         return int(largest >= step.doubtful_mm)
     lost = max(_lost(knee, side, cuts) for side in _SIDES)
     return 2 + sum(lost >= cut for cut in step.lost)
@@ -147,8 +148,7 @@ def _stage(knee: Knee, step: Step, cuts: OarsiCuts) -> int:
 
 def _lost(knee: Knee, side: str, cuts: OarsiCuts) -> float:
     """Share of a healthy space that a compartment has lost."""
-    healthy = cuts.healthy_mm[knee.jsw_as][_SIDES.index(side)]
-    return 1 - _space_mm(knee, side) / healthy
+    return 1 - _space_mm(knee, side) / cuts.healthy(side, sex=knee.sex, jsw_as=knee.jsw_as)
 
 
 def _space_mm(knee: Knee, side: str) -> float:
