@@ -18,13 +18,13 @@ OF_GRADES = [
     *("XRCYFM", "XRCYFL", "XRCYTM", "XRCYTL", "XRATTM", "XRATTL"),
 ]
 OF_SPACES = [
-    "MCMJSW",
+    *("HKANGLE", "MCMJSW"),
     *("JSW150", "JSW175", "JSW200", "JSW225", "JSW250", "JSW275", "JSW300"),
     *("LJSW700", "LJSW725", "LJSW750", "LJSW775", "LJSW800", "LJSW825", "LJSW850", "LJSW875", "LJSW900"),
 ]
 OURS = [
-    *("jsw_lateral_mm", "attrition_medial_mm", "attrition_lateral_mm"),
-    *("femorotibial_deg", "hip_knee_ankle_deg", "tibial_slope_deg", "insall_salvati", "inter_margin_mm"),
+    *("jsw_medial_mm", "jsw_lateral_mm", "attrition_medial_mm", "attrition_lateral_mm"),
+    *("femorotibial_deg", "tibial_slope_deg", "insall_salvati", "jsw_least_lateral_mm", "inter_margin_mm"),
 ]
 
 
@@ -67,8 +67,10 @@ def test_labels_of_a_cohort_are_read_back_as_the_field_reads_them(made, tmp_path
         assert list(reading) == ["ID", "SIDE", "radiograph", "XRKL_READ", *OF_GRADES, *OF_SPACES, *OURS]
         assert float(reading["JSW225"]) == pytest.approx(truth.jsw_at_mm[0.225], abs=1e-4)
         assert float(reading["LJSW850"]) == pytest.approx(truth.jsw_at_mm[0.850], abs=1e-4)
-        assert float(reading["MCMJSW"]) == pytest.approx(truth.jsw_medial_mm, abs=1e-4)
+        assert float(reading["jsw_medial_mm"]) == pytest.approx(truth.jsw_medial_mm, abs=1e-4)
         assert float(reading["jsw_lateral_mm"]) == pytest.approx(truth.jsw_lateral_mm, abs=1e-4)
+        assert float(reading["MCMJSW"]) == truth.readings["jsw_least_medial_mm"]
+        assert float(reading["HKANGLE"]) == pytest.approx(180 - truth.readings["hip_knee_ankle_deg"], abs=1e-3)
         # The manifest and the radiograph itself tell them, too.
         assert float(made_row["grade_read"]) == truth.grade_read == float(reading["XRKL_READ"])
         assert float(made_row["truth_jsw_225_mm"]) == pytest.approx(truth.jsw_at_mm[0.225], abs=1e-4)

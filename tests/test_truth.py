@@ -21,13 +21,32 @@ def grown():
     return pssf.simulate(knee, small, engine="scanline", keep=("masks",))
 
 
-def test_joint_space_at_fractions_of_the_plateau_is_no_less_than_the_smallest(knee, built):
+def test_joint_space_at_fractions_of_the_femur_is_no_less_than_the_smallest(knee, built):
     truth = built.truth(REFERENCE)
     for fraction, space in truth.jsw_at_mm.items():
         least = knee.jsw_medial_mm if fraction < 0.5 else knee.jsw_lateral_mm
         assert least - 1e-3 <= space < least + 4
+    assert truth.readings["jsw_least_medial_mm"] == pytest.approx(knee.jsw_medial_mm, abs=1e-3)
+    assert truth.readings["jsw_least_lateral_mm"] == pytest.approx(knee.jsw_lateral_mm, abs=1e-3)
     shifted = built.truth(pssf.load_protocol("geometry_shift"))
     assert shifted.jsw_at_mm == truth.jsw_at_mm
+
+
+def test_spaces_of_a_taking_are_all_of_that_taking():
+    protocol = pssf.load_protocol("fixed_flexion")
+    off = {"medial": [], "lateral": []}
+    for seed in range(6):
+        knee = pssf.draw_knee(grade=seed % 4, rng=np.random.default_rng(seed), table="people", subluxation_mm=0.0)
+        taken = pssf.draw_exposure(protocol, rng=np.random.default_rng(seed))
+        truth = pssf.build(knee, taken).truth(taken)
+        for side, of_side in (("medial", slice(0, 7)), ("lateral", slice(7, 16))):
+            least = truth.readings[f"jsw_least_{side}_mm"]
+            off[side].append(min(list(truth.jsw_at_mm.values())[of_side]) - least)
+            assert least != pytest.approx(getattr(knee, f"jsw_{side}_mm"), abs=1e-3)
+    # Places 2 mm apart see no less than the least of all, but where they reach farther out; and little more.
+    for beyond in off.values():
+        assert min(beyond) > -0.3
+        assert np.median(beyond) < 0.3
 
 
 def test_landmarks_lie_as_in_a_knee(grown):

@@ -74,7 +74,7 @@ class BuiltKnee:
         readings = self._readings
         if self.assembly.posture.is_frontal:
             truth = labels(self.knee, self.assembly, self.scene, view)
-            readings = readings | {"inter_margin_mm": round(self._inter_margin_mm(view), 4)}
+            readings = {**readings, **truth.readings, "inter_margin_mm": round(self._inter_margin_mm(view), 4)}
         else:
             truth = turned_labels(self.knee, self.assembly, self.bones, view)
         return replace(truth, attrition_mm=self._worn_mm, readings=readings)

@@ -6,6 +6,7 @@ import numpy as np
 
 from ..core.checks import Array
 from ..core.compiled import kernel
+from ..data.records import Pair
 from ..geometry.mesh import Indices
 from ..geometry.view import View, magnification, project
 
@@ -66,6 +67,7 @@ def measure_gap(
     side_x: int,
     half_ml_mm: float,
     lean_deg: float = 0.0,
+    between: Pair = COMPARTMENT,
 ) -> Gap:
     """The joint space of a compartment as a detector at `view` sees it.
 
@@ -74,8 +76,9 @@ def measure_gap(
     side_x        +1 for the compartment at x > 0, -1 for the other
     half_ml_mm    half the medio-lateral width of the tibial plateau
     lean_deg      of the leg about y: rows and columns are told as if it had none
+    between       fractions of the half width
     """
-    ends = np.array([[side_x * f * half_ml_mm, 0.0, 0.0] for f in COMPARTMENT])
+    ends = np.array([[side_x * f * half_ml_mm, 0.0, 0.0] for f in between])
     first, last = np.sort(project(ends, view)[:, 1])
     # A detector whose pixels are as wide as the compartment is looked at between its columns.
     finer = 1 if last - first >= _LEAST_COLUMNS else int(np.ceil(_LEAST_COLUMNS / (last - first)))

@@ -6,23 +6,29 @@ import numpy as np
 from manifold3d import Manifold, OpType
 
 from ..core.checks import Array
+from ..data.records import Pair
 from ..geometry.mesh import Mesh
 from ..geometry.scene import Scene
 from ..geometry.view import View, project, view_of
 from ..model.knee import Knee
 from ..model.radiograph import Truth
-from .contours import Gap, measure_gap, turned_px
+from .contours import COMPARTMENT, Gap, measure_gap, turned_px
 from .implicit import project_solid
 from .joint import KneeAssembly
 from .landmarks import contour_landmarks, plateau_floor
 from .solids import closed_edges, mesh_of
 
-# Joint space is told at these fractions of the plateau's width from its medial edge, as JSW(x) (Neumann et al. 2009).
+# Joint space is told at these fractions of the femur's width from its medial edge, as JSW(x) (Neumann et al. 2009). That
+# it is the femur's is by CFWDTH of the Osteoarthritis Initiative's table; that it is that of the epicondyles, which no
+# osteophyte moves, is judgement: between these fractions then lies what least spaces are sought in.
 FRACTIONS = (0.15, 0.175, 0.2, 0.225, 0.25, 0.275, 0.3, 0.7, 0.725, 0.75, 0.775, 0.8, 0.825, 0.85, 0.875, 0.9)
+# Of the plateau's half width: where JSW(x) may be asked for, of knees whose femur stands over the plateau's edge too.
+_ASKED = (0.2, 1.0)
 # Height bands (mean man's size, in each bone's frame) in which the bones' edges are looked for.
 _CONDYLES, _EPICONDYLES, _PLATEAU = (1.0, 12.0), (22.0, 42.0), (-9.0, 1.0)
 # Farther out than this from the bare bone is osteophyte.
 _OUT_MM = 0.05
+_SIDES = ("medial", "lateral")
 
 
 def labels(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> Truth:
@@ -34,13 +40,14 @@ def labels(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> Trut
     gaps, defined = _gaps(knee, assembly, scene, view), assembly.defined_under
     # A knee that a posture bends has other spaces along its width: they are told as this view shows them.
     seen_by = view_of(defined) if assembly.posture == defined.posture else view
-    spaces = gaps if view == seen_by else _gaps(knee, assembly, scene, seen_by)
+    least = gaps if view == seen_by else _gaps(knee, assembly, scene, seen_by)
     return Truth(
         jsw_medial_mm=knee.jsw_medial_mm,
         jsw_lateral_mm=knee.jsw_lateral_mm,
-        jsw_at_mm=_jsw_at_mm(knee, assembly, spaces, seen_by),
+        jsw_at_mm=_jsw_at_mm(knee, assembly, scene, seen_by),
         grade=knee.grade,
         grade_read=knee.grade_read,
+        readings={f"jsw_least_{side}_mm": round(gap.jsw_mm, 4) for side, gap in zip(_SIDES, least, strict=True)},
         landmarks_px=_joint_lines(gaps, view, _lean_deg(knee, assembly))
         | _widest(knee, assembly, view)
         | _on_contours(knee, assembly, scene, view),
@@ -103,13 +110,13 @@ def _nearer(piece: Manifold, tip: Array, others: Array) -> Manifold:
     return piece
 
 
-def _gaps(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> tuple[Gap, Gap]:
-    """The medial and the lateral joint space as a detector sees them."""
+def _gaps(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View, between: Pair = COMPARTMENT) -> tuple[Gap, Gap]:
+    """The medial and the lateral joint space as a detector sees them, between fractions of the plateau's half width."""
     meshes = _outer(scene)
     femur, tibia = ((mesh.vertices, closed_edges(mesh.faces)) for mesh in meshes)
     medial, half, lean = _medial(knee), assembly.build.half_ml_mm, _lean_deg(knee, assembly)
     upper = plateau_floor(meshes[1], view, medial, lean) if knee.jsw_as == "read" else tibia
-    one, other = (measure_gap(femur, upper, view, side * medial, half, lean) for side in (+1, -1))
+    one, other = (measure_gap(femur, upper, view, side * medial, half, lean, between) for side in (+1, -1))
     return one, other
 
 
@@ -131,13 +138,15 @@ def _joint_lines(gaps: tuple[Gap, Gap], view: View, lean_deg: float) -> dict[str
     return {name: _place(place) for name, place in zip(names, (*lines, lines.mean(axis=0)), strict=True)}
 
 
-def _jsw_at_mm(knee: Knee, assembly: KneeAssembly, gaps: tuple[Gap, Gap], view: View) -> dict[float, float]:
-    """Fraction of the plateau's width from its medial edge -> joint space there, of gaps in a view."""
-    half, medial = assembly.build.half_ml_mm, _medial(knee)
+def _jsw_at_mm(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> dict[float, float]:
+    """Fraction of the femur's width from its medial epicondyle -> joint space there, as a detector sees it."""
+    spots, gaps = _widest(knee, assembly, view), _gaps(knee, assembly, scene, view, _ASKED)
+    edges = np.array([spots["medial_epicondyle"], spots["lateral_epicondyle"]])
+    medial, lateral = turned_px(edges, view, -_lean_deg(knee, assembly))[:, 1]
     spaces = {}
     for fraction in FRACTIONS:
         gap = gaps[0] if fraction < 0.5 else gaps[1]
-        col = project(np.array([[medial * half * (1 - 2 * fraction), 0.0, 0.0]]), view)[0, 1]
+        col = medial + fraction * (lateral - medial)
         wide_px = np.interp(col, gap.columns_px, gap.tibia_px - gap.femur_px)
         spaces[fraction] = float(wide_px * gap.scale_mm)
     return spaces

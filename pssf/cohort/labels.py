@@ -17,19 +17,23 @@ from ..model.knee import Knee
 from ..model.radiograph import Truth
 
 _SIDE = {"right": 1, "left": 2}
+_STRAIGHT_DEG = 180.0
+# Told by the Initiative's name and way to count.
+_RENAMED = ("jsw_least_medial_mm", "hip_knee_ankle_deg")
 
 
 def write_labels(cohort: str | Path, out: str | Path) -> list[Path]:
     """Labels of all radiographs of a cohort, and pictures for eyes sorted by grade.
 
     readings.csv       a row a radiograph, columns as the Osteoarthritis Initiative names them in its readings of knee
-                       radiographs (kxr_sq_bu, kxr_qjsw_duryea; there with a visit before them, V00MCMJSW): ID, SIDE
-                       (1 right, 2 left), XRKL and the OARSI grades (`oarsi`), MCMJSW (least medial space), JSW150 to
-                       JSW300 (medial) and LJSW700 to LJSW900 (lateral), mm; by names of our own, since it has none for
-                       them: XRKL_READ, where a reader is drawn, the least lateral space (jsw_lateral_mm), how far the
-                       front margin of the medial plateau stands over its back one (inter_margin_mm; its TPCFDS, from
-                       plateau to rim, has no sign), depths of attrition (mm), femorotibial and hip-knee-ankle angle,
-                       slope and patellar height (`axes`)
+                       and leg radiographs (there with a visit before them, V00MCMJSW): ID, SIDE (1 right, 2 left), XRKL
+                       and the OARSI grades (`oarsi`), HKANGLE (hip, knee and ankle, deg; varus is negative), MCMJSW
+                       (least medial space), JSW150 to JSW300 (medial) and LJSW700 to LJSW900 (lateral), mm. By names of
+                       our own: XRKL_READ, where a reader is drawn; joint spaces as knees are drawn with them, whatever
+                       the taking (jsw_medial_mm, jsw_lateral_mm); the least lateral space (jsw_least_lateral_mm), how
+                       far the front margin of the medial plateau stands over its back one (inter_margin_mm; its TPCFDS,
+                       from plateau to rim, has no sign), depths of attrition (mm), femorotibial angle, slope and
+                       patellar height (`axes`)
     landmarks/*.pts    the sixteen contour landmarks
     coco.json          the same as COCO keypoints
     images/GRADE/*.png 8 bit, for eyes, as torchvision's ImageFolder and others read them
@@ -83,9 +87,11 @@ def _reading(name: str, subject: str, knee: Knee, truth: Truth) -> dict[str, Any
         "radiograph": name,
         **({} if truth.grade_read is None else {"XRKL_READ": truth.grade_read}),
         **{name: value for name, value in truth.readings.items() if name.startswith("XR")},
-        "MCMJSW": round(truth.jsw_medial_mm, 4),
+        "HKANGLE": round(_STRAIGHT_DEG - truth.readings["hip_knee_ankle_deg"], 4),
+        "MCMJSW": truth.readings["jsw_least_medial_mm"],
         **spaces,
+        "jsw_medial_mm": round(truth.jsw_medial_mm, 4),
         "jsw_lateral_mm": round(truth.jsw_lateral_mm, 4),
         **{f"attrition_{side}_mm": depth for side, depth in truth.attrition_mm.items()},
-        **{name: value for name, value in truth.readings.items() if not name.startswith("XR")},
+        **{name: value for name, value in truth.readings.items() if not name.startswith("XR") and name not in _RENAMED},
     }

@@ -19,7 +19,7 @@ class Truth:
     jsw_medial_mm, jsw_lateral_mm
                        joint space as `Knee.jsw_as` defines it, joint plane, whatever this radiograph's protocol
     jsw_at_mm          vertical gap of the projected contours under the protocol that defines it, or under this one if
-                       its posture is another, at fractions of the plateau's width from its medial edge (JSW(x))
+                       its posture is another, at fractions of the femur's width from its medial epicondyle (JSW(x))
     landmarks_px       name -> (row, column): joint_centre; medial_ and lateral_ joint_line; where bones are widest,
                        osteophytes aside: medial_ and lateral_ condyle_edge, epicondyle, plateau_edge; and the sixteen
                        contour landmarks of `anatomy.landmarks`, osteophytes and all (notch is notch_top). Seen from the
@@ -29,9 +29,9 @@ class Truth:
                        defined under, whatever this radiograph's; 0 where bones do not meet
     grade              KL grade that the knee was drawn for; grade_read the one that a reader gives, where one is drawn
     readings           OARSI grades by the names of the Osteoarthritis Initiative (`model.oarsi`), angles and
-                       ratios (`model.axes`); seen from the front also inter_margin_mm, how
-                       far the front margin of the medial plateau stands over its back one on this radiograph, scaled to
-                       the joint plane
+                       ratios (`model.axes`); seen from the front also jsw_least_medial_mm and jsw_least_lateral_mm, the
+                       least gaps as jsw_at_mm is told, and inter_margin_mm, how far the front margin of the medial
+                       plateau stands over its back one on this radiograph, scaled to the joint plane
     taking             how it was taken (`model.exposure.taking_of`): pose, beam, dose, field, marker
     masks              if asked for: name -> (rows, cols) bool, where a bone or an osteophyte is seen
     """
