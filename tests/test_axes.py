@@ -15,18 +15,18 @@ def test_the_femorotibial_angle_is_lateral_and_straight_at_180(varus_deg, angle_
     assert axes(pssf.Knee(varus_deg=varus_deg), FEMUR)["femorotibial_deg"] == angle_deg
 
 
-def test_the_mechanical_axes_of_a_usual_leg_are_one_line():
+def test_the_mechanical_axes_of_a_usual_leg_are_nearly_one_line():
     usual, bowed, far = (
         axes(knee, FEMUR)["hip_knee_ankle_deg"]
         for knee in (pssf.Knee(), pssf.Knee(varus_deg=4.0), pssf.Knee(mechanical_axis_deg=7.5))
     )
-    assert (usual, bowed, far) == (180.0, 184.0, 182.5)
+    assert (usual, bowed, far) == (180.4, 184.4, 182.5)
 
 
 def test_all_that_is_read_has_a_name():
     read = axes(pssf.Knee(tibial_slope_deg=7.5, insall_salvati=1.3), FEMUR)
     assert read == {
-        "femorotibial_deg": 175.0, "hip_knee_ankle_deg": 180.0, "tibial_slope_deg": 7.5, "insall_salvati": 1.3,
+        "femorotibial_deg": 175.0, "hip_knee_ankle_deg": 180.4, "tibial_slope_deg": 7.5, "insall_salvati": 1.3,
     }  # fmt: skip
 
 
@@ -37,15 +37,15 @@ def test_a_hip_moves_no_pixel():
     taken = [pssf.simulate(knee, coarse, seed=1) for knee in (near, far)]
     assert np.array_equal(taken[0].pixels, taken[1].pixels)
     angles = [one.truth.readings["hip_knee_ankle_deg"] for one in taken]
-    assert angles[1] - angles[0] == pytest.approx(2.0)
+    assert angles[1] - angles[0] == pytest.approx(1.6)
 
 
 def test_people_differ_in_hips_and_nothing_else_is_drawn_otherwise():
     drawn = [pssf.draw_knee(grade=2, rng=np.random.default_rng(seed), table="people") for seed in range(200)]
     angles = np.array([knee.mechanical_axis_deg for knee in drawn])
-    # Five standard errors; two deviations are the farthest, which leaves 0.864 of 0.9.
-    assert angles.mean() == pytest.approx(5.0, abs=5 * 0.9 / np.sqrt(200))
-    assert angles.std() == pytest.approx(0.864, rel=5 / np.sqrt(2 * 200))
+    # Five standard errors; two deviations are the farthest, which leaves 0.768 of 0.8.
+    assert angles.mean() == pytest.approx(5.4, abs=5 * 0.8 / np.sqrt(200))
+    assert angles.std() == pytest.approx(0.768, rel=5 / np.sqrt(2 * 200))
     rng = np.random.default_rng(3)
     assert pssf.draw_knee(grade=2, rng=rng, table="people", mechanical_axis_deg=5.0) == dataclasses.replace(
         drawn[3], mechanical_axis_deg=5.0

@@ -71,6 +71,10 @@ def test_meshes_writes_what_is_asked_for(tmp_path):
         ),
         (("simulate", "--workers", "0"), "pssf: workers = 0 threads; allowed: whole numbers from 1 to 256 threads"),
         (("simulate", "--seed", "-1"), "pssf: seed = -1; allowed: whole numbers from 0"),
+        (
+            ("simulate", "--protocol", "rosenberg", "--set", "protocol.flexion_deg=80"),
+            "pssf: set: flexion_deg = 80 deg; allowed: 0 to 60 deg",
+        ),
         (("simulate", "--knee", "nowhere.toml"), "pssf: file nowhere.toml: No such file or directory"),
         (
             ("simulate", "--protocol", "bilateral", "--knee", "my.toml"),
@@ -100,6 +104,14 @@ def test_bad_input_is_one_line_and_exit_code_2_and_leaves_nothing(arguments, lin
     assert done.stderr.startswith(line)
     assert done.stderr.count("\n") == 1
     assert not list(tmp_path.rglob("*"))
+
+
+def test_a_detector_that_a_built_leg_has_no_room_before_is_one_line_and_exit_code_2(tmp_path):
+    done = run("simulate", "--protocol", "ap_standing", "--set", "sod_mm=1010", "--out", tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith("pssf: sod_mm = 1010 mm with sdd_mm = 1016 mm: the leg reaches ")
+    assert done.stderr.endswith("behind the detector; allowed: up to 933 mm\n")
+    assert not list(tmp_path.iterdir())
 
 
 def test_an_unknown_option_is_answered_with_exit_code_2(tmp_path):

@@ -18,8 +18,8 @@ from .joint import KneeAssembly
 from .landmarks import contour_landmarks, plateau_floor
 from .solids import closed_edges, mesh_of
 
-# Joint space is told at these fractions of the femur's width from its medial edge, as JSW(x) (Neumann et al. 2009). That
-# it is the femur's is by CFWDTH of the Osteoarthritis Initiative's table; that it is that of the epicondyles, which no
+# Joint space is told at these fractions of the femur's width from its medial edge, as JSW(x) (Neumann et al. 2009).
+# That it is the femur's is by CFWDTH of the Osteoarthritis Initiative's table; that it is of the epicondyles, which no
 # osteophyte moves, is judgement: between these fractions then lies what least spaces are sought in.
 FRACTIONS = (0.15, 0.175, 0.2, 0.225, 0.25, 0.275, 0.3, 0.7, 0.725, 0.75, 0.775, 0.8, 0.825, 0.85, 0.875, 0.9)
 # Of the plateau's half width: where JSW(x) may be asked for, of knees whose femur stands over the plateau's edge too.

@@ -107,7 +107,8 @@ def drawn_knee(laws: DrawLaws, *, grade: int, rng: np.random.Generator, **fixed:
         most = np.interp(bmi, *np.array(law.skin_folds.most).T)
         drawn["skin_folds"] = round(float(most) * rng.spawn(1)[0].random(), 4)
     if isinstance(law, SeverityGrades) and law.hip is not None:
-        drawn["mechanical_axis_deg"] = _normal(rng.spawn(1)[0], law.hip.mechanical_axis_deg, sex)
+        angle_deg = _normal(rng.spawn(1)[0], law.hip.mechanical_axis_deg, sex)
+        drawn["mechanical_axis_deg"] = float(np.clip(angle_deg, 1.0, 9.0))
     return from_table(Knee, {**drawn, **fixed}, "draw_knee")
 
 

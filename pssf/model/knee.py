@@ -175,7 +175,7 @@ class Knee:
     notch_growth_mm: float = 0.0
     effusion_mm: float = 0.0
     skin_folds: float = 0.0
-    mechanical_axis_deg: float = 5.0
+    mechanical_axis_deg: float = 5.4
 
     def __post_init__(self) -> None:
         check_fields("knee", self)
