@@ -62,12 +62,15 @@ def test_every_drawn_knee_builds_nested_and_shows_its_joint_spaces(seed, grade):
         assert surface.mesh.volume > 0
 
 
-@pytest.mark.parametrize("corner", [(1400.0, 0.85, 90.0, 2.0, -8.0, -10.0), (2100.0, 1.15, 180.0, 30.0, 8.0, 10.0)])
+@pytest.mark.parametrize(
+    "corner",
+    [(1400.0, 0.85, 90.0, 2.0, -16.0, -10.0, -2.0), (2100.0, 1.15, 180.0, 30.0, 16.0, 10.0, 18.0)],
+)
 def test_knees_at_the_corners_of_their_ranges_build(corner):
-    stature, scale, limb, fat, varus, rotation = corner
+    stature, scale, limb, fat, varus, rotation, slope = corner
     knee = pssf.Knee(
         stature_mm=stature, bone_scale=scale, limb_ap_mm=limb, fat_mm=fat, varus_deg=varus, rotation_deg=rotation,
-        flexion_deg=15.0, tibial_slope_deg=12.0, jsw_medial_mm=2.5, jsw_lateral_mm=5.5, subchondral_plate=1.6,
+        flexion_deg=15.0, tibial_slope_deg=slope, jsw_medial_mm=2.5, jsw_lateral_mm=5.5, subchondral_plate=1.6,
         osteophytes=tuple(pssf.Osteophyte(site=site, size_mm=3.0) for site in SITES),
     )  # fmt: skip
     assert_allclose(pssf.build(knee).measured_jsw_mm(REFERENCE), [2.5, 5.5], atol=0.01)
@@ -92,6 +95,16 @@ def test_a_spiked_spine_in_the_wall_of_a_narrow_notch_is_worn_off():
         flexion_deg=2.04, rotation_deg=-1.91, lean_deg=-2.35, tibial_slope_deg=1.7,
     )  # fmt: skip
     assert_allclose(pssf.build(knee).measured_jsw_mm(REFERENCE), [5.472, 4.555], atol=1e-3)
+
+
+@pytest.mark.parametrize(("varus", "spaces"), [(14.0, (0.0, 10.0)), (-14.0, (10.0, 0.0))])
+def test_a_leg_that_has_fallen_in_to_a_side_whose_other_space_gapes_is_simulated(varus, spaces):
+    knee = pssf.Knee(jsw_medial_mm=spaces[0], jsw_lateral_mm=spaces[1], varus_deg=varus, grade=4)
+    coarse = dataclasses.replace(pssf.load_protocol("fixed_flexion"), rows=128, cols=128, pixel_mm=2.4)
+    # The trace refuses paths below 0.
+    angle_deg = pssf.simulate(knee, coarse, engine="scanline").truth.readings["femorotibial_deg"]
+    assert angle_deg == 175.0 + varus
+    assert_allclose(pssf.build(knee).measured_jsw_mm(REFERENCE), spaces, atol=1e-3)
 
 
 @pytest.mark.parametrize("spaces", [(0.0, 5.5), (6.0, 0.0), (0.0, 0.0), (0.03, 4.0)])

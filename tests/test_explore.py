@@ -386,7 +386,7 @@ def test_what_is_hostile_or_malformed_gets_one_clear_error(what, site):
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"knee": {"varus_deg": 99}}, "varus_deg = 99 deg; allowed: -8 to 8 deg"),
+        ({"knee": {"varus_deg": 99}}, "varus_deg = 99 deg; allowed: -16 to 16 deg"),
         ({"knee": {"varus": 1}}, "unknown field 'varus'"),
         ({"knee": {"osteophytes": [3]}}, "osteophytes = [3]"),
         ({"protocol": {**protocol_table(small()), "rows": 8192}}, "rows of the page = 8192 pixels"),
