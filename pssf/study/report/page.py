@@ -50,6 +50,7 @@ class Findings:
     counts        label -> number, of the cohort
     composition   grade, subjects, knees, protocols, radiographs; the last row is of all
     warnings      of `provenance.warnings_of`
+    notes         of `provenance.notes_of`
     morphology    of `parameters.morphology`
     subgroups     of `subgroups.subgroups`
     localisation  of `localisation.summarise`
@@ -73,6 +74,7 @@ class Findings:
     counts: dict[str, int]
     composition: pd.DataFrame
     warnings: list[str]
+    notes: list[str]
     localisation: pd.DataFrame
     morphology: pd.DataFrame
     subgroups: pd.DataFrame
