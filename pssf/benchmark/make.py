@@ -32,7 +32,7 @@ class BenchmarkResult:
     """What was made.
 
     baselines  one row a task, predictor and protocol tested on
-    notes      sentences on baselines that are not there
+    notes      sentences on baselines that are not there, and on what tells a grade without a look at the knee
     frozen     how many people have the hash that the package has written down, and of how many it has one
     """
 
@@ -61,6 +61,7 @@ def make_benchmark(
     require_extra(execution.scheduler)
     from ..study.learn.split import split_subjects
     from ..study.statistics.claims import LEAST_TESTED
+    from ..study.statistics.provenance import warnings_of
     from .croissant import croissant
     from .datasheet import About, citation, datasheet
 
@@ -88,13 +89,15 @@ def make_benchmark(
         reference=str(manifest["protocol"].iloc[0]),
         baselines=baselines,
         notes=notes,
+        warnings=warnings_of(manifest),
         versions=versions(),
     )
     results.save_text(out / "datasheet.md", datasheet(about))
     results.save_text(out / "CITATION.cff", citation(frozen, versions()))
     files = {name: (sha256(out / name), len(results.load_bytes(out / name))) for name in _TABLES}
     results.save_json(out / "croissant.json", croissant(frozen, files, list(manifest.columns)))
-    return BenchmarkResult(folder=out, baselines=baselines, notes=notes, frozen=agreement(made, frozen_hashes()))
+    told = (*notes, *about.warnings)
+    return BenchmarkResult(folder=out, baselines=baselines, notes=told, frozen=agreement(made, frozen_hashes()))
 
 
 def _baselines(
