@@ -60,8 +60,8 @@ def make_benchmark(
     """
     require_extra(execution.scheduler)
     from ..study.learn.split import split_subjects
-    from ..study.statistics.claims import LEAST_TESTED
     from ..study.statistics.provenance import warnings_of
+    from ..study.statistics.tested import LEAST_OF_A_CLASS, LEAST_TESTED, enough
     from .croissant import croissant
     from .datasheet import About, citation, datasheet
 
@@ -75,8 +75,9 @@ def make_benchmark(
         path = make_cohort(plan, out, progress=stage.advance, kept=stage.keep, **how)
     manifest = read_manifest(path)
     baselines, refused, notes = _baselines(out, manifest, frozen, execution)
-    if baselines["test_subjects"].min() < LEAST_TESTED:
-        notes += (f"Some splits test fewer than {LEAST_TESTED} people, of whom nothing can be decided",)
+    if not all(enough(row) for row in baselines.to_dict("records")):
+        few = f"fewer than {LEAST_TESTED} people or {LEAST_OF_A_CLASS} of a grade"
+        notes += (f"Some splits test {few}, of whom nothing can be decided",)
     with execution.timer.stage("hashes"):
         made = hashes(manifest, partial(radiograph_pixels, out.absolute()))
     results.save_text(out / "frozen.toml", as_toml(made))

@@ -161,7 +161,8 @@ def _findings(
     importance = tables["importance"].merge(tables["permutation"][[*keys, "drop"]], on=keys, how="left")
     shown = importance[importance["selection"] == settings.selections[0]]
     counts = {name: int(located[column].nunique()) for name, column in _COUNTED.items()}
-    tested = tables["splits"]["test_subjects"]
+    within = tables["splits"][tables["splits"]["scenario"] == "within"]
+    tested = within["test_subjects"]
     packages = (*_PACKAGES, *BACKENDS[settings.backend].libraries)
     return Findings(
         counts=counts | {"regions refused": len(located) - len(usable)},
@@ -189,6 +190,7 @@ def _findings(
         workers=run.execution.workers,
         features=len(names),
         test_subjects=(int(tested.min()), int(tested.max())),
+        test_rarest=int(within["test_rarest"].min()),
     )
 
 
