@@ -126,6 +126,14 @@ def test_an_auc_that_is_not_above_chance_has_nothing_to_lose():
     assert places.loc[breaks.STABLE, "reading"] != "not decidable"
 
 
+def test_curves_of_subjects_and_knees_called_by_texts_are_those_of_numbers(answered):
+    tables = [
+        table.assign(**{name: table[name].map("P{:02d}".format) for name in ("subject", "knee")}) for table in made()
+    ]
+    found = responses.curves_of_features(*tables, NAMES, step, replicates=200, seed=0)
+    pd.testing.assert_frame_equal(found.table, answered[0].table)
+
+
 def test_few_tested_knees_decide_nothing():
     base, steps = made(curved=4)
     of_models = responses.curves_of_models(respond(base, steps, NAMES, SETTINGS, Execution()), step)

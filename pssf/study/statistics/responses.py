@@ -55,7 +55,7 @@ def curves_of_features(
         part = part.sort_values("knee")
         values = np.stack([own.loc[part["knee"]].to_numpy(np.float64), part[names].to_numpy(np.float64)], axis=1)
         label = {"axis": axis, "turn": int(turn), "step": step(str(axis), int(turn)), "knees": len(part)}
-        weights = knee_weights(part["subject"].to_numpy(np.int64), replicates=replicates, seed=seed)
+        weights = knee_weights(part["subject"].to_numpy(), replicates=replicates, seed=seed)
         samples = []
         for index in np.flatnonzero(varies):
             one = values[:, :, index]
