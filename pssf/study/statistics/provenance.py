@@ -24,10 +24,11 @@ _ALPHA = 0.05
 _NEEDLESS = "Of cohorts without such a tie one in twenty is warned of by chance"
 
 
-def require_one_of_each(manifest: pd.DataFrame) -> None:
+def require_one_of_each(manifest: pd.DataFrame, called: str = "manifest") -> None:
     """Refuse one file under two subjects or knees, and one knee under two subjects, grades or sides.
 
     manifest  radiograph, subject, knee, side, grade, sha256
+    called    what an error says that it is
     raises    InputError
     """
     for column, others in _ONE.items():
@@ -39,7 +40,7 @@ def require_one_of_each(manifest: pd.DataFrame) -> None:
                 given = " and ".join(f"{value}" for value in rows[other])
                 of = f"{first[:12]}..." if column == "sha256" else first
                 raise InputError(
-                    f"manifest: {_CALLED[column]} {of} has {other} = {given} ({int((counts > 1).sum())} such); "
+                    f"{called}: {_CALLED[column]} {of} has {other} = {given} ({int((counts > 1).sum())} such); "
                     f"allowed: one {other}"
                 )
 
