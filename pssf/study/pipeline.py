@@ -206,18 +206,8 @@ def _write(run: Run, findings: Findings, tables: Tables, files: dict[str, bytes]
     models = {name: out / "models" / f"{name}{SUFFIX}" for name in sorted(files)}
     for name, path in models.items():
         results.save_bytes(path, files[name])
-    facts = (
-        "counts",
-        "warnings",
-        "notes",
-        "features",
-        "degenerate",
-        "settings",
-        "processing",
-        "versions",
-        "cost",
-        "workers",
-    )
+    facts = ["counts", "warnings", "notes", "features", "degenerate"]
+    facts += ["settings", "processing", "versions", "cost", "workers"]
     results.save_json(out / "study.json", {name: getattr(findings, name) for name in facts})
     results.save_json(out / "environment.json", environment())
     results.save_text(out / "report.html", render(findings))

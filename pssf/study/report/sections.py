@@ -170,8 +170,7 @@ def curves_section(
     tables   "curve_<axis>" -> rows of `statistics.responses`
     breaks   of `statistics.breaks`
     leading  features that are drawn one by one
-    knees    with curves
-    task     that their grades are of
+    knees    with curves, of the grades of a task
     """
     pictures = [
         Picture(

@@ -50,10 +50,10 @@ def warnings_of(manifest: pd.DataFrame) -> list[str]:
 
     manifest  subject, grade, protocol
     """
-    told, p = _spread(manifest)
+    sentence, p = _spread(manifest)
     by_protocol = (
-        f"{told} A model of all protocols may tell the grade by the protocol, and harmonised features lose what tells "
-        f"the grades. {_NEEDLESS}."
+        f"{sentence} A model of all protocols may tell the grade by the protocol, and harmonised features lose what "
+        f"tells the grades. {_NEEDLESS}."
     )
     return [*([by_protocol] if p < _ALPHA else []), *_by_order(manifest)]
 
@@ -63,8 +63,8 @@ def notes_of(manifest: pd.DataFrame) -> list[str]:
 
     manifest  of `warnings_of`
     """
-    told, p = _spread(manifest)
-    return [f"{told} As much comes about by chance."] if _ALPHA <= p < 1 else []
+    sentence, p = _spread(manifest)
+    return [f"{sentence} As much comes about by chance."] if _ALPHA <= p < 1 else []
 
 
 def _spread(manifest: pd.DataFrame) -> tuple[str, float]:
@@ -81,12 +81,12 @@ def _spread(manifest: pd.DataFrame) -> tuple[str, float]:
     shares = counts.div(counts.sum(axis=1), axis=0)
     grade = (shares.max() - shares.min()).idxmax()
     of = 100 * shares[grade]
-    told = (
+    sentence = (
         f"Grades are not spread alike over the protocols (Cramér's V {_cramer(counts.to_numpy()):.2f}, "
         f"{_p(p)}): grade {grade} is {of.min():.0f} % of those under {of.idxmin()} and {of.max():.0f} % of those under "
         f"{of.idxmax()}."
     )
-    return told, p
+    return sentence, p
 
 
 def _cramer(counts: NDArray[np.int64]) -> float:
@@ -136,11 +136,11 @@ def _neighbours(grades: NDArray[Any]) -> tuple[float, float, float]:
     squares, cubes = (counts**2).sum(), (counts**3).sum()
     expected = (squares - n) / n
     variance = (squares * (squares + n * (n + 1)) - 2 * n * cubes - n**3) / (n**2 * (n - 1))
-    found = int((grades[1:] == grades[:-1]).sum())
+    pairs = int((grades[1:] == grades[:-1]).sum())
     # Half a pair nearer, since pairs are whole.
-    off = max(0.0, abs(found - expected) - 0.5)
+    off = max(0.0, abs(pairs - expected) - 0.5)
     p = 2 * float(norm.sf(off / np.sqrt(variance))) if variance > 0 else 1.0
-    return found / (n - 1), expected / (n - 1), p
+    return pairs / (n - 1), expected / (n - 1), p
 
 
 def _p(p: float) -> str:
