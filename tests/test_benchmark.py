@@ -118,6 +118,13 @@ def test_the_datasheet_answers_under_every_heading_and_says_that_these_are_other
     assert "arXiv:2601.11642" in citation
 
 
+def test_it_is_told_that_subjects_are_numbered_by_grade_and_names_are_not_to_be_learnt_from(tiny):
+    (told,) = [note for note in tiny[0].notes if "numbered by their grade" in note]
+    assert "names of files that have it, knows the grade: leave them out of what is learnt from" in told
+    page = (tiny[0].folder / "datasheet.md").read_text()
+    assert f"**Mind:** {told}" in page.split("## Collection process")[0].split("## Composition")[1]
+
+
 def held_by_croissant(described):
     """What Croissant 1.0 requires, and whether all that is referred to is there."""
     required = ("@context", "@type", "conformsTo", "description", "license", "name", "url", "creator", "datePublished")

@@ -5,7 +5,8 @@ import scipy.stats
 from numpy.testing import assert_allclose
 
 from pssf.study import StudySettings
-from pssf.study.statistics.claims import COLUMNS, LEAST_TESTED, _spared, _together, claims, spearman, verdict
+from pssf.study.statistics.claims import COLUMNS, UNDECIDED, _between, _spared, _together, claims, spearman, verdict
+from pssf.study.statistics.tested import LEAST_OF_A_CLASS, LEAST_TESTED
 
 SETTINGS = StudySettings(replicates=200, models=("lr",), selections=("l1",))
 
@@ -19,7 +20,7 @@ def radiographs(rise, seed=3, subjects=90):
     return pd.DataFrame({"subject": np.arange(subjects), "grade": grade, "protocol": "reference", **values})
 
 
-def told(rise, score_step=0.0, *, tested=30, p_holm=0.01, texture=(0.8, 0.7), icc=(0.92, 0.97)):
+def told(rise, score_step=0.0, *, tested=30, rarest=3, p_holm=0.01, texture=(0.8, 0.7), icc=(0.92, 0.97)):
     table = radiographs(rise)
     rng = np.random.default_rng(4)
     middle = table["grade"] * score_step + 0.3 * rng.standard_normal(len(table))
@@ -41,12 +42,14 @@ def told(rise, score_step=0.0, *, tested=30, p_holm=0.01, texture=(0.8, 0.7), ic
     subjects = pd.DataFrame({"repeat": 0, "subject": range(6), "part": ["training"] * 4 + ["validation", "test"]})
     scores = pd.DataFrame([{
         "task": "0 vs 2", "scenario": "within", "trained_on": "reference", "tested_on": "reference", "model": "lr",
-        "selection": "l1", "test_subjects": tested, "auc": 0.9, "auc_low": 0.85, "auc_high": 0.95,
+        "selection": "l1", "test_subjects": tested, "test_rarest": rarest,
+        "auc": 0.9, "auc_low": 0.85, "auc_high": 0.95,
         "balanced_accuracy": 0.7, "balanced_accuracy_low": 0.6, "balanced_accuracy_high": 0.78,
     }])  # fmt: skip
     differences = pd.DataFrame([
         {"comparison": name, "task": "0 vs 2", "metric": metric, "selection": "l1", "model": "lr",
-         "tested_on": "low_dose", "difference": d, "low": low, "high": high, "p_holm": p, "test_subjects": tested}
+         "tested_on": "low_dose", "difference": d, "low": low, "high": high, "p_holm": p, "test_subjects": tested,
+         "test_rarest": rarest}
         for name, d, low, high, p in (
             ("cross minus within", -0.1, -0.2, -0.05, p_holm), ("multi minus cross", 0.02, -0.1, 0.1, 0.5))
         for metric in ("auc", "balanced_accuracy", "macro_f1")
@@ -86,6 +89,25 @@ def test_too_few_tested_subjects_decide_nothing():
         found = told(rise=1.0, tested=tested)
         decided = {one for start in starts for one in verdicts(found, start)}
         assert decided == expected
+
+
+def test_too_few_tested_of_the_rarer_grade_decide_nothing_whatever_their_number_in_all():
+    starts = ("Within a protocol", "Logistic regression is strong", "Another protocol", "The most important")
+    for rarest, expected in ((LEAST_OF_A_CLASS, {"holds", "does not hold"}), (LEAST_OF_A_CLASS - 1, {UNDECIDED})):
+        found = told(rise=1.0, tested=30, rarest=rarest)
+        assert {one for start in starts for one in verdicts(found, start)} == expected
+
+
+@pytest.mark.parametrize(("rarest", "decided"), [(LEAST_OF_A_CLASS, True), (LEAST_OF_A_CLASS - 1, False)])
+def test_grades_in_between_are_decided_only_where_enough_of_each_are_tested(rarest, decided):
+    truth = np.repeat([0, 1, 2], [12, 12, rarest])
+    p = np.exp(-((truth[:, None] - np.arange(3)) ** 2) + 0.01 * np.arange(len(truth))[:, None])
+    arm = {"task": "0/1/2", "scenario": "within", "model": "lr", "selection": "l1"}
+    one = pd.DataFrame(p / p.sum(axis=1, keepdims=True), columns=["p0", "p1", "p2"])
+    one = one.assign(subject=range(len(truth)), truth=truth, **arm)
+    splits = [one.iloc[k:].assign(repeat=k) for k in range(3)]
+    rows = _between(pd.concat(splits, ignore_index=True), SETTINGS, 0.2)
+    assert {row["verdict"] == UNDECIDED for row in rows if "extreme" in str(row["claim"])} == {not decided}
 
 
 @pytest.mark.parametrize(

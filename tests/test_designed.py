@@ -27,6 +27,8 @@ class Taken:
         self.cohort = Cohort(5)
         rows = [row for row in self.cohort.rows if row["protocol"] == "reference" and row["grade"] != 1]
         self.manifest = pd.DataFrame(rows).assign(jsw_medial_mm=lambda t: 5.0 - t["grade"], mas=2.0)
+        # Subjects and knees are called by texts, as in tables from elsewhere.
+        self.manifest[["subject", "knee"]] = "P" + self.manifest[["subject", "knee"]].astype(str)
         self.known = {row["file"]: row for row in rows}
 
     def load(self, file: str) -> np.ndarray:

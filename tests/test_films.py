@@ -1,5 +1,8 @@
 """Films of any source: folders and tables of them, and their pixels as displayed."""
 
+import hashlib
+import shutil
+
 import msgspec
 import numpy as np
 import pydicom
@@ -272,8 +275,11 @@ def test_a_name_gives_subject_and_side_by_the_rule(stem, told):
 
 
 def film_at(path):
+    """A film of its own, since no other one has its name."""
     path.parent.mkdir(exist_ok=True, parents=True)
-    Image.fromarray(grey(8)).save(path)
+    pixels = grey(8)
+    pixels[0, :8] = list(hashlib.sha256(path.name.encode()).digest()[:8])
+    Image.fromarray(pixels).save(path)
 
 
 def test_folders_by_grade_are_listed_by_grade_and_name(tmp_path):
@@ -324,6 +330,27 @@ def test_a_table_with_a_fault_is_refused_with_its_line(tmp_path, text, why):
     (tmp_path / "films.csv").write_text(text)
     with pytest.raises(InputError, match=why):
         list_films(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("files", "told"),
+    [
+        (("0/7R.png", "2/7R.png"), "0/7R.png and 2/7R.png are the same film, with grade = 0 and 2; allowed: one grade"),
+        (("1/7R.png", "1/8R.png"), "1/7R.png and 1/8R.png are the same film, with subject = 7 and 8"),
+        (("1/7R.png", "8R.png"), "1/7R.png and 8R.png are the same film, with subject = 7 and 8"),
+        (("1/7L.png", "1/7R.png"), "1/7L.png and 1/7R.png are the same film, with side = left and right"),
+    ],
+    ids=["grade", "subject", "without a grade", "side"],
+)
+def test_copies_of_a_film_that_are_told_of_differently_are_refused_by_both_names(tmp_path, files, told):
+    film_at(tmp_path / files[0])
+    (tmp_path / files[1]).parent.mkdir(exist_ok=True)
+    shutil.copy(tmp_path / files[0], tmp_path / files[1])
+    with pytest.raises(InputError, match=told):
+        list_films(tmp_path)
+    # A table that has one truth of both is taken.
+    (tmp_path / "films.csv").write_text(f"file,grade,subject,side\n{files[0]},1,A,left\n{files[1]},,A,left\n")
+    assert len(list_films(tmp_path)) == 2
 
 
 def test_a_folder_without_films_and_one_with_two_tables_are_refused(tmp_path):

@@ -38,7 +38,15 @@ def test_of_one_protocol_and_one_model_the_rest_is_left_out():
     assert auc == "Grade 0 against 2, AUC as the mean of the splits, of the model: within one protocol 0.81."
 
 
-@pytest.mark.parametrize(("tested", "said"), [((2, 3), "tests 2 to 3 subjects"), ((5, 9), "5 to 9"), ((6, 9), "")])
-def test_a_warning_stands_where_splits_test_too_few(tested, said):
-    warning = few_tested(tested)
+@pytest.mark.parametrize(
+    ("tested", "rarest", "said"),
+    [
+        ((2, 3), 1, "tests 2 to 3 subjects"),
+        ((5, 9), 3, "5 to 9"),
+        ((7, 7), 1, "tests 7 subjects, of the rarest grade 1"),
+        ((6, 9), 3, ""),
+    ],
+)
+def test_a_warning_stands_where_splits_test_too_few(tested, rarest, said):
+    warning = few_tested(tested, rarest)
     assert (said in warning) if said else warning == ""

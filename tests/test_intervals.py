@@ -113,6 +113,7 @@ def test_differences_are_paired_and_find_the_worse_arm():
     assert cross["high"] < 0
     assert cross["p"] < 1e-4
     assert cross["test_subjects"] == 100
+    assert 30 < cross["test_rarest"] <= 50
     assert found.loc[("model minus JSW (true)", "rf")]["high"] < 0
     assert found.loc[("model minus JSW (true)", "lr"), "p"].item() > 0.01  # same strength, other noise
 
@@ -142,7 +143,7 @@ def test_a_clear_difference_stays_below_005_after_holm_with_any_number_of_protoc
         for repeat in range(20):
             score = 0.9 - 0.3 * (k > 0) + 0.02 * rng.normal()
             rows.append(dict(zip(ARM, arm, strict=True)) | dict.fromkeys(metrics.METRICS, score) | {"repeat": repeat})
-    found = intervals.differences(pd.DataFrame(rows).assign(test_subjects=20), 15 / 70)
+    found = intervals.differences(pd.DataFrame(rows).assign(test_subjects=20, test_rarest=10), 15 / 70)
     assert len(found) == 3 * (protocols - 1)
     assert (found["p_holm"] < 0.05).all()
 

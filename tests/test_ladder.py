@@ -57,6 +57,10 @@ def test_texture_that_knows_what_the_space_does_not_adds_to_it(splits):
     assert asked["do features add to a measured joint space?"] == "yes"
 
 
+def test_too_few_tested_of_the_rarer_grade_answer_no_question(splits):
+    assert set(tables.differences(splits.assign(test_rarest=2))["answer"]) == {"not decidable"}
+
+
 def test_texture_of_chance_adds_nothing():
     asked = tables.differences(climbed(cohort(1, texture=0.0))).set_index("question")
     assert asked.loc["does texture add to a measured joint space?", "answer"] != "yes"

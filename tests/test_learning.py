@@ -26,7 +26,8 @@ def studied(subjects: int, seed: int) -> pd.DataFrame:
         test = split.test
         for name, value in values.items():
             row = {"grades": "0 vs 2", "rung": name, "repeat": repeat, "trained": len(split.training), "share": 1.0}
-            rows.append(row | {"test_subjects": len(test), "auc": auc(grade[test] == 2, value[test])})
+            row |= {"test_subjects": len(test), "test_rarest": len(test) // 2}
+            rows.append(row | {"auc": auc(grade[test] == 2, value[test])})
     return pd.DataFrame(rows)
 
 
@@ -88,7 +89,7 @@ def test_a_curve_has_the_gain_of_each_step_on_the_same_tested_subjects():
         chance = 0.02 * rng.normal()
         for share, rise in ((0.5, 0.0), (1.0, 0.1)):
             label = {"grades": "0 vs 2", "rung": "radiomics", "repeat": repeat, "share": share}
-            label |= {"trained": int(80 * share), "test_subjects": 20}
+            label |= {"trained": int(80 * share), "test_subjects": 20, "test_rarest": 10}
             rows.append(label | {"auc": 0.7 + rise + chance + 0.001 * rng.normal()})
     table = learning.curves(pd.DataFrame(rows)).set_index("trained")
     assert np.isnan(table.loc[40, "gain"])

@@ -142,10 +142,18 @@ def test_models_on_disk_have_learnt_from_all_subjects_within_and_over_protocols(
 
 def test_repeats_that_cannot_serve_are_refused_by_name(tmp_path):
     manifest, retest = cohort().manifest, cohort().retest(2)
+    first = manifest[manifest["protocol"] == "reference"].set_index("knee")
     for broken, told in (
         (retest.drop(columns="turn"), "turn"),
         (retest.assign(kind="shake"), "kind of repeat = 'shake'"),
         (retest.assign(radiograph=manifest["radiograph"].iloc[0]), "listed twice"),
+        (retest.assign(sha256=retest["knee"].map(first["sha256"])), f"has sha256 = {first['sha256'][0][:12]}.*own"),
+        (retest.assign(sha256=retest["sha256"].iloc[0]), r"has sha256 = .*\(7 such\); allowed: a file of its own"),
+        (retest.assign(knee=99), r"has knee = 99 \(8 such\); allowed: a knee of the manifest"),
+        (retest.assign(subject=14), "manifest of repeats: knee 0 has subject = 0 and 14"),
+        (retest.assign(grade=2), "manifest of repeats: knee 0 has grade = 0 and 2"),
+        (retest.assign(knee=1 - retest["knee"]), "manifest of repeats: knee 0 has subject = 0 and 1"),
+        (retest.assign(side="left"), "manifest of repeats: knee 0 has side = right and left"),
     ):
         with pytest.raises(InputError, match=told):
             study.run(manifest, cohort().load, [TEMPLATE], SMALL, tmp_path, retest=broken)
@@ -153,8 +161,10 @@ def test_repeats_that_cannot_serve_are_refused_by_name(tmp_path):
 
 def test_refused_regions_are_counted_and_left_out_and_subjects_numbered_by_grade_are_told(tmp_path):
     manifest = cohort().manifest
-    manifest = manifest.assign(subject=5 * manifest["grade"] + manifest["subject"] // 3)
-    blank = set(manifest[manifest["subject"] == 14]["file"])
+    number = 5 * manifest["grade"] + manifest["subject"] // 3
+    # Called by texts, in whose own order P10 comes before P2.
+    manifest = manifest.assign(subject=[f"P{one}" for one in number])
+    blank = set(manifest[manifest["subject"] == "P14"]["file"])
 
     def load(file: str) -> np.ndarray:
         if file in blank:
@@ -163,7 +173,8 @@ def test_refused_regions_are_counted_and_left_out_and_subjects_numbered_by_grade
 
     found = study.run(manifest, load, [TEMPLATE], SMALL, tmp_path)
     assert found.localisation.iloc[-1]["refused"] == 3
-    assert "14" not in set(pd.read_csv(found.tables["predictions"])["subject"].astype(str))
+    assert "P14" not in set(pd.read_csv(found.tables["predictions"])["subject"])
+    assert set(found.reliability["subjects"]) == {14}
     assert "<strong>Mind:</strong> Subjects are numbered by their grade" in found.report.read_text(encoding="utf-8")
 
 

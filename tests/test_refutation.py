@@ -13,14 +13,19 @@ from pssf.study.statistics.reliability import reliability
 
 def test_hardly_a_claim_holds_on_random_labels():
     # Each measure holds by chance in 2.5 %, two to four measures a claim, of which most go together.
-    found = np.array([row["held"] for row in refutation_rows(1, cohorts=3)])
+    rows = refutation_rows(1, cohorts=3)
+    found = np.array([row["held"] for row in rows])
     assert len(found) == 13
     assert found.sum() <= binom.ppf(0.999, 3 * len(found), 0.05)
     assert (found < 3).all()
+    # What does not hold is counted apart from what cannot be decided: a high AUC is refuted here, a trend seldom is.
+    refuted = {str(row["claim"]): row["refuted"] for row in rows}
+    assert refuted["Within a protocol, grades 0 and 2 are told apart well"] == 3
+    assert sum(of for claim, of in refuted.items() if " with grade" in claim) < 3 * 6 / 2
 
 
 @pytest.mark.slow
-def test_every_claim_is_refuted_on_random_labels_in_19_of_20_cohorts():
+def test_every_claim_holds_on_random_labels_in_no_more_than_1_of_20_cohorts():
     assert all(row["held"] <= 1 for row in refutation_rows(1))
 
 

@@ -77,6 +77,18 @@ def table_of(values: np.ndarray, conditions: list[str]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def test_subjects_and_knees_may_be_called_by_texts():
+    table = table_of(draw(12, 2, of_condition=0.3, noise=0.4, seed=2), ["reference", "other"])
+    # Two knees a subject, called so that the texts sort as the numbers do.
+    table["subject"] = table["knee"] // 2
+    named = table.assign(**{name: table[name].map("P{:02d}".format) for name in ("subject", "knee")})
+    again = [given[given["protocol"] == "other"].assign(kind="noise", turn=1) for given in (table, named)]
+    of_protocols = [reliability(given, ["a"], "reference", replicates=50) for given in (table, named)]
+    of_repeats = [repeatability(*both, ["a"], "reference") for both in zip((table, named), again, strict=True)]
+    pd.testing.assert_frame_equal(*of_protocols)
+    pd.testing.assert_frame_equal(*of_repeats)
+
+
 def test_a_class_is_by_the_lower_bound():
     values = draw(12, 2, of_condition=0.0, noise=0.15, seed=4)
     row = reliability(table_of(values, ["reference", "other"]), ["a", "b"], "reference").set_index("feature").loc["a"]

@@ -50,6 +50,7 @@ def test_grades_3_and_4_are_one_class():
     own = splits[splits["turn"] == 7]
     # Of 16 tested, 8 are of either class, whichever the grade; 0 against 3 alone would be of 12 of them.
     assert set(own["test_subjects"]) == {16}
+    assert set(own["test_rarest"]) == {8}
     assert set(own["trained"] + own["test_subjects"]) <= set(range(64, 80))
     # Of knees 2.4 deviations apart, learnt: 0.955.
     assert own["auc"].mean() == pytest.approx(norm.cdf(2.4 / np.sqrt(2 * (1 + 0.25**2))), abs=0.05)
@@ -125,11 +126,27 @@ def test_an_auc_that_is_not_above_chance_has_nothing_to_lose():
     assert places.loc[breaks.STABLE, "reading"] != "not decidable"
 
 
+def test_curves_of_subjects_and_knees_called_by_texts_are_those_of_numbers(answered):
+    tables = [
+        table.assign(**{name: table[name].map("P{:02d}".format) for name in ("subject", "knee")}) for table in made()
+    ]
+    found = responses.curves_of_features(*tables, NAMES, step, replicates=200, seed=0)
+    pd.testing.assert_frame_equal(found.table, answered[0].table)
+
+
 def test_few_tested_knees_decide_nothing():
     base, steps = made(curved=4)
     of_models = responses.curves_of_models(respond(base, steps, NAMES, SETTINGS, Execution()), step)
     of_features = responses.curves_of_features(base, steps, NAMES, step, replicates=100, seed=0)
     assert set(breaks.breaks(of_features, of_models, DOSE, 0.05)["reading"]) == {"not decidable"}
+
+
+def test_a_loss_is_not_decided_where_too_few_of_a_class_are_tested(answered):
+    of_features, of_models = answered
+    few = of_models.assign(rarest=of_models["rarest"].where(of_models["turn"] > 2, 2))
+    places = breaks.breaks(of_features, few, DOSE, 0.05).set_index("conclusion")
+    assert places.loc["AUC loses at most 0.05", "reading"] == "not decidable"
+    assert places.loc[breaks.STABLE, "reading"] != "not decidable"
 
 
 def test_no_subject_is_tested_and_learnt_from_and_only_those_with_curves_are_tested():
@@ -157,7 +174,7 @@ def test_intervals_hold_a_models_auc_though_halves_of_few_knees_are_tested_again
             score = auc((base["grade"] == 2)[tested].to_numpy(), marker[tested].to_numpy())
             rows.append({
                 "axis": "dose", "turn": 1, "trained": len(halves.training), "curved": 24,
-                "test_subjects": len(halves.test), "auc": score, "auc_own": score, "shift": 0.0,
+                "test_subjects": len(halves.test), "test_rarest": 6, "auc": score, "auc_own": score, "shift": 0.0,
             })  # fmt: skip
         splits = pd.DataFrame(rows)
         found = at(responses.curves_of_models(splits, step), responses.AUC).loc[1]

@@ -62,3 +62,13 @@ def test_a_group_of_which_splits_test_fewer_than_six_has_no_interval(subjects, t
     found = subgroups(predictions(subjects), people(subjects), SETTINGS, 15 / 70).set_index("group").loc["men"]
     assert np.isfinite(found["auc"])
     assert np.isfinite(found["auc_low"]) == told
+
+
+def test_a_group_of_which_splits_test_fewer_than_three_of_a_grade_has_no_interval():
+    told = predictions(40)
+    men = told["subject"] % 2 == 1
+    for kept, expected in ((3, True), (2, False)):
+        few = told[~(men & (told["truth"] == 1)) | (told["subject"] < 4 * kept)]
+        found = subgroups(few, people(40), SETTINGS, 15 / 70).set_index("group").loc["men"]
+        assert np.isfinite(found["auc"])
+        assert np.isfinite(found["auc_low"]) == expected

@@ -25,7 +25,8 @@ from ..study.statistics.subjects import draws
 from .engines import Row
 
 # Twenty subjects a grade are six tested, the fewest that anything is decided from.
-FEWEST = 20
+FEWEST = (20, 20)
+Counts = tuple[int, int]  # subjects of either grade
 _MEASURES = ("auc", "balanced_accuracy", "macro_f1")
 _FEATURES, _SPLITS = 5, 20
 # Model -> the features that it sees; the JSW's arm stands for a model that knows less.
@@ -49,13 +50,14 @@ class Population:
 
     apart: float
 
-    def cohort(self, subjects: int, rng: np.random.Generator) -> tuple[Array, NDArray[np.int64]]:
-        """Features (subjects, 5) and grade index (subjects,), both grades alike."""
-        grade = np.arange(subjects) % 2
-        return rng.normal(size=(subjects, _FEATURES)) + grade[:, None] * self._step(), grade
+    def cohort(self, subjects: Counts, rng: np.random.Generator) -> tuple[Array, NDArray[np.int64]]:
+        """Features (subjects, 5) and grade index (subjects,), the grades evenly in turn."""
+        place = np.concatenate([(np.arange(count) + 0.5) / count for count in subjects])
+        grade = np.repeat([0, 1], subjects)[np.argsort(place, kind="stable")]
+        return rng.normal(size=(len(grade), _FEATURES)) + grade[:, None] * self._step(), grade
 
-    def truth(self, trained: int, tested: int) -> dict[str, Array]:
-        """Model -> mean (_MEASURES) of those that have learnt from so many subjects, on so many of each grade."""
+    def truth(self, trained: Counts, tested: Counts) -> dict[str, Array]:
+        """Model -> mean (_MEASURES) of those that have learnt from so many subjects, on so many others."""
         rng = np.random.default_rng(1)
         of_model: dict[str, list[tuple[float, float, float]]] = {name: [] for name in _SEEN}
         for _ in range(600):
@@ -67,7 +69,7 @@ class Population:
     def _step(self) -> Array:
         return np.asarray(self.apart / np.sqrt(2) * np.eye(_FEATURES)[[0, 2]].sum(axis=0))
 
-    def _performance(self, model: LogisticRegression, seen: slice, tested: int) -> tuple[float, float, float]:
+    def _performance(self, model: LogisticRegression, seen: slice, tested: Counts) -> tuple[float, float, float]:
         weight, step = model.coef_[0], self._step()[seen]
         length = np.linalg.norm(weight)
         zero, one = model.intercept_[0] / length, (model.intercept_[0] + weight @ step) / length
@@ -87,30 +89,31 @@ def coverage_rows(workers: int, cohorts: int = 200) -> list[Row]:
     return rows
 
 
-def missed(apart: float, per_grade: int, cohorts: int, workers: int = 1) -> pd.Series:
+def missed(apart: float, subjects: Counts, cohorts: int, workers: int = 1) -> pd.Series:
     """How many cohorts have an interval that misses the truth, by measure; how many have one of no width."""
-    shared = {"apart": apart, "per_grade": per_grade, "truth": _truth(apart, per_grade)}
+    shared = {"apart": apart, "subjects": subjects, "truth": _truth(apart, subjects)}
     return pd.DataFrame(ordered_map(_one_cohort, range(cohorts), shared=shared, workers=workers)).sum()
 
 
-def mean_f1(right: tuple[float, float], tested: int) -> float:
-    """Mean macro F1 of tests of so many subjects of each grade, called right with these probabilities."""
-    counts = np.arange(tested + 1)
-    zeros, ones = counts[:, None], counts[None, :]
-    probability = binom.pmf(zeros, tested, right[0]) * binom.pmf(ones, tested, right[1])
+def mean_f1(right: tuple[float, float], tested: Counts) -> float:
+    """Mean macro F1 of tests of so many subjects of either grade, called right with these probabilities."""
+    zeros, ones = np.arange(tested[0] + 1)[:, None], np.arange(tested[1] + 1)[None, :]
+    probability = binom.pmf(zeros, tested[0], right[0]) * binom.pmf(ones, tested[1], right[1])
     # 2 right / (true + called), of either grade.
-    f1 = zeros / (2 * tested + zeros - ones) + ones / (2 * tested + ones - zeros)
+    f1 = zeros / (sum(tested) + zeros - ones) + ones / (sum(tested) + ones - zeros)
     return float((probability * f1).sum())
 
 
 @cache
-def _truth(apart: float, per_grade: int) -> dict[str, Array]:
-    split = split_subjects(range(2 * per_grade), [number % 2 for number in range(2 * per_grade)], seed=0)
-    return Population(apart).truth(len(split.training), len(split.test) // 2)
+def _truth(apart: float, subjects: Counts) -> dict[str, Array]:
+    grade = np.repeat([0, 1], subjects)
+    split = split_subjects(range(len(grade)), grade.tolist(), seed=0)
+    trained, tested = (np.bincount(grade[part], minlength=2).tolist() for part in (split.training, split.test))
+    return Population(apart).truth(tuple(trained), tuple(tested))
 
 
-def _one_cohort(seed: int, apart: float, per_grade: int, truth: dict[str, Array]) -> dict[str, bool]:
-    values, grade = Population(apart).cohort(2 * per_grade, np.random.default_rng([5, seed]))
+def _one_cohort(seed: int, apart: float, subjects: Counts, truth: dict[str, Array]) -> dict[str, bool]:
+    values, grade = Population(apart).cohort(subjects, np.random.default_rng([5, seed]))
     predictions, listed = _studied(values, grade, seed)
     splits, ratio = score_splits(predictions), share_tested(listed)
     of = intervals(splits, ratio).set_index("model").loc["lr"]

@@ -42,12 +42,18 @@ def random_cohort(seed: int, subjects: int = 90) -> pd.DataFrame:
 
 
 def refutation_rows(workers: int, cohorts: int = 20) -> list[Row]:
-    """A row a claim: in how many of so many cohorts of random labels any of its measures holds."""
+    """A row a claim: in how many of so many cohorts of random labels any of its measures holds, and any does not hold.
+
+    In a cohort of neither it is not decidable: that no claim may hold is asked, not that all are refuted.
+    """
     tables = ordered_map(_claimed, range(cohorts), shared={}, workers=workers)
     verdicts = joined(table.assign(seed=seed) for seed, table in enumerate(tables))
-    any_holds = (verdicts["verdict"] == "holds").groupby([verdicts["claim"], verdicts["seed"]], sort=False).any()
-    counts = any_holds.groupby("claim", sort=False).sum().drop(_OF_NO_LABEL)
-    return [{"claim": claim, "cohorts": cohorts, "held": int(count)} for claim, count in counts.items()]
+    keys, counts = [verdicts["claim"], verdicts["seed"]], {}
+    for column, verdict in (("held", "holds"), ("refuted", "does not hold")):
+        of_cohorts = (verdicts["verdict"] == verdict).groupby(keys, sort=False).any()
+        counts[column] = of_cohorts.groupby("claim", sort=False).sum().drop(_OF_NO_LABEL)
+    table = pd.DataFrame(counts).rename_axis("claim").reset_index()
+    return [{**row, "cohorts": cohorts} for row in table.to_dict("records")]
 
 
 def _claimed(seed: int) -> pd.DataFrame:

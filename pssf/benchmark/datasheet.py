@@ -26,6 +26,7 @@ class About:
     reference  protocol that baselines learn from
     baselines  of `make.make_benchmark`
     notes      sentences on baselines that are not there
+    warnings   of `provenance.warnings_of`
     """
 
     frozen: FrozenSet
@@ -36,6 +37,7 @@ class About:
     reference: str
     baselines: pd.DataFrame
     notes: Sequence[str]
+    warnings: Sequence[str]
     versions: Mapping[str, str]
 
 
@@ -66,6 +68,7 @@ def datasheet(about: About) -> str:
         reference=about.reference,
         baselines=[_shown(row) for row in about.baselines.to_dict("records")],
         notes=about.notes,
+        warnings=about.warnings,
     )
 
 

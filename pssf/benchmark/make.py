@@ -32,7 +32,7 @@ class BenchmarkResult:
     """What was made.
 
     baselines  one row a task, predictor and protocol tested on
-    notes      sentences on baselines that are not there
+    notes      sentences on baselines that are not there, and on what tells a grade without a look at the knee
     frozen     how many people have the hash that the package has written down, and of how many it has one
     """
 
@@ -60,7 +60,7 @@ def make_benchmark(
     """
     require_extra(execution.scheduler)
     from ..study.learn.split import split_subjects
-    from ..study.statistics.claims import LEAST_TESTED
+    from ..study.statistics.provenance import warnings_of
     from .croissant import croissant
     from .datasheet import About, citation, datasheet
 
@@ -74,8 +74,6 @@ def make_benchmark(
         path = make_cohort(plan, out, progress=stage.advance, kept=stage.keep, **how)
     manifest = read_manifest(path)
     baselines, refused, notes = _baselines(out, manifest, frozen, execution)
-    if baselines["test_subjects"].min() < LEAST_TESTED:
-        notes += (f"Some splits test fewer than {LEAST_TESTED} people, of whom nothing can be decided",)
     with execution.timer.stage("hashes"):
         made = hashes(manifest, partial(radiograph_pixels, out.absolute()))
     results.save_text(out / "frozen.toml", as_toml(made))
@@ -88,13 +86,15 @@ def make_benchmark(
         reference=str(manifest["protocol"].iloc[0]),
         baselines=baselines,
         notes=notes,
+        warnings=warnings_of(manifest),
         versions=versions(),
     )
     results.save_text(out / "datasheet.md", datasheet(about))
     results.save_text(out / "CITATION.cff", citation(frozen, versions()))
     files = {name: (sha256(out / name), len(results.load_bytes(out / name))) for name in _TABLES}
     results.save_json(out / "croissant.json", croissant(frozen, files, list(manifest.columns)))
-    return BenchmarkResult(folder=out, baselines=baselines, notes=notes, frozen=agreement(made, frozen_hashes()))
+    agreed = agreement(made, frozen_hashes())
+    return BenchmarkResult(folder=out, baselines=baselines, notes=(*notes, *about.warnings), frozen=agreed)
 
 
 def _baselines(
@@ -107,6 +107,7 @@ def _baselines(
     from ..study.statistics.intervals import intervals, share_tested
     from ..study.statistics.parameters import parameters_of
     from ..study.statistics.scores import score_splits, summarise
+    from ..study.statistics.tested import LEAST_OF_A_CLASS, LEAST_TESTED, enough
     from ..study.tables import study_tables
 
     region_px = max(16, round(_REGION_MM / float(manifest["pixel_mm"].iloc[0])))
@@ -129,7 +130,11 @@ def _baselines(
     scores = score_splits(predictions)
     baselines = summarise(scores).merge(intervals(scores, share_tested(splits)), on=ARM, validate="one_to_one")
     results.save_table(out / "baselines.csv", baselines)
-    return baselines, len(table) - len(usable), (f"Small CNN: {reason}",) if reason else ()
+    notes = [f"Small CNN: {reason}"] if reason else []
+    if not all(enough(row) for row in baselines.to_dict("records")):
+        few = f"fewer than {LEAST_TESTED} people or {LEAST_OF_A_CLASS} of a grade"
+        notes.append(f"Some splits test {few}, of whom nothing can be decided")
+    return baselines, len(table) - len(usable), tuple(notes)
 
 
 def _images(

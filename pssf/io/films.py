@@ -80,7 +80,8 @@ def list_films(folder: str | Path) -> tuple[Film, ...]:
             columns file, grade, subject, side, pixel_mm, of which all but the first may be left out or empty. Without a
             table a name that ends in a digit and L or R, such as 9003175L.png or 9003175_R.png, gives subject and side;
             of any other name all is the subject, and the side is not known.
-    raises  InputError for a folder without films, a table with another column or value, a film twice or not there
+    raises  InputError for a folder without films, a table with another column or value, a film twice or not there, or
+            copies of one film that have two grades, subjects or sides
     """
     folder = Path(folder)
     tables = [folder] if folder.suffix.lower() == ".csv" else sorted(folder.glob("*.csv"))
@@ -90,7 +91,22 @@ def list_films(folder: str | Path) -> tuple[Film, ...]:
     films = tuple(_of_table(tables[0])) if tables else tuple(_of_folders(folder))
     if not films:
         raise InputError(f"folder {folder}: films = none; allowed: folders 0 to 4 of {', '.join(SUFFIXES)}, or a CSV")
+    _require_one_of_each(films, folder)
     return films
+
+
+def _require_one_of_each(films: tuple[Film, ...], folder: Path) -> None:
+    """Refuse copies of a file that do not say the same of it: a film would have two truths, or two people in one."""
+    known: dict[str, Film] = {}
+    for film in films:
+        other = known.setdefault(film.sha256, film)
+        for name in ("grade", "subject", "side"):
+            one, two = getattr(other, name), getattr(film, name)
+            if one != two and None not in (one, two):
+                raise InputError(
+                    f"folder {folder}: {other.file} and {film.file} are the same film, with {name} = {one} and {two}; "
+                    f"allowed: one {name}"
+                )
 
 
 def _of_folders(folder: Path) -> Iterator[Film]:

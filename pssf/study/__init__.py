@@ -142,7 +142,8 @@ def run(
     films        to test on, beside the cohort
     designed     radiographs taken by design: the manifest's columns, with kind, turn and of_knee
     execution    who measures, trains and tests; stages that its timer has already come first in the report
-    raises       InputError for a manifest that lacks a column or has too few subjects, or a missing library;
+    raises       InputError for a manifest that lacks a column or has too few subjects, repeats that are not of its
+                 knees or no radiographs of their own, or a missing library;
                  WorkersLostError when workers keep being killed
     """
     require_extra()

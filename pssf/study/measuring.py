@@ -57,7 +57,11 @@ def check_manifest(manifest: pd.DataFrame, settings: StudySettings) -> None:
 
 
 def _with_retest(manifest: pd.DataFrame, retest: pd.DataFrame | None) -> pd.DataFrame:
-    """The manifest, the columns that the study reads, and below it what was taken again; `kind` tells them apart."""
+    """The manifest, the columns that the study reads, and below it what was taken again; `kind` tells them apart.
+
+    raises  InputError for repeats that lack a column, are no radiographs of their own, or of no knee of the manifest as
+            that has it
+    """
     columns = [*_COLUMNS, *(name for name in SOURCES if name in manifest)]
     first = manifest[columns].assign(kind="", turn="")
     if retest is None or retest.empty:
@@ -71,7 +75,27 @@ def _with_retest(manifest: pd.DataFrame, retest: pd.DataFrame | None) -> pd.Data
     twice = both["radiograph"][both["radiograph"].duplicated()]
     if len(twice):
         raise InputError(f"manifest of repeats: radiograph {twice.iloc[0]} is listed twice; allowed: once")
+    _require_repeats(manifest, retest)
+    require_one_of_each(both, "manifest of repeats")
     return both
+
+
+def _require_repeats(manifest: pd.DataFrame, retest: pd.DataFrame) -> None:
+    """Refuse a file that is there already, which would agree with itself, and a knee that is not."""
+    known = retest["sha256"].isin(manifest["sha256"]) | retest["sha256"].duplicated()
+    if known.any():
+        row = retest[known].iloc[0]
+        raise InputError(
+            f"manifest of repeats: radiograph {row['radiograph']} has sha256 = {row['sha256'][:12]}..., as another one "
+            f"has ({int(known.sum())} such); allowed: a file of its own"
+        )
+    strange = ~retest["knee"].isin(manifest["knee"])
+    if strange.any():
+        row = retest[strange].iloc[0]
+        raise InputError(
+            f"manifest of repeats: radiograph {row['radiograph']} has knee = {row['knee']} "
+            f"({int(strange.sum())} such); allowed: a knee of the manifest"
+        )
 
 
 def measured(

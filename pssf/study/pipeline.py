@@ -37,7 +37,7 @@ from .statistics.dimensions import dimensions, tuned
 from .statistics.evidence import Tables, tables_of_features, tables_of_models, tables_of_truth
 from .statistics.importance import by_family
 from .statistics.parameters import composition, morphology, parameters_of, with_measures
-from .statistics.provenance import warnings_of
+from .statistics.provenance import notes_of, warnings_of
 from .statistics.reliability import count_stable, protocols_of
 from .tables import laws_of
 
@@ -161,12 +161,14 @@ def _findings(
     importance = tables["importance"].merge(tables["permutation"][[*keys, "drop"]], on=keys, how="left")
     shown = importance[importance["selection"] == settings.selections[0]]
     counts = {name: int(located[column].nunique()) for name, column in _COUNTED.items()}
-    tested = tables["splits"]["test_subjects"]
+    within = tables["splits"][tables["splits"]["scenario"] == "within"]
+    tested = within["test_subjects"]
     packages = (*_PACKAGES, *BACKENDS[settings.backend].libraries)
     return Findings(
         counts=counts | {"regions refused": len(located) - len(usable)},
         composition=composition(located),
         warnings=warnings_of(located),
+        notes=notes_of(located),
         localisation=tables["localisation"],
         morphology=tables["morphology"],
         subgroups=tables["subgroups"],
@@ -188,6 +190,7 @@ def _findings(
         workers=run.execution.workers,
         features=len(names),
         test_subjects=(int(tested.min()), int(tested.max())),
+        test_rarest=int(within["test_rarest"].min()),
     )
 
 
@@ -203,7 +206,8 @@ def _write(run: Run, findings: Findings, tables: Tables, files: dict[str, bytes]
     models = {name: out / "models" / f"{name}{SUFFIX}" for name in sorted(files)}
     for name, path in models.items():
         results.save_bytes(path, files[name])
-    facts = ("counts", "warnings", "features", "degenerate", "settings", "processing", "versions", "cost", "workers")
+    facts = ["counts", "warnings", "notes", "features", "degenerate"]
+    facts += ["settings", "processing", "versions", "cost", "workers"]
     results.save_json(out / "study.json", {name: getattr(findings, name) for name in facts})
     results.save_json(out / "environment.json", environment())
     results.save_text(out / "report.html", render(findings))

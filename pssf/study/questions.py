@@ -1,6 +1,6 @@
 """What only a simulator can ask of a cohort: tables, and sections of the report."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import pandas as pd
@@ -25,10 +25,10 @@ from .report.sections import (
 )
 from .settings import StudySettings
 from .statistics import breaks, confounders, ladder, learning, responses, space
-from .statistics.claims import LEAST_TESTED
 from .statistics.evidence import Tables
 from .statistics.importance import leading
 from .statistics.parameters import parameters_of
+from .statistics.tested import TESTED, count_tested, enough
 
 _CEILING_KNEES = 1000  # drawn for the best possible, the grades alike
 _SHARES = (0.2, 0.4, 0.6, 0.8)  # of the subjects to learn from, beside all
@@ -82,7 +82,7 @@ def _ladder(manifest: pd.DataFrame, usable: pd.DataFrame, names: list[str], run:
     """
     settings, execution = run.settings, run.execution
     known = known_of(usable, names, parameters_of(manifest), settings)
-    if len(rungs_of(known, names)) < 2 or _tested(known, set(known["grade"]), settings) < LEAST_TESTED:
+    if len(rungs_of(known, names)) < 2 or not _enough(known, settings):
         return Answers({}, [])
     splits = climb(known, names, settings, execution)
     rungs, differences = ladder.rungs(splits), ladder.differences(splits)
@@ -91,7 +91,7 @@ def _ladder(manifest: pd.DataFrame, usable: pd.DataFrame, names: list[str], run:
             drawn = separability(laws, run.tables.gap_alone_auc, knees=_CEILING_KNEES, seed=settings.seed)
         best = ladder.ceiling(drawn)
         rungs = joined([rungs, best[best["grades"].isin(rungs["grades"])]])
-        rungs = rungs.astype(dict.fromkeys(("trained", "test_subjects", "splits", "knees"), "Int64"))
+        rungs = rungs.astype(dict.fromkeys(("trained", *TESTED, "splits", "knees"), "Int64"))
     fewer = climb(known, names, settings, execution, shares=_SHARES, rungs=_LEARNING, stage="learning curves")
     curves = learning.curves(joined([fewer, splits[splits["rung"].isin(_LEARNING)]]))
     power = learning.power(splits, _counts(known), settings.difference)
@@ -110,7 +110,7 @@ def _confounders(manifest: pd.DataFrame, usable: pd.DataFrame, names: list[str],
     known = usable[["knee", "subject", "grade", "protocol", *names]]
     known = known.merge(known_of_knees[["knee", *columns]], on="knee", how="left")
     wanted = columns + (["site"] if known["protocol"].nunique() > 1 else [])
-    if not wanted or _tested(known, sum(CLASSES, ()), run.settings) < LEAST_TESTED:
+    if not wanted or not _enough(known[known["grade"].isin(sum(CLASSES, ()))], run.settings):
         return Answers({}, [])
     table = confounders.confounding(confound(known, names, wanted, run.settings, run.execution))
     if table.empty:
@@ -118,10 +118,13 @@ def _confounders(manifest: pd.DataFrame, usable: pd.DataFrame, names: list[str],
     return Answers({"confounders": table}, [confounders_section(table)])
 
 
-def _tested(known: pd.DataFrame, grades: Collection[int], settings: StudySettings) -> int:
-    """How many subjects of some grades the first split tests."""
-    tested = set(split_subjects(known["subject"], known["grade"], seed=settings.seed).test)
-    return len(tested & set(known.loc[known["grade"].isin(list(grades)), "subject"]))
+def _enough(known: pd.DataFrame, settings: StudySettings) -> bool:
+    """Whether the first split tests enough subjects of the least grade and any other one to decide anything."""
+    test = known[known["subject"].isin(split_subjects(known["subject"], known["grade"], seed=settings.seed).test)]
+    first, *others = sorted(set(known["grade"]))
+    pairs = ((first, grade) for grade in others)
+    of_pairs = ((pair, test[test["grade"].isin(pair)]) for pair in pairs)
+    return any(enough(count_tested(part["subject"], part["grade"], pair)) for pair, part in of_pairs)
 
 
 def _with_region(taken: pd.DataFrame, name: str, base: pd.DataFrame, run: Run) -> pd.DataFrame:

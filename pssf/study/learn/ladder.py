@@ -24,6 +24,7 @@ from ..settings import StudySettings
 from ..statistics.metrics import auc
 from ..statistics.parameters import PARAMETERS
 from ..statistics.subjects import worst_grades
+from ..statistics.tested import TESTED, count_tested
 from .each_split import each_split
 from .models import Fitted, tune
 from .scenarios import Part
@@ -44,7 +45,7 @@ READING_SD_MM = 0.32
 _SPACES = ("medial", "lateral", "least")
 _TRUE, _MEASURED = (tuple(f"{kind}_{name}_mm" for name in _SPACES) for kind in ("true", "measured"))
 _READING, _THINNING = 2**31 + 5, 2  # keys of streams under a seed and under a split's
-_COLUMNS = ["grades", "rung", "repeat", "trained", "test_subjects", "auc"]
+_COLUMNS = ["grades", "rung", "repeat", "trained", *TESTED, "auc"]
 
 
 @dataclass(frozen=True)
@@ -158,7 +159,7 @@ def climb(
              the tested are the same for all
     rungs    of RUNGS; those that `known` lacks columns of are left out
     stage    of the execution's timer
-    returns  grades (0 vs 1 and so on), rung, repeat, trained, test_subjects, auc, share
+    returns  grades (0 vs 1 and so on), rung, repeat, trained, TESTED, auc, share
     raises   InputError for too few subjects of a grade; WorkersLostError when workers keep being killed
     """
     jobs = [Job(repeat, share) for share in shares for repeat in range(settings.repeats)]
@@ -192,7 +193,7 @@ def climb_split(
         part = known[known["grade"].isin((first, grade))]
         training, validation, test = (part[part["subject"].isin(of)] for of in (*learnt, split.test))
         label = {"grades": f"{first} vs {grade}", "repeat": job.repeat, "trained": training["subject"].nunique()}
-        label |= {"test_subjects": test["subject"].nunique()}
+        label |= count_tested(test["subject"], test["grade"], (first, grade))
         if training["grade"].nunique() == test["grade"].nunique() == 2:
             for name, value in _scores(training, validation, test, rungs, settings, seed, (first, grade)):
                 rows.append({**label, "rung": name, "auc": value})

@@ -13,6 +13,7 @@ from ..predictions import TASKS, Classes, class_of, contrast_of
 from ..settings import StudySettings
 from ..statistics.metrics import auc
 from ..statistics.subjects import worst_grades
+from ..statistics.tested import TESTED, count_tested
 from .each_split import each_split
 from .models import tune
 from .selection import preparation
@@ -21,7 +22,7 @@ from .split import seed_of_split
 _SPLIT = 3  # key of the stream under a repeat, beside that of `ladder`
 _VALIDATION = 0.15
 _CLIP = 1e-6
-_COLUMNS = ["repeat", "axis", "turn", "trained", "curved", "test_subjects", "auc", "auc_own", "shift"]
+_COLUMNS = ["repeat", "axis", "turn", "trained", "curved", *TESTED, "auc", "auc_own", "shift"]
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ def respond(
 
     base     radiographs of the cohort under the reference, with a region: knee, subject, grade, features
     steps    radiographs along the axes, with a region: knee, subject, grade, kind (axis), turn, features
-    returns  repeat, axis, turn, trained, curved (subjects of whom half are tested), test_subjects; auc, and auc_own of
+    returns  repeat, axis, turn, trained, curved (subjects of whom half are tested), TESTED; auc, and auc_own of
              the same knees as the cohort has them; shift: mean change of the log odds of the worse class, by which
              a threshold would have to move
     raises   WorkersLostError when workers keep being killed
@@ -112,8 +113,8 @@ def respond_split(
         here, positive = odds(part), part["grade"].isin(classes[1]).to_numpy()
         before = own.loc[here.index]
         row = {"repeat": repeat, "axis": axis, "turn": int(turn), "trained": len(halves.training)}
-        row |= {"curved": len(curved)}
-        row |= {"test_subjects": part["subject"].nunique(), "shift": float((here - before).mean())}
+        row |= {"curved": len(curved), "shift": float((here - before).mean())}
+        row |= count_tested(part["subject"], positive, (False, True))
         scores = {"auc": auc(positive, here.to_numpy()), "auc_own": auc(positive, before.to_numpy())}
         rows.append(row | scores)
     return rows

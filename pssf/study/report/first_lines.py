@@ -4,7 +4,7 @@ import pandas as pd
 
 from ..predictions import TASKS
 from ..settings import MODELS
-from ..statistics.claims import LEAST_TESTED
+from ..statistics.tested import LEAST_OF_A_CLASS, LEAST_TESTED
 
 _ARMS = {
     "within": "within one protocol",
@@ -35,17 +35,19 @@ def result_lines(scores: pd.DataFrame, claims: pd.DataFrame) -> list[str]:
     return [*lines, f"Of {len(claims)} measurements of what the paper claims {', '.join(counted)}."]
 
 
-def few_tested(test_subjects: tuple[int, int]) -> str:
+def few_tested(test_subjects: tuple[int, int], rarest: int) -> str:
     """A warning where splits test too few subjects for a result; "" where they do not.
 
     test_subjects  least and most of a split
+    rarest         least of a split's class that has the fewest
     """
     least, most = test_subjects
-    if least >= LEAST_TESTED:
+    if least >= LEAST_TESTED and rarest >= LEAST_OF_A_CLASS:
         return ""
     tested = f"{least}" if least == most else f"{least} to {most}"
     return (
-        f"A split tests {tested} subjects, and below {LEAST_TESTED} nothing is decided: these numbers show that the "
+        f"A split tests {tested} subjects, of the rarest grade {rarest}, and below {LEAST_TESTED}, or below "
+        f"{LEAST_OF_A_CLASS} of a grade, nothing is decided: these numbers show that the "
         "chain runs, and say nothing of how well grades can be told. A larger preset or more knees would."
     )
 

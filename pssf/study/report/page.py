@@ -11,11 +11,11 @@ import pandas as pd
 from ..external import External
 from ..predictions import BASELINES, GRADES, NONE, TASKS
 from ..settings import MODELS, SELECTIONS
-from ..statistics.claims import LEAST_TESTED
 from ..statistics.intervals import MINUS_JSW
 from ..statistics.localisation import GROSS_MM
 from ..statistics.metrics import METRICS
 from ..statistics.reliability import ICC_FORMS
+from ..statistics.tested import LEAST_OF_A_CLASS, LEAST_TESTED
 from .feature_figures import FAMILY_NAMES
 from .figures import SCENARIOS
 from .first_lines import few_tested, result_lines
@@ -50,6 +50,7 @@ class Findings:
     counts        label -> number, of the cohort
     composition   grade, subjects, knees, protocols, radiographs; the last row is of all
     warnings      of `provenance.warnings_of`
+    notes         of `provenance.notes_of`
     morphology    of `parameters.morphology`
     subgroups     of `subgroups.subgroups`
     localisation  of `localisation.summarise`
@@ -67,12 +68,14 @@ class Findings:
     processing    of `radiomics.processing`
     degenerate    names of features that are the same in every radiograph
     cost          of `cost.cost_rows`; work_seconds: step -> sum over the processes
-    test_subjects least and most of a split
+    test_subjects least and most of a split within the protocol
+    test_rarest   least of a split's class that has the fewest, within the protocol
     """
 
     counts: dict[str, int]
     composition: pd.DataFrame
     warnings: list[str]
+    notes: list[str]
     localisation: pd.DataFrame
     morphology: pd.DataFrame
     subgroups: pd.DataFrame
@@ -94,6 +97,7 @@ class Findings:
     workers: int
     features: int
     test_subjects: tuple[int, int]
+    test_rarest: int
     models: list[str] = field(default_factory=list)
     external: External | None = None
     sections: list["Section"] = field(default_factory=list)
@@ -117,8 +121,9 @@ def render(findings: Findings) -> str:
         tasks=_score_tables(findings.scores),
         metrics=METRICS,
         least_tested=LEAST_TESTED,
+        least_of_a_class=LEAST_OF_A_CLASS,
         result=result_lines(findings.scores, findings.claims),
-        few=few_tested(findings.test_subjects),
+        few=few_tested(findings.test_subjects, findings.test_rarest),
         compared=_compared(findings.differences),
         models=MODELS | BASELINES,
         selections=SELECTIONS | {NONE: "baseline"},

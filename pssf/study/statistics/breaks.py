@@ -13,10 +13,11 @@ import pandas as pd
 
 from ...core.checks import Array
 from ..design import Axis
-from .claims import LEAST_TESTED, UNDECIDED
+from .claims import UNDECIDED
 from .metrics import LEVELS
 from .reliability import THRESHOLD
 from .responses import AUC, LOSS, Curves, first_crossing
+from .tested import LEAST_OF_A_CLASS, LEAST_TESTED
 
 COLUMNS = ["axis", "conclusion", "side", "value", "low", "high", "from", "to", "knees", "reading"]
 _CHANCE = 0.5  # AUC
@@ -31,7 +32,7 @@ def breaks(curves: Curves, models: pd.DataFrame, axes: Mapping[str, Axis], diffe
     difference  of AUC that may be lost
     returns     axis, conclusion, side (below | above the protocol's own step), value, low, high, in the axis's steps
                 (infinite: not within what was measured), from, to (what was measured), knees (tested; 0 where the AUC
-                is not above chance to begin with), reading (in words)
+                is not above chance to begin with, or too few of a class are tested), reading (in words)
     """
     rows = []
     for name, axis in axes.items():
@@ -53,7 +54,8 @@ def breaks(curves: Curves, models: pd.DataFrame, axes: Mapping[str, Axis], diffe
                 # What is not told apart to begin with has nothing to lose.
                 above = bool(scores.loc[turns[0], "low"] > _CHANCE)
                 label = {**ends, "conclusion": f"AUC loses at most {difference:g}"}
-                label["knees"] = int(part["knees"].min()) if above else 0
+                decidable = above and part["rarest"].min() >= LEAST_OF_A_CLASS
+                label["knees"] = int(part["knees"].min()) if decidable else 0
                 margins = difference - part[["value", "low", "high"]].to_numpy(np.float64)
                 value, one, other = (_crossing(at, margin, axis) for margin in margins.T)
                 rows.append(_row(label, value, *sorted((one, other))))

@@ -2,7 +2,7 @@
 
 Alzubaidi and Al-Bayaty, arXiv 2601.11642, sections 3.2 to 3.4. A claim holds when the whole 95 per cent interval of its
 number lies on the claimed side of the bound, does not hold when all of it lies on the other, and is not decidable else;
-nor is it where the interval has no width, or splits test fewer than LEAST_TESTED subjects. Differences between arms are
+nor is it where the interval has no width, or splits do not test `enough` subjects. Differences between arms are
 decided only where they stay after Holm's correction for the arms compared, since a claim is asked of many.
 """
 
@@ -18,6 +18,7 @@ from .intervals import estimate, estimate_share, share_tested
 from .metrics import METRICS, confusion, percentiles
 from .reliability import ICC_FORMS, THRESHOLD
 from .subjects import draws, worst_grades
+from .tested import LEAST_TESTED, TESTED, count_tested, enough
 
 Estimate = tuple[float, float, float]  # value, and the ends of its interval
 COLUMNS = ["claim", "measure", "value", "low", "high", "bound", "verdict"]
@@ -36,8 +37,6 @@ _HIGH = 0.80
 _ASKED = ("auc", "balanced_accuracy")
 _FAMILIES = ("glcm", "glszm")
 _STREAM = 2**31 + 1  # beside that of `intervals`
-# Of a split and task. With fewer, intervals miss too often and some have no width; see tests/test_coverage.py.
-LEAST_TESTED = 6
 UNDECIDED = "not decidable"
 _LEVEL = 0.05  # of p after Holm
 # Of an interval of 95 per cent, and the greatest correlation that has a finite z.
@@ -82,10 +81,10 @@ def verdict(low: float, high: float, bound: float, side: int = +1) -> str:
 
 
 def _row(
-    claim: str, measure: str, estimate: Estimate, bound: float, side: int = +1, *, tested: int
+    claim: str, measure: str, estimate: Estimate, bound: float, side: int = +1, *, decidable: bool
 ) -> dict[str, object]:
     value, low, high = estimate
-    decided = verdict(low, high, bound, side) if tested >= LEAST_TESTED else UNDECIDED
+    decided = verdict(low, high, bound, side) if decidable else UNDECIDED
     row = {"claim": claim, "measure": measure, "value": value, "low": low, "high": high}
     return row | {"bound": bound, "verdict": decided}
 
@@ -95,11 +94,12 @@ def _trends(usable: pd.DataFrame, settings: StudySettings) -> list[dict[str, obj
     if part["grade"].nunique() < 2:
         return []
     weights, rows = _weights(part, settings), []
+    known = enough(count_tested(part["subject"], part["grade"], set(part["grade"])))
     for claim, feature, side in _TRENDS:
         if feature in part:
             rho = spearman(part["grade"].to_numpy(float), part[feature].to_numpy(float), weights)
             measure = f"Spearman's ρ of grade and {feature}, {settings.reference}"
-            rows.append(_row(claim, measure, _interval(rho), 0.0, side, tested=part["subject"].nunique()))
+            rows.append(_row(claim, measure, _interval(rho), 0.0, side, decidable=known))
     return rows
 
 
@@ -148,12 +148,13 @@ def _stable(reliability: pd.DataFrame) -> list[dict[str, object]]:
         columns = (form, f"{form} low", f"{form} high")
         stable = [int((part[column] >= THRESHOLD).sum()) for column in columns]
         value, high = (float(part[column].max()) for column in (columns[0], columns[2]))
-        tested = int(part["subjects"].median())
+        subjects = int(part["subjects"].median())
         values, lows = part[[*columns[:2]]].to_numpy(np.float64).T
-        low = float(pd.Series(_together(values, lows, tested)).max())
+        low = float(pd.Series(_together(values, lows, subjects)).max())
         share = f"{stable[0]} of {len(part)} features are ≥ {THRESHOLD:.2f}, {stable[1]} by their lower bound"
         measure = f"greatest {form}, {across}; {share} (paper: 43 of 107)"
-        rows.append(_row("A subset of features is stable", measure, (value, low, high), THRESHOLD, tested=tested))
+        numbers, decidable = (value, low, high), subjects >= LEAST_TESTED  # of knees, whatever their grade
+        rows.append(_row("A subset of features is stable", measure, numbers, THRESHOLD, decidable=decidable))
     return rows
 
 
@@ -176,7 +177,7 @@ def _families(
         for table in (importances, offered)
     )
     rows = []
-    tested = int(_within(scores)["test_subjects"].max()) if len(part) else 0
+    decidable = len(part) > 0 and enough(_within(scores)[TESTED].max())
     for (model, selection), of_model in part.groupby(["model", "selection"], sort=False):
         shares = (of_model["share"] * _of_families(of_model)).groupby(of_model["repeat"]).sum()
         of_selection = given[given["selection"] == selection]
@@ -185,7 +186,7 @@ def _families(
         measure = f"share of GLCM and GLSZM in the importance of {_arm(model, selection)}; {by_chance:.2f} by chance"
         claim = "The most important features are of GLCM and GLSZM"
         numbers, bound = (of_splits.value, of_splits.low, of_splits.high), max(0.5, by_chance)
-        rows.append(_row(claim, measure, numbers, bound, tested=tested))
+        rows.append(_row(claim, measure, numbers, bound, decidable=decidable))
     return rows
 
 
@@ -206,20 +207,17 @@ def _between(predictions: pd.DataFrame, settings: StudySettings, ratio: float) -
             steps.append(np.diff([score[truth == grade].mean() for grade in range(3)]))
             spared.append(_spared(confusion(truth, probability)))
     by_split = np.array(steps).reshape(-1, 2)
-    tested = int(part.groupby("repeat")["subject"].nunique().median())
-    rows = []
+    counts = pd.DataFrame([count_tested(one["subject"], one["truth"], range(3)) for _, one in part.groupby("repeat")])
+    decidable, rows = enough(counts.median()), []
     for upper in (1, 2):
         of_splits = estimate(by_split[:, upper - 1], ratio, -2.0, 2.0)
         measure = f"predicted grade of grade {upper} less that of {upper - 1}, {arm}"
-        rows.append(
-            _row(
-                "Grade 1 lies in between", measure, (of_splits.value, of_splits.low, of_splits.high), 0.0, tested=tested
-            )
-        )
+        estimated = of_splits.value, of_splits.low, of_splits.high
+        rows.append(_row("Grade 1 lies in between", measure, estimated, 0.0, decidable=decidable))
     of_splits = estimate(np.array(spared), ratio)
     measure = f"share that chance would confuse by two grades, with the same calls, less the share confused, {arm}"
     estimated = of_splits.value, of_splits.low, of_splits.high
-    rows.append(_row("The extreme grades are seldom confused", measure, estimated, 0.0, tested=tested))
+    rows.append(_row("The extreme grades are seldom confused", measure, estimated, 0.0, decidable=decidable))
     return rows
 
 
@@ -251,7 +249,7 @@ def _performance(scores: pd.DataFrame, settings: StudySettings) -> list[dict[str
         for metric in _ASKED:
             numbers = (line[metric], line[f"{metric}_low"], line[f"{metric}_high"])
             measure = f"{METRICS[metric]}, 0 vs 2, {_arm(line['model'], line['selection'])} (paper: 0.92)"
-            rows.append(_row(claim, measure, numbers, _HIGH, tested=line["test_subjects"]))
+            rows.append(_row(claim, measure, numbers, _HIGH, decidable=enough(line)))
     return rows
 
 
@@ -273,9 +271,9 @@ def _changes(differences: pd.DataFrame, settings: StudySettings) -> list[dict[st
             on = line["tested_on"].replace("_", " ")
             arm = _arm(line["model"], line["selection"])
             measure = f"{METRICS[line['metric']]}, {comparison}, {arm}, {on}"
-            tested = line["test_subjects"] if line["p_holm"] < _LEVEL else 0
+            decidable = line["p_holm"] < _LEVEL and enough(line)
             numbers = (line["difference"], line["low"], line["high"])
-            rows.append(_row(claim, measure, numbers, 0.0, side, tested=tested))
+            rows.append(_row(claim, measure, numbers, 0.0, side, decidable=decidable))
     return rows
 
 

@@ -18,6 +18,7 @@ from scipy.stats import t as t_distribution
 from ...core.checks import Array
 from ..predictions import ARM, NONE
 from .metrics import METRICS
+from .tested import TESTED
 
 # Comparison -> a scenario, and the one that is taken from it.
 COMPARISONS = {
@@ -129,20 +130,20 @@ def differences(splits: pd.DataFrame, ratio: float) -> pd.DataFrame:
 
     splits, ratio  as for `intervals`
     returns        comparison, task, scenario, tested_on, model, selection, metric, difference, low, high, p, p_holm,
-                   test_subjects. p is two-sided, and has no floor that more tests of a family could lift above 0.05;
+                   TESTED. p is two-sided, and has no floor that more tests of a family could lift above 0.05;
                    p_holm is corrected within a comparison, task and metric (Holm 1979)
     """
     arms = {tuple(arm): part.set_index("repeat") for arm, part in splits.groupby(ARM, sort=False)}
     names, rows = list(arms), []
     for comparison, this, other in _pairs(names):
         label, one, two = dict(zip(ARM, names[this], strict=True)), arms[names[this]], arms[names[other]]
-        tested = int(np.minimum(one["test_subjects"], two["test_subjects"]).median())
+        counts = {name: int(np.minimum(one[name], two[name]).median()) for name in TESTED}
         for metric in METRICS:
             of_splits = estimate((one[metric] - two[metric]).to_numpy(np.float64), ratio)
             values = {"difference": of_splits.value, "low": of_splits.low, "high": of_splits.high, "p": of_splits.p}
-            rows.append({"comparison": comparison, **label, "metric": metric, **values, "test_subjects": tested})
-    table = pd.DataFrame(rows, columns=[*_LABELS, "difference", "low", "high", "p", "test_subjects"])
-    table.insert(len(table.columns) - 1, "p_holm", holm_within(table, ["comparison", "task", "metric"]))
+            rows.append({"comparison": comparison, **label, "metric": metric, **values, **counts})
+    table = pd.DataFrame(rows, columns=[*_LABELS, "difference", "low", "high", "p", *TESTED])
+    table.insert(len(table.columns) - len(TESTED), "p_holm", holm_within(table, ["comparison", "task", "metric"]))
     return table
 
 

@@ -5,8 +5,9 @@ from collections.abc import Mapping
 import numpy as np
 import pandas as pd
 
-from .claims import LEAST_TESTED, UNDECIDED
+from .claims import UNDECIDED
 from .intervals import estimate, estimate_share, holm_within
+from .tested import TESTED, enough
 
 CEILING = "best possible"
 # Question -> a rung, and the one that is taken from it.
@@ -22,19 +23,17 @@ _LEVEL = 0.05  # of p after Holm
 
 
 def rungs(splits: pd.DataFrame) -> pd.DataFrame:
-    """grades, rung, share, trained, test_subjects, splits, auc, low, high: one row a rung and share learnt from.
+    """grades, rung, share, trained, TESTED, splits, auc, low, high: one row a rung and share learnt from.
 
     splits  of `learn.ladder.climb`
     """
     rows = []
     for (grades, rung, share), part in splits.groupby(["grades", "rung", "share"], sort=False):
         of_splits = estimate_share(part["auc"].to_numpy(np.float64), ratio_of(part))
-        counts = {name: int(part[name].median()) for name in ("trained", "test_subjects")}
+        counts = {name: int(part[name].median()) for name in ("trained", *TESTED)}
         row = {"grades": grades, "rung": rung, "share": share, **counts, "splits": int(part["auc"].notna().sum())}
         rows.append(row | {"auc": of_splits.value, "low": of_splits.low, "high": of_splits.high})
-    return pd.DataFrame(
-        rows, columns=["grades", "rung", "share", "trained", "test_subjects", "splits", "auc", "low", "high"]
-    )
+    return pd.DataFrame(rows, columns=["grades", "rung", "share", "trained", *TESTED, "splits", "auc", "low", "high"])
 
 
 def ratio_of(part: pd.DataFrame) -> float:
@@ -43,7 +42,7 @@ def ratio_of(part: pd.DataFrame) -> float:
 
 
 def paired(splits: pd.DataFrame, one: str, other: str) -> pd.DataFrame:
-    """repeat, trained, test_subjects, difference of two rungs' AUC on the same splits of the same grades and share."""
+    """repeat, trained, TESTED, difference of two rungs' AUC on the same splits of the same grades and share."""
     first, second = (splits[splits["rung"] == rung].set_index("repeat") for rung in (one, other))
     table = first.loc[first.index.intersection(second.index)]
     return table.assign(difference=table["auc"] - second["auc"]).reset_index()
@@ -53,7 +52,7 @@ def differences(splits: pd.DataFrame) -> pd.DataFrame:
     """What one rung does better than another: a row a question and pair of grades.
 
     splits   of `learn.ladder.climb`, learnt from all
-    returns  question, grades, rung, minus, test_subjects, splits, difference, low, high, p, p_holm (corrected within a
+    returns  question, grades, rung, minus, TESTED, splits, difference, low, high, p, p_holm (corrected within a
              question, over the grades), answer: yes | no | not decidable; no means that it does worse
     """
     rows = []
@@ -64,17 +63,17 @@ def differences(splits: pd.DataFrame) -> pd.DataFrame:
                 continue
             of_splits = estimate(table["difference"].to_numpy(np.float64), ratio_of(table))
             label = {"question": question, "grades": grades, "rung": one, "minus": other}
-            label |= {"test_subjects": int(table["test_subjects"].median()), "splits": len(table)}
+            label |= {name: int(table[name].median()) for name in TESTED} | {"splits": len(table)}
             values = {"difference": of_splits.value, "low": of_splits.low, "high": of_splits.high, "p": of_splits.p}
             rows.append({**label, **values})
-    columns = ["question", "grades", "rung", "minus", "test_subjects", "splits", "difference", "low", "high", "p"]
+    columns = ["question", "grades", "rung", "minus", *TESTED, "splits", "difference", "low", "high", "p"]
     table = pd.DataFrame(rows, columns=columns)
     table = table.assign(p_holm=holm_within(table, ["question"]))
     return table.assign(answer=[_answer(row) for row in table.to_dict("records")])
 
 
 def _answer(row: Mapping[str, float]) -> str:
-    if row["test_subjects"] < LEAST_TESTED or not row["high"] > row["low"] or not row["p_holm"] < _LEVEL:
+    if not enough(row) or not row["high"] > row["low"] or not row["p_holm"] < _LEVEL:
         return UNDECIDED
     return "yes" if row["difference"] > 0 else "no"
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -78,14 +79,14 @@ def variance_shares(values: Array) -> tuple[float, float, float]:
     return of_knee / total, of_condition / total, s.rest / total
 
 
-def grid(table: pd.DataFrame, names: list[str], by: str, conditions: list[str]) -> tuple[Array, NDArray[np.int64]]:
-    """(knees, conditions, features) of the knees that have every condition, and (knees,) their subjects."""
+def grid(table: pd.DataFrame, names: list[str], by: str, conditions: list[str]) -> tuple[Array, NDArray[Any]]:
+    """(knees, conditions, features) of the knees that have every condition; (knees,) their subjects, number or text."""
     wide = table[table[by].isin(conditions)].pivot(index="knee", columns=by, values=names)
     cells = np.stack([wide[name].reindex(columns=conditions).to_numpy(np.float64) for name in names], axis=2)
     counts = table[table[by].isin(conditions)].groupby("knee")[by].nunique().reindex(wide.index)
     whole = (counts == len(conditions)).to_numpy()
     subjects = table.groupby("knee")["subject"].first().reindex(wide.index)[whole]
-    return cells[whole], subjects.to_numpy(np.int64)
+    return cells[whole], subjects.to_numpy()
 
 
 def reliability(
@@ -163,7 +164,7 @@ def protocols_of(table: pd.DataFrame, reference: str) -> list[str]:
 
 
 def _rows(
-    values: Array, names: list[str], label: str, subjects: NDArray[np.int64], *, replicates: int, seed: int
+    values: Array, names: list[str], label: str, subjects: NDArray[Any], *, replicates: int, seed: int
 ) -> list[dict[str, object]]:
     weights, rows = knee_weights(subjects, replicates=replicates, seed=seed), []
     for index, name in enumerate(names):

@@ -16,6 +16,7 @@ from .icc_by_subject import icc_by_weights, icc_interval, knee_weights
 from .intervals import estimate, estimate_share
 from .metrics import mean_interval, percentiles
 from .reliability import icc
+from .tested import TESTED
 
 SHIFT, ICC, MEDIAN_ICC, ODDS, AUC, LOSS = (
     "feature, SD",
@@ -25,7 +26,7 @@ SHIFT, ICC, MEDIAN_ICC, ODDS, AUC, LOSS = (
     "AUC",
     "loss of AUC",
 )
-COLUMNS = ["axis", "turn", "step", "measure", "feature", "knees", "value", "low", "high"]
+COLUMNS = ["axis", "turn", "step", "measure", "feature", "knees", "rarest", "value", "low", "high"]
 # axis, number of a step from 1 -> the step
 Step = Callable[[str, int], float]
 
@@ -54,7 +55,7 @@ def curves_of_features(
         part = part.sort_values("knee")
         values = np.stack([own.loc[part["knee"]].to_numpy(np.float64), part[names].to_numpy(np.float64)], axis=1)
         label = {"axis": axis, "turn": int(turn), "step": step(str(axis), int(turn)), "knees": len(part)}
-        weights = knee_weights(part["subject"].to_numpy(np.int64), replicates=replicates, seed=seed)
+        weights = knee_weights(part["subject"].to_numpy(), replicates=replicates, seed=seed)
         samples = []
         for index in np.flatnonzero(varies):
             one = values[:, :, index]
@@ -85,12 +86,12 @@ def curves_of_models(splits: pd.DataFrame, step: Step) -> pd.DataFrame:
     """Of every axis and step: threshold shift, AUC, loss of AUC from the cohort's own radiographs of the same knees.
 
     splits   of `learn.responses.respond`
-    returns  COLUMNS; knees is how many a split tests
+    returns  COLUMNS; knees is how many subjects a split tests, rarest of the class that has the fewest
     """
     rows = []
     for (axis, turn), part in splits.groupby(["axis", "turn"], sort=False):
         label = {"axis": axis, "turn": int(turn), "step": step(str(axis), int(turn)), "feature": ""}
-        label |= {"knees": int(part["test_subjects"].median())}
+        label |= {name: int(part[count].median()) for name, count in zip(("knees", "rarest"), TESTED, strict=True)}
         ratio, scores = _ratio_of(part), part["auc"].to_numpy(np.float64)
         estimates = {
             ODDS: estimate(part["shift"].to_numpy(np.float64), ratio, -np.inf, np.inf),

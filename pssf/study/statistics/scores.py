@@ -4,14 +4,16 @@ import pandas as pd
 
 from ..predictions import ARM, truth_and_probability
 from .metrics import METRICS, score
+from .tested import TESTED, count_tested
 
 
 def score_splits(predictions: pd.DataFrame) -> pd.DataFrame:
-    """ARM, repeat, the METRICS, and the subjects and radiographs tested: one row a split."""
+    """ARM, repeat, the METRICS, TESTED and the radiographs tested: one row a split."""
     rows = []
     for key, part in predictions.groupby([*ARM, "repeat"], sort=False):
-        counts = {"test_subjects": part["subject"].nunique(), "test_radiographs": len(part)}
-        rows.append(dict(zip([*ARM, "repeat"], key, strict=True)) | score(*truth_and_probability(part)) | counts)
+        truth, probability = truth_and_probability(part)
+        counts = count_tested(part["subject"], truth, range(probability.shape[1])) | {"test_radiographs": len(part)}
+        rows.append(dict(zip([*ARM, "repeat"], key, strict=True)) | score(truth, probability) | counts)
     return pd.DataFrame(rows)
 
 
@@ -23,6 +25,6 @@ def summarise(scores: pd.DataFrame) -> pd.DataFrame:
         for metric in METRICS:
             spread = part[metric].std(ddof=1) if part[metric].notna().sum() > 1 else float("nan")
             row |= {metric: part[metric].mean(), f"{metric}_sd": spread}
-        counts = {name: int(part[name].median()) for name in ("test_subjects", "test_radiographs")}
+        counts = {name: int(part[name].median()) for name in (*TESTED, "test_radiographs")}
         rows.append(row | counts)
     return pd.DataFrame(rows)

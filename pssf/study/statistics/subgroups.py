@@ -6,9 +6,9 @@ import pandas as pd
 
 from ..predictions import truth_and_probability
 from ..settings import StudySettings
-from .claims import LEAST_TESTED
 from .intervals import bounds
 from .metrics import METRICS, score
+from .tested import count_tested, enough
 
 COLUMNS = ["model", "selection", "group", "subjects", *(f"{m}{end}" for m in METRICS for end in ("", "_low", "_high"))]
 
@@ -18,8 +18,8 @@ def subgroups(
 ) -> pd.DataFrame:
     """One row a model, selection and group: COLUMNS; means over the splits, 95 % intervals from them.
 
-    A split whose test part has not both grades in a group gives nothing there; where splits test fewer than
-    LEAST_TESTED subjects of a group, it has no interval.
+    A split whose test part has not both grades in a group gives nothing there; where splits do
+    not test `enough` subjects of a group, it has no interval.
 
     predictions  of all splits
     parameters   of `parameters.parameters_of`; without sex and age there are no groups
@@ -54,5 +54,6 @@ def _scores(inside: pd.DataFrame, ratio: float) -> dict[str, float]:
     table = pd.DataFrame(of_splits, columns=list(METRICS))
     means = {metric: float(table[metric].mean()) for metric in METRICS}
     # Of fewer that are tested an interval may have no width, and holds nothing.
-    tested = inside.groupby("repeat")["subject"].nunique().mean()
-    return means | (bounds(table, ratio) if tested >= LEAST_TESTED else {})
+    counts = [count_tested(split["subject"], split["truth"], range(2)) for _, split in inside.groupby("repeat")]
+    decidable = len(counts) > 0 and enough(pd.DataFrame(counts).mean())
+    return means | (bounds(table, ratio) if decidable else {})
