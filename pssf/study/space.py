@@ -16,8 +16,8 @@ from ..core.checks import Array, InputError, require_whole
 from ..model.knee import Knee, Osteophyte
 from ..model.protocol import Protocol
 
-# Of as many, intervals of shares hold 96 % and more of known functions' (tests/test_space.py); fewer than columns cannot be
-# freed of correlation.
+# Of as many, intervals of shares hold 96 % and more of known functions (tests/test_space.py); of fewer than columns no
+# sample is free of correlation.
 LEAST_SAMPLES = 64
 _SEEDS = 2**53  # that a number from 0 to 1 can tell apart
 _SMALLEST_MM = 0.2  # of an osteophyte, as `model.severity` has it
