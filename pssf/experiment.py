@@ -74,7 +74,7 @@ class ByDesign:
     """Radiographs to take beside a cohort's; 0: none.
 
     curves  knees along the axes of `study.design`
-    shares  samples of the space of `study.space`, a power of two
+    shares  samples of the space of `study.space`, 64 or more
     pairs   knees, of each of which one parameter after the other is changed
     """
 

@@ -41,14 +41,15 @@ def whole(film_study, tmp_path_factory):
     write_table(folder / "confounders.csv", [{"confounder": "age_years", "value": 0.1}])
     write_table(folder / "subgroups.csv", [{"subgroup": "female", "auc": 0.9}])
     write_table(folder / "morphology.csv", [{"parameter": "stature_mm", "mean": 1700}])
-    write_table(folder / "dimensions.csv", [dict.fromkeys(("offered", "kept"), 5) | {"subjects_per_feature": 12.5}])
-    write_table(folder / "calibration.csv", [{"model": "lr", "slope": 1.1}])
+    write_table(folder / "dimensions.csv", [{"measured": 9, "offered": 5, "kept": 5, "subjects_per_feature": 12.5}] * 2)
+    write_table(folder / "calibration.csv", [{"model": "lr", "slope": 1.1}, {"model": "rf", "slope": 0.9}])
     write_table(folder / "reliability.csv", [{"feature": "a", "ICC(2,1)": 0.9, "share_knee": 0.8}])
-    changed(folder / "scores.csv", lambda row: {"auc_low": 0.5})
+    changed(folder / "scores.csv", lambda row: {"auc_low": 0.5, "auc_high": 0.9})
     write_table(folder / "differences.csv", [{"difference": 0.1, "low": 0.1, "p_holm": 0.5}])
     with open(folder / "scores.csv", newline="") as handle:
         rows = list(csv.DictReader(handle))
-    others = [{"scenario": "cross_stable"}, {"scenario": "cross"}, {"model": "jsw"}, {"model": "chance"}]
+    others = [{"scenario": "cross_stable"}, {"scenario": "cross"}, {"model": "jsw"}]
+    others.append({"model": "chance", "selection": "none", "auc_low": 0.5, "auc_high": 0.5})
     write_table(folder / "scores.csv", [*rows, *({**rows[0], **other} for other in others)])
     return folder
 
@@ -79,14 +80,41 @@ def test_what_a_whole_study_has_answers_all_that_a_program_can(whole):
     assert answered["metrics_score_percent"] == round(100 * earned / sum(weights.values()), 1)
 
 
-def test_an_empty_folder_answers_nothing_but_that_it_was_asked(tmp_path):
+def test_an_empty_folder_answers_nothing(tmp_path):
     items = checklist(tmp_path, guidelines())["items"]
-    assert {item["evidence"] for item in items if item["status"] == "yes"} == {"checklist.json"}
+    assert not [item for item in items if item["status"] == "yes"]
     (no,) = [item for item in items if (item["guideline"], item["id"]) == ("CLEAR", "40")]
     assert no == {
         "guideline": "CLEAR", "id": "40", "item": "Uncertainty", "status": "no",
-        "evidence": "scores.csv auc_low: not so in this run",
+        "evidence": f"{WIDE}: not so in this run",
     }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("guideline", "items"),
+    [("METRICS", "1 28 29 30"), ("IBSI", "72 75 76"), ("CLEAR", "7 53 54 55 56 57 58"), ("TRIPOD+AI", "18e-f")],
+)
+def test_what_others_can_have_and_that_a_guideline_was_kept_is_for_whoever_publishes(whole, guideline, items):
+    for item in items.split():
+        assert status(whole, guideline, item)[0] == "human"
+
+
+def only_first(file, rest, **first):
+    """A table of whose rows the first has some values, and all others other ones."""
+
+    def cut(folder):
+        with open(folder / file, newline="") as handle:
+            rows = list(csv.DictReader(handle))
+        assert len(rows) > 1
+        write_table(folder / file, [rows[0] | first, *(row | rest for row in rows[1:])])
+
+    return cut
+
+
+def with_rho_of_one(folder):
+    content = json.loads((folder / "study.json").read_text())
+    content["settings"]["rho"] = 1.0
+    (folder / "study.json").write_text(json.dumps(content))
 
 
 def emptied(file, **values):
@@ -119,7 +147,28 @@ def without_models(folder):
         path.rename(path.with_suffix(".txt"))
 
 
+FEWER, RHO = "dimensions.csv offered < measured", "study.json settings.rho < 1"
+WIDE = "scores.csv auc_low < auc_high but for selection = none"
+ONE_INTERVAL = only_first("scores.csv", {"auc_low": "", "auc_high": ""})
+NO_WIDTH = only_first("scores.csv", {"auc_low": 0.5, "auc_high": 0.5})
+ONE_SLOPE = only_first("calibration.csv", {"slope": ""}, slope=-3)
 CONTENT = [
+    ("METRICS", "15", FEWER, emptied("dimensions.csv", offered=9)),
+    ("METRICS", "15", FEWER, only_first("dimensions.csv", {"offered": ""})),
+    ("METRICS", "15", RHO, with_rho_of_one),
+    ("IBSI", "74", FEWER, emptied("dimensions.csv", offered=9)),
+    ("IBSI", "74", RHO, with_rho_of_one),
+    ("CLEAR", "33", FEWER, emptied("dimensions.csv", offered=9)),
+    ("CLEAR", "33", RHO, with_rho_of_one),
+    ("METRICS", "21", WIDE, ONE_INTERVAL),
+    ("METRICS", "21", WIDE, NO_WIDTH),
+    ("CLEAR", "40", WIDE, ONE_INTERVAL),
+    ("CLEAR", "40", WIDE, NO_WIDTH),
+    ("TRIPOD+AI", "23a", WIDE, ONE_INTERVAL),
+    ("TRIPOD+AI", "23a", WIDE, NO_WIDTH),
+    ("CLAIM", "performance", WIDE, NO_WIDTH),
+    ("METRICS", "22", "calibration.csv slope every", ONE_SLOPE),
+    ("TRIPOD+AI", "12e", "calibration.csv slope every", ONE_SLOPE),
     ("METRICS", "9", "segmentation.csv dice", emptied("segmentation.csv", dice="")),
     ("METRICS", "9", "segmentation.csv mean_mm", emptied("segmentation.csv", mean_mm="nan")),
     ("METRICS", "14", "scores.csv scenario = cross_stable", emptied("scores.csv", scenario="within")),
@@ -129,8 +178,8 @@ CONTENT = [
     ("METRICS", "19", "confounders.csv value", emptied("confounders.csv", value="")),
     ("METRICS", "20", "scores.csv balanced_accuracy", emptied("scores.csv", balanced_accuracy="")),
     ("METRICS", "20", "confusion.csv count", emptied("confusion.csv", count="")),
-    ("METRICS", "21", "scores.csv auc_low", emptied("scores.csv", auc_low="")),
-    ("METRICS", "22", "calibration.csv slope", emptied("calibration.csv", slope="")),
+    ("METRICS", "21", WIDE, emptied("scores.csv", auc_low="")),
+    ("METRICS", "22", "calibration.csv slope every", emptied("calibration.csv", slope="")),
     ("METRICS", "22", "calibration_curve.csv observed_share", emptied("calibration_curve.csv", observed_share="")),
     ("METRICS", "24", "scores.csv model = jsw", emptied("scores.csv", model="lr")),
     ("METRICS", "25", "scores.csv model = chance", emptied("scores.csv", model="lr")),
@@ -139,13 +188,13 @@ CONTENT = [
     ("TRIPOD+AI", "12b", "report.html standardisation and selection", unsaid("standardisation and selection")),
     ("TRIPOD+AI", "12c", "tuning.csv value", emptied("tuning.csv", value="")),
     ("TRIPOD+AI", "12c", "models/*.skops", without_models),
-    ("TRIPOD+AI", "12e", "calibration.csv slope", emptied("calibration.csv", slope="")),
+    ("TRIPOD+AI", "12e", "calibration.csv slope every", emptied("calibration.csv", slope="")),
     ("TRIPOD+AI", "13", "report.html Grades weigh the same in fitting", unsaid("Grades weigh the same in fitting")),
     ("CLEAR", "14", "cohort/manifest.csv sha256 unique", emptied("cohort/manifest.csv", sha256="a")),
     ("CLEAR", "35", "tuning.csv value", emptied("tuning.csv", value="")),
     ("CLEAR", "36", "confounders.csv value", emptied("confounders.csv", value="nan")),
     ("CLEAR", "37", "report.html No model is chosen for its result", unsaid("No model is chosen for its result")),
-    ("CLEAR", "58", "models/*.skops", without_models),
+    ("CLEAR", "34", "models/*.skops", without_models),
 ]
 
 
@@ -163,6 +212,26 @@ def test_a_header_alone_is_no_evidence(tmp_path):
     assert lacking(tmp_path, "scores.csv auc") == ""
     assert lacking(tmp_path, "scores.csv auc; scores.csv model = rf") == "scores.csv model = rf"
     assert lacking(tmp_path, "scores.csv auc >= 0.6") == "scores.csv auc >= 0.6"
+
+
+@pytest.mark.parametrize(
+    ("asked", "rows", "held"),
+    [
+        ("a every", "1,2\n3,4", True),
+        ("a every", "1,2\n,4", False),
+        ("a >= 1", "1,2\n,4", False),
+        ("a < b", "1,2\n3,4", True),
+        ("a < b", "1,2\n4,4", False),
+        ("a < b", "1,2\n3,", False),
+        ("a < 4", "1,2\n3,4", True),
+        ("a < b but for b = 4", "1,2\n5,4", True),
+        ("a < b but for b = 4", "5,4", False),
+        ("a unlike", "1,2", False),
+    ],
+)
+def test_every_row_is_asked_but_for_those_that_are_spared(tmp_path, asked, rows, held):
+    (tmp_path / "some.csv").write_text(f"a,b\n{rows}\n")
+    assert (lacking(tmp_path, f"some.csv {asked}") == "") == held
 
 
 def test_a_file_that_cannot_be_read_is_no_evidence(tmp_path):

@@ -14,6 +14,7 @@ from pssf.experiment import ByDesign, make_experiment
 from pssf.io.results import load_typed_table
 from pssf.study.design import AXES
 from pssf.study.space import SPACE
+from pssf.study.statistics import space as statistics
 
 BOUNDS = {"jsw_medial_mm": (2.0, 5.0), "mas": (1.0, 4.0), "chance": (0.0, 1.0)}
 SAMPLES = 2
@@ -61,6 +62,14 @@ def designed() -> study.Designed:
     steps = [("dose", turn + 1) for turn in range(7)] + [("pixel_size", COARSE)]
     pairs = TAKEN.again(4, [("mas", 1)])
     return study.Designed(curves=TAKEN.again(8, steps), shares=shares, samples=SAMPLES, pairs=pairs, bounds=BOUNDS)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_samples_are_enough():
+    """Of 32 samples, as many as a study wants, radiographs would take a minute."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(statistics, "_LEAST_WHOLE", SAMPLES)
+        yield
 
 
 @pytest.fixture(scope="module")

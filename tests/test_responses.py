@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
+from scipy.optimize import brentq
 from scipy.stats import binom, norm
 
 from pssf.core.execution import Execution
@@ -183,6 +184,55 @@ def test_intervals_hold_a_models_auc_though_halves_of_few_knees_are_tested_again
         held_by_trained += narrow.low <= truth <= narrow.high
     assert held >= binom.ppf(0.001, cohorts, 0.95)
     assert held_by_trained < binom.ppf(0.001, cohorts, 0.85)
+
+
+def broken(cohort: int, curved: int, distance: float, noise: float, difference: float) -> pd.Series:
+    """Where an AUC breaks along the dose, as read off one cohort of 100 by a marker that needs no training."""
+    rng, positive = np.random.default_rng([1, cohort]), np.arange(100) % 2 == 1
+    base = pd.DataFrame({"subject": range(100), "grade": 2 * positive})
+    marker = rng.normal(size=100) + distance * positive
+    at_dose = [marker + noise / np.sqrt(dose) * rng.normal(size=100) for dose in AXES["dose"].steps]
+    rows = []
+    for repeat in range(20):
+        halves = split_curves(base, list(range(curved)), cohort, repeat)
+        tested = np.array(halves.test)
+        counts = {"trained": len(halves.training), "curved": curved, "test_subjects": len(tested), "shift": 0.0}
+        counts["auc_own"] = auc(positive[tested], marker[tested])
+        for turn, values in enumerate(at_dose, start=1):
+            rows.append(counts | {"axis": "dose", "turn": turn, "auc": auc(positive[tested], values[tested])})
+    of_models = responses.curves_of_models(pd.DataFrame(rows), step)
+    nothing = responses.Curves(pd.DataFrame(columns=responses.COLUMNS), {})
+    return breaks.breaks(nothing, of_models, DOSE, difference).iloc[0]
+
+
+def share_held(cohorts: int, curved: int, distance: float, noise: float, difference: float) -> tuple[int, int]:
+    """In how many cohorts an interval holds the dose where the AUC has lost a difference, and in how many not."""
+
+    def margin(log_dose: float) -> float:
+        lost = norm.cdf(distance / np.sqrt(2)) - norm.cdf(distance / np.sqrt(2 * (1 + noise**2 / np.exp(log_dose))))
+        return difference - lost
+
+    truth = np.exp(brentq(margin, np.log(1 / 64), 0.0))
+    rows = [broken(cohort, curved, distance, noise, difference) for cohort in range(cohorts)]
+    held = [row["low"] <= truth <= row["high"] for row in rows if row["reading"] != "not decidable"]
+    return sum(held), len(held) - sum(held)
+
+
+def test_an_interval_of_where_an_auc_breaks_holds_the_place():
+    held, missed = share_held(60, 24, 2.4, 0.5, 0.05)
+    assert held + missed > 40
+    assert held >= binom.ppf(0.01, held + missed, 0.95)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("curved", "distance", "noise", "difference"),
+    [(24, 1.5, 0.5, 0.05), (24, 2.4, 0.5, 0.05), (24, 1.5, 0.2236, 0.05), (48, 1.5, 0.5, 0.05), (24, 1.5, 0.5, 0.1)],
+)
+def test_intervals_of_where_an_auc_breaks_hold_the_place_for_few_and_many_knees(curved, distance, noise, difference):
+    held, missed = share_held(300, curved, distance, noise, difference)
+    assert held + missed > 200
+    assert held >= binom.ppf(0.001, held + missed, 0.95)
 
 
 @pytest.mark.parametrize(

@@ -96,10 +96,11 @@ def test_subjects_a_feature_are_those_of_the_task_in_the_worst_split():
     arm = {"task": "0 vs 2", "trained_on": "reference", "selection": "l1"}
     kept = [arm | {"model": "lr", "repeat": repeat, "feature": f} for repeat, fs in ((0, "ab"), (1, "abc")) for f in fs]
     offered = [arm | {"repeat": repeat, "feature": f} for repeat in (0, 1) for f in "abcde"[: 4 + repeat]]
-    (row,) = dimensions(pd.DataFrame(kept), pd.DataFrame(offered), subjects, usable).to_dict("records")
-    assert row == {**arm, "subjects": 20, "offered": 5, "kept": 3, "subjects_per_feature": pytest.approx(20 / 3)}
+    (row,) = dimensions(pd.DataFrame(kept), pd.DataFrame(offered), subjects, usable, 9).to_dict("records")
+    counts = {"subjects": 20, "measured": 9, "offered": 5, "kept": 3}
+    assert row == {**arm, **counts, "subjects_per_feature": pytest.approx(20 / 3)}
 
-    (row,) = dimensions(pd.DataFrame(kept), pd.DataFrame(offered).iloc[:0], subjects, usable).to_dict("records")
+    (row,) = dimensions(pd.DataFrame(kept), pd.DataFrame(offered).iloc[:0], subjects, usable, 9).to_dict("records")
     assert pd.isna(row["offered"])
 
 

@@ -1,14 +1,16 @@
 """What the parameters alone tell of the grades, which is as much as an image could."""
 
+import inspect
+
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from pssf import InputError, Knee, Osteophyte
-from pssf.cli import app
+from pssf.cli import app, measure
 from pssf.data.landmarks import landmark_reference
 from pssf.data.shapes import shape_table
-from pssf.model.draw import draw_laws
+from pssf.model.draw import draw_laws, drawn_knee
 from pssf.study.learn import separability as learn
 from pssf.study.learn.separability import parameter_table
 
@@ -39,6 +41,30 @@ def test_all_parameters_tell_more_than_spaces_alone_and_later_grades_more_than_e
     later = [best[(f"0 vs {grade}", "all parameters")] for grade in (1, 2, 3)]
     assert later == sorted(later)
     assert people["auc"].between(people["low"], people["high"]).all()
+
+
+@pytest.mark.slow
+def test_twice_as_many_knees_tell_no_more_than_the_interval_says_and_ends_of_laws_are_part_of_what_is_told():
+    """Of the grades that are told worst; knees of the others are not drawn. Of 1,000 knees in all it fails."""
+    pair = 2 * learn.KNEES // len(draw_laws("people").grades.grades)
+    worse, rng, laws = np.arange(2 * pair) % 2 == 1, np.random.default_rng(7), draw_laws("people")
+    table = parameter_table([drawn_knee(laws, grade=int(one), rng=rng) for one in worse], MODES)
+    half, whole = (told(table[:count], worse[:count]) for count in (pair, 2 * pair))
+    assert half["low"] <= whole["auc"] <= half["high"]
+    assert whole["low"] <= half["auc"] <= whole["high"]
+    # Known to a tenth of what it spreads by, a value on the end of a law is one as any other.
+    spread = np.where(table.nunique() > 50, table.std(), 0.0)
+    read = table + 0.1 * spread * rng.normal(size=table.shape)
+    assert told(read[:pair], worse[:pair])["auc"] == pytest.approx(half["auc"] - 0.03, abs=0.012)
+
+
+def told(table, worse):
+    return learn._estimate(learn._held_out(table.to_numpy(), worse, "boosted trees", 0), worse)
+
+
+def test_a_study_and_the_command_draw_as_many_knees():
+    asked = inspect.signature(measure.grades).parameters["knees"].default
+    assert asked == learn.KNEES == inspect.signature(learn.separability).parameters["knees"].default
 
 
 def test_a_draw_is_repeated_by_its_seed_alone():

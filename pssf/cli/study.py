@@ -64,7 +64,7 @@ def study(
     shares: Annotated[
         int,
         typer.Option(
-            help="Samples, a power of two, of the space of all parameters, for shares of a feature's variance; 11 "
+            help="Samples, 64 or more, of the space of all parameters, for shares of a feature's variance; 11 "
             "radiographs each; 0: none."
         ),
     ] = 0,

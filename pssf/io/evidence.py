@@ -18,12 +18,15 @@ def lacking(folder: Path, evidence: str) -> str:
         FILE                  is there and not empty; a pattern such as models/*.skops: one of them is
         FILE.html WORDS       the page's text has the words
         FILE.json KEY.KEY     the entry is neither null nor empty
+        FILE.json KEY < X     it is a number below X
         FILE.csv COLUMN       holds a value: neither nothing nor one that is no number
         FILE.csv COLUMN = X   holds X
-        FILE.csv COLUMN >= X  holds numbers, none of them less
         FILE.csv A+B unique   holds values, no combination of them twice
+        FILE.csv COLUMN every holds a value in every row
+        FILE.csv COLUMN >= X  holds a number in every row, none less
+        FILE.csv COLUMN < X   holds a number in every row, all less than X, a number or another column of the same row
 
-    A file that cannot be read fulfils nothing.
+    After "but for COLUMN = X" rows that hold X are not asked. A file that cannot be read fulfils nothing.
     """
     for condition in evidence.split("; "):
         file, _, asked = condition.partition(" ")
@@ -41,7 +44,9 @@ def _holds(path: Path, asked: str) -> bool:
     if not asked:
         return True
     if path.suffix == ".json":
-        return _is_said(_entry(read_json(path, dict[str, Any]), asked.split(".")))
+        key, _, most = asked.partition(" < ")
+        value = _entry(read_json(path, dict[str, Any]), key.split("."))
+        return _is_said(value) and (not most or float(value) < float(most))
     text = read_text(path)
     if path.suffix == ".html":
         return asked in " ".join(re.sub(r"<[^>]*>", " ", text).split())
@@ -62,18 +67,27 @@ def _is_said(value: Any) -> bool:
 
 
 def _table_holds(rows: list[dict[str, Any]], asked: str) -> bool:
+    asked, _, spared = asked.partition(" but for ")
+    if spared:
+        name, _, value = spared.partition(" = ")
+        rows = [row for row in rows if row.get(name) != value]
     column, _, wanted = asked.partition(" ")
+    relation, _, bound = wanted.partition(" ")
     columns = column.split("+")
-    values = [json.dumps([row.get(name) for name in columns]) for row in rows if _filled(row, columns)]
-    if wanted == "unique":
-        return bool(values) and len(set(values)) == len(values) == len(rows)
-    plain = [row[column] for row in rows if _filled(row, columns)]
-    if wanted.startswith("= "):
-        return wanted.removeprefix("= ") in plain
-    if wanted.startswith(">= "):
-        least = float(wanted.removeprefix(">= "))
-        return bool(plain) and all(float(value) >= least for value in plain)
-    return bool(plain) and not wanted
+    filled = [row for row in rows if _filled(row, columns)]
+    if relation == "=":
+        return bound in [row[column] for row in filled]
+    if not relation:
+        return bool(filled)
+    if not filled or len(filled) < len(rows):
+        return False
+    if relation == "unique":
+        return len({json.dumps([row[name] for name in columns]) for row in rows}) == len(rows)
+    if relation == ">=":
+        return all(float(row[column]) >= float(bound) for row in rows)
+    if relation == "<":
+        return all(float(row[column]) < float(row.get(bound, bound)) for row in rows)
+    return relation == "every"
 
 
 def _filled(row: dict[str, Any], columns: list[str]) -> bool:

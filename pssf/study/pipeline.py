@@ -79,7 +79,7 @@ def run_study(
         tables |= tables_of_truth(manifest, usable, names, predictions, tables["subjects"], settings)
         pictures = gallery(located, run.load_pixels, settings, predictions, tables)
     with timer.stage("claims"):
-        tables |= _of_models(outcomes, usable, predictions, tables, settings)
+        tables |= _of_models(outcomes, usable, names, predictions, tables, settings)
     tables["segmentation"] = segmentation(repeated, retest, run)
     with timer.stage("models refitted"):
         models = _models(run, usable, names, manifest)
@@ -99,14 +99,19 @@ def run_study(
 
 
 def _of_models(
-    outcomes: list[Outcome], usable: pd.DataFrame, predictions: pd.DataFrame, tables: Tables, settings: StudySettings
+    outcomes: list[Outcome],
+    usable: pd.DataFrame,
+    names: list[str],
+    predictions: pd.DataFrame,
+    tables: Tables,
+    settings: StudySettings,
 ) -> Tables:
     """claims, dimensions, tuning."""
     importances = joined(outcome.importances for outcome in outcomes)
     offered = joined(outcome.offered for outcome in outcomes)
     return {
         "claims": claims(usable, predictions, importances, offered, tables, settings),
-        "dimensions": dimensions(importances, offered, tables["subjects"], usable),
+        "dimensions": dimensions(importances, offered, tables["subjects"], usable, len(names)),
         "tuning": tuned(joined(outcome.tuning for outcome in outcomes)),
     }
 

@@ -30,7 +30,6 @@ from .statistics.importance import leading
 from .statistics.parameters import parameters_of
 from .statistics.tested import TESTED, count_tested, enough
 
-_CEILING_KNEES = 1000  # drawn for the best possible, the grades alike
 _SHARES = (0.2, 0.4, 0.6, 0.8)  # of the subjects to learn from, beside all
 _LEARNING = ("measured", "radiomics", "both")
 
@@ -88,7 +87,7 @@ def _ladder(manifest: pd.DataFrame, usable: pd.DataFrame, names: list[str], run:
     rungs, differences = ladder.rungs(splits), ladder.differences(splits)
     if laws is not None:
         with execution.timer.stage("best possible"):
-            drawn = separability(laws, run.tables.gap_alone_auc, knees=_CEILING_KNEES, seed=settings.seed)
+            drawn = separability(laws, run.tables.gap_alone_auc, seed=settings.seed)
         best = ladder.ceiling(drawn)
         rungs = joined([rungs, best[best["grades"].isin(rungs["grades"])]])
         rungs = rungs.astype(dict.fromkeys(("trained", *TESTED, "splits", "knees"), "Int64"))

@@ -47,7 +47,7 @@ def _climb(axis: Any, rows: pd.DataFrame) -> None:
     if len(best):
         axis.axvspan(best["low"].iloc[0], best["high"].iloc[0], color="0.9", linewidth=0)
         axis.axvline(best["auc"].iloc[0], color="0.55", linewidth=1.2, linestyle="--")
-        axis.text(best["auc"].iloc[0], 5.45, "best possible ", ha="right", va="bottom", fontsize=7, color="0.35")
+        axis.text(best["auc"].iloc[0], 5.45, "possible, at least ", ha="right", va="bottom", fontsize=7, color="0.35")
     names = [name for name in RUNGS if name in set(rows["rung"])]
     for place, name in enumerate(names):
         value, low, high = rows.set_index("rung").loc[name, ["auc", "low", "high"]].astype(float)

@@ -80,9 +80,8 @@ def ladder_section(rungs: pd.DataFrame, differences: pd.DataFrame, subjects: int
         name="ladder",
         png=ladder_figures.ladder(rungs, differences),
         alt="AUC of grade 0 against each other grade by what is known of a knee, and paired differences",
-        caption="AUC of logistic regression by what it knows, mean over the splits with its 95 % interval; the dashed "
-        "line is the best possible from all parameters of newly drawn knees, the band its interval. Below: paired "
-        "differences on the same splits.",
+        caption="AUC by what logistic regression knows, mean over the splits, and 95 % intervals; dashed: possible, at "
+        "least, from all parameters of newly drawn knees. Below: paired differences on the same splits.",
     )
     shown = [
         {
@@ -104,9 +103,9 @@ def ladder_section(rungs: pd.DataFrame, differences: pd.DataFrame, subjects: int
         sentences=(
             "The same splits and the same model, logistic regression, with more or less known: "
             f"{', '.join(RUNGS.values())}. A measured joint space is the true one with the error of a reading, "
-            f"{READING_SD_MM} mm (Mazzuca 1999), in each compartment; it stands beside features whatever they are "
-            "selected by. All that a knee is built with, but for its texture, is in the best possible AUC, of knees "
-            f"drawn anew{drawn}: no image can tell more. Where a rung of true parameters lies below it, "
+            f"{READING_SD_MM} mm (Mazzuca 1999), in each compartment; it stands beside features whatever is selected. "
+            "No image can tell more than all that a knee is built with, but for its texture, which tells at least "
+            f"what a fit to knees drawn anew does{drawn}. Where a rung of true parameters lies below it, "
             f"{subjects} subjects are too few to learn it from.",
         ),
         table=pd.DataFrame(shown),

@@ -5,12 +5,13 @@ import pandas as pd
 from ..predictions import TASKS
 
 _RECIPE = ["task", "trained_on", "selection"]
-_COLUMNS = [*_RECIPE, "subjects", "offered", "kept", "subjects_per_feature"]
+_COLUMNS = [*_RECIPE, "subjects", "measured", "offered", "kept", "subjects_per_feature"]
+_COUNTS = ("subjects", "measured", "offered", "kept")
 _ARM = ["task", "trained_on", "model", "selection"]
 
 
 def dimensions(
-    importances: pd.DataFrame, offered: pd.DataFrame, subjects: pd.DataFrame, usable: pd.DataFrame
+    importances: pd.DataFrame, offered: pd.DataFrame, subjects: pd.DataFrame, usable: pd.DataFrame, measured: int
 ) -> pd.DataFrame:
     """One row a task, protocol and selection, of the split that has the fewest subjects a feature.
 
@@ -18,8 +19,10 @@ def dimensions(
     offered      task, trained_on, selection, repeat, feature: what pruning left to select from
     subjects     repeat, subject, part
     usable       subject, grade of every radiograph
-    returns      training subjects of the task's grades; features that a selection was offered, where that is known, and
-                 that it kept; subjects a feature. Ten subjects a feature are a common least (Kocak 2024, METRICS 16)
+    measured     features of a radiograph
+    returns      training subjects of the task's grades; features measured, that a selection was offered, where that is
+                 known, and that it kept; subjects a feature. Ten subjects a feature are a common least (Kocak 2024,
+                 METRICS 16)
     """
     grades = usable.groupby("subject")["grade"].agg(set)
     training = subjects[subjects["part"] == "training"].groupby("repeat")["subject"].agg(list)
@@ -33,8 +36,9 @@ def dimensions(
         of_split["subjects_per_feature"] = of_split["subjects"] / of_split["kept"]
         least = of_split["subjects_per_feature"].idxmin()
         pruned = offered[(offered[_RECIPE] == pd.Series(recipe)).all(axis=1) & (offered["repeat"] == least)]
-        rows.append({**recipe, **of_split.loc[least].to_dict(), "offered": len(pruned) or pd.NA})
-    return pd.DataFrame(rows, columns=_COLUMNS).astype(dict.fromkeys(("subjects", "offered", "kept"), "Int64"))
+        counts = {"measured": measured, "offered": len(pruned) or pd.NA}
+        rows.append({**recipe, **of_split.loc[least].to_dict(), **counts})
+    return pd.DataFrame(rows, columns=_COLUMNS).astype(dict.fromkeys(_COUNTS, "Int64"))
 
 
 def tuned(chosen: pd.DataFrame) -> pd.DataFrame:

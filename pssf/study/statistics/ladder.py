@@ -79,7 +79,7 @@ def _answer(row: Mapping[str, float]) -> str:
 
 
 def ceiling(separability: pd.DataFrame) -> pd.DataFrame:
-    """grades, rung, auc, low, high: the better of the fits to all parameters of newly drawn knees.
+    """grades, rung, knees, auc, low, high: of the better fit to all parameters of drawn knees, at least the best.
 
     separability  of `learn.separability.separability`
     """

@@ -15,6 +15,7 @@ from .parameters import parameters_of
 SHARES = ["feature", "group", "samples", "first", "first_low", "first_high", "total", "total_low", "total_high"]
 SLOPES = ["feature", "parameter", "knees", "slope", "slope_low", "slope_high"]
 _RESAMPLES = 400
+_LEAST_WHOLE = 32  # samples; of as many drawn, intervals hold 95 %, of fewer not
 _LEVEL = 0.95
 
 
@@ -24,10 +25,11 @@ def shares(
     """Sobol's first-order and total share of every group of parameters in the variance of every feature.
 
     The first is what a group gives alone, the total with all that it does together with others (Saltelli 2010; Jansen
-    1999); intervals are SALib's, by a bootstrap of the samples. With few samples an estimate may lie outside 0 to 1.
+    1999); intervals are SALib's, by a bootstrap of the samples. An estimate may lie outside 0 to 1, and far so where
+    one radiograph makes most of a feature's variance: intervals of such features hold less.
 
     table    radiographs of `space.plan_shares` with a region found: turn, features
-    returns  SHARES; samples of which a radiograph was refused are left out
+    returns  SHARES; samples of which a radiograph was refused are left out, and features of too few samples
     """
     problem = problem_of(bounds)
     groups = list(dict.fromkeys(problem["groups"]))
@@ -37,7 +39,7 @@ def shares(
     rows: list[dict[str, Any]] = []
     for index, name in enumerate(names):
         whole = blocks[np.isfinite(blocks[:, :, index]).all(axis=1), :, index]
-        if len(whole) < 2 or is_degenerate(whole.ravel()):
+        if len(whole) < _LEAST_WHOLE or is_degenerate(whole.ravel()):
             continue
         indices = sobol.analyze(
             problem,
