@@ -13,9 +13,10 @@ from pssf.study import StudySettings
 from pssf.study.learn.refit import refitted
 from pssf.study.learn.scenarios import one_split
 from pssf.study.learn.split import split_subjects
-from pssf.study.predictions import TASKS, Outcome, class_names, class_of, joined, tasks_of
+from pssf.study.predictions import Outcome, class_of, joined
 from pssf.study.statistics.evidence import tables_of_features, tables_of_models
 from pssf.study.statistics.importance import by_family
+from pssf.study.tasks import TASKS, class_names, tasks_of
 
 PROTOCOLS = ("reference", "other")
 NAMES = ["glcm_a", "glcm_b", "gldm_c", "ngtdm_d"]

@@ -5,6 +5,7 @@ space          plan of a cohort                -> samples of the space of all pa
 design         plan of a cohort                -> its knees taken with one thing of a protocol changed at a time
 result         StudyResult
 films          FilmSet: films to test on
+tasks          grades, and which of them are told from which
 predictions    the form in which predictions go from training to statistics
 
 statistics/    numbers from numbers; no model is trained

@@ -13,7 +13,7 @@ import numpy as np
 from ..cohort.plan import Case, Exposure, Plan
 from ..core.checks import InputError, require_whole
 from ..model.protocol import Protocol
-from .predictions import TASKS, contrast_of
+from .tasks import TASKS, contrast_of
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -26,9 +26,10 @@ from ..radiomics.tables import RadiomicsTables
 from .films import REGION_MM, FilmSet
 from .learn.modelfile import TrainedOn, pack
 from .learn.refit import Kept, refitted
-from .predictions import GRADED, class_names, joined
+from .predictions import joined
 from .settings import StudySettings
 from .statistics.external import CONTRASTS, counted, score_films, score_grades
+from .tasks import GRADED, class_names
 
 # Films that pitch and region are taken from, where they are not given.
 _SAMPLE = 15

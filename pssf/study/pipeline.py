@@ -18,7 +18,7 @@ from .learn.modelfile import SUFFIX, pack
 from .learn.refit import refitted
 from .learn.training import train
 from .measuring import Run, check_manifest, measured
-from .predictions import Outcome, class_names, joined
+from .predictions import Outcome, joined
 from .questions import ask
 from .report.checklist import checklist
 from .report.cost import cost_rows
@@ -40,6 +40,7 @@ from .statistics.parameters import composition, morphology, parameters_of, with_
 from .statistics.provenance import notes_of, warnings_of
 from .statistics.reliability import count_stable, protocols_of
 from .tables import laws_of
+from .tasks import class_names
 
 _PACKAGES = (
     *("pssf", "scikit-learn", "xgboost-cpu", "feature-engine", "scikit-image", "skops"),

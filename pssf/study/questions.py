@@ -10,10 +10,10 @@ from .design import AXES, Designed
 from .learn.confounders import CLASSES, CONFOUNDERS, confound
 from .learn.ladder import climb, known_of, rungs_of
 from .learn.responses import respond
-from .learn.separability import separability
+from .learn.separability import KNEES, separability
 from .learn.split import split_subjects
 from .measuring import Run, measured_by_design
-from .predictions import contrast_of, joined
+from .predictions import joined
 from .report.page import Picture
 from .report.sections import (
     Section,
@@ -29,8 +29,10 @@ from .statistics.evidence import Tables
 from .statistics.importance import leading
 from .statistics.parameters import parameters_of
 from .statistics.tested import TESTED, count_tested, enough
+from .tasks import contrast_of
 
 _SHARES = (0.2, 0.4, 0.6, 0.8)  # of the subjects to learn from, beside all
+_FEW_KNEES = 1_000
 _LEARNING = ("measured", "radiomics", "both")
 
 
@@ -87,8 +89,7 @@ def _ladder(manifest: pd.DataFrame, usable: pd.DataFrame, names: list[str], run:
     rungs, differences = ladder.rungs(splits), ladder.differences(splits)
     if laws is not None:
         with execution.timer.stage("best possible"):
-            drawn = separability(laws, run.tables.gap_alone_auc, seed=settings.seed)
-        best = ladder.ceiling(drawn)
+            best = _best_possible(laws, run)
         rungs = joined([rungs, best[best["grades"].isin(rungs["grades"])]])
         rungs = rungs.astype(dict.fromkeys(("trained", *TESTED, "splits", "knees"), "Int64"))
     fewer = climb(known, names, settings, execution, shares=_SHARES, rungs=_LEARNING, stage="learning curves")
@@ -97,6 +98,16 @@ def _ladder(manifest: pd.DataFrame, usable: pd.DataFrame, names: list[str], run:
     tables = {"ladder": rungs, "ladder_differences": differences, "learning": curves, "power": power}
     sections = [ladder_section(rungs, differences, int(known["subject"].nunique())), learning_section(curves, power)]
     return Answers(tables, sections)
+
+
+def _best_possible(laws: DrawLaws, run: Run) -> pd.DataFrame:
+    """Rows of `ladder.ceiling`: of few knees where the grades of a table do not overlap, of which more say the same."""
+    for knees in (_FEW_KNEES, KNEES):
+        drawn = separability(laws, run.tables.gap_alone_auc, knees=knees, seed=run.settings.seed)
+        best = ladder.ceiling(drawn)
+        if (best["auc"] == 1.0).all():
+            break
+    return best
 
 
 def _confounders(manifest: pd.DataFrame, usable: pd.DataFrame, names: list[str], run: Run) -> Answers:

@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from ...core.checks import Array
 from ...core.execution import Execution
 from ...data.code import require_code
-from ..predictions import TASKS, class_of
+from ..predictions import class_of
 from ..settings import StudySettings
 from ..statistics.metrics import weighted_scores
 from ..statistics.reliability import protocols_of
+from ..tasks import TASKS
 from .each_split import each_split
 from .models import tune
 from .selection import preparation

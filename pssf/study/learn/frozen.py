@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from ...core.execution import Execution
 from ...data.code import require_code
-from ..predictions import NONE, Classes, class_of, tasks_of
+from ..predictions import NONE, class_of
 from ..settings import StudySettings
 from ..statistics.reliability import protocols_of
+from ..tasks import Classes, tasks_of
 from .each_split import each_split
 from .ladder import Rung, fitted_rung, known_of, rungs_of
 from .models import Fitted

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from ..predictions import least_grades, tasks_of
 from ..settings import StudySettings
+from ..tasks import least_grades, tasks_of
 from .models import Fitted, refit, tune
 from .scenarios import part_of
 from .selection import preparation

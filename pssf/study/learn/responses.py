@@ -9,11 +9,12 @@ from scipy.special import logit
 
 from ...core.execution import Execution
 from ...data.code import require_code
-from ..predictions import TASKS, Classes, class_of, contrast_of
+from ..predictions import class_of
 from ..settings import StudySettings
 from ..statistics.metrics import auc
 from ..statistics.subjects import worst_grades
 from ..statistics.tested import TESTED, count_tested
+from ..tasks import TASKS, Classes, contrast_of
 from .each_split import each_split
 from .models import tune
 from .selection import preparation

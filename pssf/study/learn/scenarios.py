@@ -12,9 +12,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from ..predictions import NONE, Classes, Outcome, class_of, joined, tasks_of
+from ..predictions import NONE, Outcome, class_of, joined
 from ..settings import StudySettings
 from ..statistics.reliability import protocols_of
+from ..tasks import Classes, tasks_of
 from .baselines import baselines_of
 from .models import Fitted, tune
 from .permutation import permuted

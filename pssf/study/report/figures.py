@@ -11,9 +11,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from ..predictions import least_grades, truth_and_probability
+from ..predictions import truth_and_probability
 from ..settings import MODELS
 from ..statistics.metrics import confusion, mean_roc
+from ..tasks import least_grades
 
 # Okabe & Ito 2008: told apart with any colour vision.
 COLOURS = {"lr": "#0072B2", "rf": "#D55E00", "xgb": "#009E73"}

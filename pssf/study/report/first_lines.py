@@ -2,9 +2,9 @@
 
 import pandas as pd
 
-from ..predictions import TASKS
 from ..settings import MODELS
 from ..statistics.tested import LEAST_OF_A_CLASS, LEAST_TESTED
+from ..tasks import TASKS
 
 _ARMS = {
     "within": "within one protocol",

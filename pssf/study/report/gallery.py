@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from ...core.blocks import block_mean
 from ...detector import present
 from ...radiomics.table import Load
-from ..predictions import GRADED
 from ..settings import SELECTIONS, StudySettings
 from ..statistics.importance import by_family
 from ..statistics.parameters import strongest
 from ..statistics.reliability import protocols_of
+from ..tasks import GRADED
 from . import feature_figures, figures
 from .figures import PanelImage
 from .page import PAPER, Picture

@@ -9,13 +9,14 @@ import jinja2
 import pandas as pd
 
 from ..external import External
-from ..predictions import BASELINES, GRADES, NONE, TASKS
+from ..predictions import BASELINES, NONE
 from ..settings import MODELS, SELECTIONS
 from ..statistics.intervals import MINUS_JSW
 from ..statistics.localisation import GROSS_MM
 from ..statistics.metrics import METRICS
 from ..statistics.reliability import ICC_FORMS
 from ..statistics.tested import LEAST_OF_A_CLASS, LEAST_TESTED
+from ..tasks import GRADES, TASKS
 from .feature_figures import FAMILY_NAMES
 from .figures import SCENARIOS
 from .first_lines import few_tested, result_lines

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 
 from ...core.checks import Array
-from ..predictions import ARM, least_grades, truth_and_probability
+from ..predictions import ARM, truth_and_probability
+from ..tasks import least_grades
 from .fitting import fit_quietly
 from .metrics import confusion
 

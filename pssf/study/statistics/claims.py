@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from scipy.stats import t as t_distribution
 
 from ...core.checks import Array
-from ..predictions import TASKS, truth_and_probability
+from ..predictions import truth_and_probability
 from ..settings import MODELS, SELECTIONS, StudySettings
+from ..tasks import TASKS
 from .intervals import estimate, estimate_share, share_tested
 from .metrics import METRICS, confusion, percentiles
 from .reliability import ICC_FORMS, THRESHOLD

@@ -2,7 +2,7 @@
 
 import pandas as pd
 
-from ..predictions import TASKS
+from ..tasks import TASKS
 
 _RECIPE = ["task", "trained_on", "selection"]
 _COLUMNS = [*_RECIPE, "subjects", "measured", "offered", "kept", "subjects_per_feature"]

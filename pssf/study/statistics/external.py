@@ -4,7 +4,8 @@ import numpy as np
 import pandas as pd
 
 from ...core.checks import Array
-from ..predictions import GRADED, TASKS, Classes, class_of
+from ..predictions import class_of
+from ..tasks import GRADED, TASKS, Classes
 from .metrics import METRICS, percentiles, weighted_kappa, weighted_scores
 from .subjects import draws, worst_grades
 
