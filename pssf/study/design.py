@@ -147,7 +147,7 @@ AXES = {
 
 def plan_curves(plan: Plan, *, knees: int, reference: str, axes: Sequence[str] = tuple(AXES)) -> Plan:
     """Knees of a cohort, one a subject, taken at every step of every axis: half of grade 0, half of the others of the
-    contrast (`predictions.contrast_of`), which are alike in number.
+    contrast (`tasks.contrast_of`), which are alike in number.
 
     An exposure's kind is its axis, its turn the number of the step from 1.
 
