@@ -16,7 +16,7 @@ def test_every_field_of_a_knee_is_listed_once_with_what_it_is():
         name = f"{each.__name__.lower()}s"
         assert {f"{name}.{field.name}" for field in dataclasses.fields(each)} <= set(rows)
     assert all(row["what"] and row["allowed"] for row in rows.values() if row["field"] != "texture_seed")
-    assert rows["jsw_medial_mm"]["allowed"] == "0 to 8"
+    assert rows["jsw_medial_mm"]["allowed"] == "0 to 10"
 
 
 def test_the_template_is_the_default_knee_and_names_every_field():

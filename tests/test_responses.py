@@ -197,6 +197,7 @@ def broken(cohort: int, curved: int, distance: float, noise: float, difference: 
         halves = split_curves(base, list(range(curved)), cohort, repeat)
         tested = np.array(halves.test)
         counts = {"trained": len(halves.training), "curved": curved, "test_subjects": len(tested), "shift": 0.0}
+        counts["test_rarest"] = min(int(positive[tested].sum()), int((~positive[tested]).sum()))
         counts["auc_own"] = auc(positive[tested], marker[tested])
         for turn, values in enumerate(at_dose, start=1):
             rows.append(counts | {"axis": "dose", "turn": turn, "auc": auc(positive[tested], values[tested])})

@@ -35,7 +35,7 @@ def test_joint_space_at_fractions_of_the_femur_is_no_less_than_the_smallest(knee
 def test_spaces_of_a_taking_are_all_of_that_taking():
     protocol = pssf.load_protocol("fixed_flexion")
     off = {"medial": [], "lateral": []}
-    for seed in range(6):
+    for seed in range(3):
         knee = pssf.draw_knee(grade=seed % 4, rng=np.random.default_rng(seed), table="people", subluxation_mm=0.0)
         taken = pssf.draw_exposure(protocol, rng=np.random.default_rng(seed))
         truth = pssf.build(knee, taken).truth(taken)
