@@ -152,9 +152,10 @@ def test_texture_of_a_made_field_is_what_it_was_made_of():
     assert stripes["vertical_over_horizontal"] > 3
 
 
-@pytest.fixture(scope="module")
-def drawn_texture():
-    return {row["quantity"]: row for row in texture.spread_rows(24, 1)}
+# Of six knees the SD over mean is .027, of 96 it is .031: it takes the longer run.
+@pytest.fixture(scope="module", params=[6, pytest.param(24, marks=pytest.mark.slow)])
+def drawn_texture(request):
+    return {row["quantity"]: row for row in texture.spread_rows(request.param, 1)}
 
 
 # Quantum noise at 2 mAs lies over the texture there: the slope is flatter than that of real full frames.
@@ -169,8 +170,9 @@ _NOISY = pytest.mark.xfail(
 )
 def test_a_drawn_knee_of_grade_0_has_texture_like_a_real_one(drawn_texture, quantity):
     row = drawn_texture[quantity]
-    # The mean lies within the band, which chance, 1.6 of its standard error, may carry it beyond. Six knees would be
-    # too few: their SD over mean is .027, that of 96 is .031.
+    if quantity == "sd_over_mean" and row["knees"] < 24:
+        pytest.skip("six knees are too few for it")
+    # The mean lies within the band, which chance, 1.6 of its standard error, may carry it beyond.
     chance = 1.6 * (row["p90"] - row["p10"]) / 2.56 / np.sqrt(row["knees"])
     assert row["real_low"] - chance <= row["mean"] <= row["real_high"] + chance
 
