@@ -1,6 +1,6 @@
 """What is known about the radiograph of a built knee: joint spaces, landmarks, and where its osteophytes are."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from manifold3d import Manifold, OpType
@@ -37,26 +37,29 @@ def labels(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> Trut
     assembly  how it stands
     scene     as it is built
     """
-    gaps, defined = _gaps(knee, assembly, scene, view), assembly.defined_under
+    defined = assembly.defined_under
     # A knee that a posture bends has other spaces along its width: they are told as this view shows them.
     seen_by = view_of(defined) if assembly.posture == defined.posture else view
-    least = gaps if view == seen_by else _gaps(knee, assembly, scene, seen_by)
+    least, asked = _gaps(knee, assembly, scene, seen_by, (COMPARTMENT, _ASKED))
+    gaps = least if view == seen_by else _gaps(knee, assembly, scene, view)[0]
+    spots = _widest(knee, assembly, view)
+    edges = spots if view == seen_by else _widest(knee, assembly, seen_by)
     return Truth(
         jsw_medial_mm=knee.jsw_medial_mm,
         jsw_lateral_mm=knee.jsw_lateral_mm,
-        jsw_at_mm=_jsw_at_mm(knee, assembly, scene, seen_by),
+        jsw_at_mm=_jsw_at_mm(edges, asked, seen_by, _lean_deg(knee, assembly)),
         grade=knee.grade,
         grade_read=knee.grade_read,
         readings={f"jsw_least_{side}_mm": round(gap.jsw_mm, 4) for side, gap in zip(_SIDES, least, strict=True)},
         landmarks_px=_joint_lines(gaps, view, _lean_deg(knee, assembly))
-        | _widest(knee, assembly, view)
+        | spots
         | _on_contours(knee, assembly, scene, view),
     )
 
 
 def measured_jsw_mm(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> tuple[float, float]:
     """Medial and lateral joint space in a view, osteophytes and all, by the measure that `Knee.jsw_as` names."""
-    medial, lateral = _gaps(knee, assembly, scene, view)
+    medial, lateral = _gaps(knee, assembly, scene, view)[0]
     return medial.jsw_mm, lateral.jsw_mm
 
 
@@ -110,14 +113,19 @@ def _nearer(piece: Manifold, tip: Array, others: Array) -> Manifold:
     return piece
 
 
-def _gaps(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View, between: Pair = COMPARTMENT) -> tuple[Gap, Gap]:
-    """The medial and the lateral joint space as a detector sees them, between fractions of the plateau's half width."""
+def _gaps(
+    knee: Knee, assembly: KneeAssembly, scene: Scene, view: View, ranges: Sequence[Pair] = (COMPARTMENT,)
+) -> list[tuple[Gap, Gap]]:
+    """The medial and the lateral joint space as a detector sees them, within each range of the plateau's half width."""
     meshes = _outer(scene)
     femur, tibia = ((mesh.vertices, closed_edges(mesh.faces)) for mesh in meshes)
     medial, half, lean = _medial(knee), assembly.build.half_ml_mm, _lean_deg(knee, assembly)
     upper = plateau_floor(meshes[1], view, medial, lean) if knee.jsw_as == "read" else tibia
-    one, other = (measure_gap(femur, upper, view, side * medial, half, lean, between) for side in (+1, -1))
-    return one, other
+
+    def seen(side: int, between: Pair) -> Gap:
+        return measure_gap(femur, upper, view, side * medial, half, lean, between)
+
+    return [(seen(+1, between), seen(-1, between)) for between in ranges]
 
 
 def _outer(scene: Scene) -> tuple[Mesh, Mesh]:
@@ -138,11 +146,16 @@ def _joint_lines(gaps: tuple[Gap, Gap], view: View, lean_deg: float) -> dict[str
     return {name: _place(place) for name, place in zip(names, (*lines, lines.mean(axis=0)), strict=True)}
 
 
-def _jsw_at_mm(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> dict[float, float]:
-    """Fraction of the femur's width from its medial epicondyle -> joint space there, as a detector sees it."""
-    spots, gaps = _widest(knee, assembly, view), _gaps(knee, assembly, scene, view, _ASKED)
-    edges = np.array([spots["medial_epicondyle"], spots["lateral_epicondyle"]])
-    medial, lateral = turned_px(edges, view, -_lean_deg(knee, assembly))[:, 1]
+def _jsw_at_mm(
+    edges: dict[str, tuple[float, float]], gaps: tuple[Gap, Gap], view: View, lean_deg: float
+) -> dict[float, float]:
+    """Fraction of the femur's width from its medial epicondyle -> joint space there, as a detector sees it.
+
+    edges  of `_widest` in that view
+    gaps   medial and lateral, wide enough
+    """
+    epicondyles = np.array([edges["medial_epicondyle"], edges["lateral_epicondyle"]])
+    medial, lateral = turned_px(epicondyles, view, -lean_deg)[:, 1]
     spaces = {}
     for fraction in FRACTIONS:
         gap = gaps[0] if fraction < 0.5 else gaps[1]

@@ -13,11 +13,11 @@ from ..io.images import load, load_parameters
 from ..io.labels import LabelledImage, write_coco, write_pts
 from ..io.pictures import side_by_side
 from ..io.records import read_csv, write_csv
+from ..model.axes import STRAIGHT_DEG
 from ..model.knee import Knee
 from ..model.radiograph import Truth
 
 _SIDE = {"right": 1, "left": 2}
-_STRAIGHT_DEG = 180.0
 # Told by the Initiative's name and way to count.
 _RENAMED = ("jsw_least_medial_mm", "hip_knee_ankle_deg")
 
@@ -87,7 +87,7 @@ def _reading(name: str, subject: str, knee: Knee, truth: Truth) -> dict[str, Any
         "radiograph": name,
         **({} if truth.grade_read is None else {"XRKL_READ": truth.grade_read}),
         **{name: value for name, value in truth.readings.items() if name.startswith("XR")},
-        "HKANGLE": round(_STRAIGHT_DEG - truth.readings["hip_knee_ankle_deg"], 4),
+        "HKANGLE": round(STRAIGHT_DEG - truth.readings["hip_knee_ankle_deg"], 4),
         "MCMJSW": truth.readings["jsw_least_medial_mm"],
         **spaces,
         "jsw_medial_mm": round(truth.jsw_medial_mm, 4),

@@ -3,7 +3,7 @@
 from ..data.bones import FemurShape
 from .knee import Knee
 
-_STRAIGHT_DEG = 180.0
+STRAIGHT_DEG = 180.0
 
 
 def axes(knee: Knee, femur: FemurShape) -> dict[str, float]:
@@ -17,7 +17,7 @@ def axes(knee: Knee, femur: FemurShape) -> dict[str, float]:
 
     femur  the mean man's
     """
-    femorotibial_deg = _STRAIGHT_DEG - femur.valgus_deg + knee.varus_deg
+    femorotibial_deg = STRAIGHT_DEG - femur.valgus_deg + knee.varus_deg
     return {
         "femorotibial_deg": round(femorotibial_deg, 4),
         "hip_knee_ankle_deg": round(femorotibial_deg + knee.mechanical_axis_deg, 4),
