@@ -281,10 +281,31 @@ def test_a_refusal_is_told_where_it_is_read_out_and_goes_when_it_is_mended(page)
         set_number(page, "sdd_mm", 1000, "#exposure")
     page.wait_for_selector("#error:not([hidden])")
     assert page.get_attribute("#error", "role") == "alert"
+    page.wait_for_selector("#status:text-is('What is shown is of before.')")
     assert "sod_mm = 1100.0 mm; allowed: less than sdd_mm = 1000.0 mm" in page.inner_text("#error")
-    assert page.inner_text("#status") == "What is shown is of before."
     act(page, lambda: page.click("#undo"))
     assert page.is_hidden("#error")
+
+
+def test_an_answer_that_is_still_coming_when_another_is_asked_for_is_dropped(page):
+    script = """async () => {
+      const server = await import(new URL("page/server.js", document.baseURI).href), real = window.fetch;
+      let finish, headed;
+      const begun = new Promise((resolve) => { headed = resolve; });
+      window.fetch = async () => {
+        setTimeout(headed);
+        return new Response(new ReadableStream({ start: (control) => { finish = control; } }));
+      };
+      const said = server.probe({}).then(() => "shown", (error) => error instanceof server.Superseded);
+      await begun;
+      window.fetch = async () => new Response("{}", { status: 409 });
+      await server.probe({}).catch(() => {});
+      window.fetch = real;
+      finish.enqueue(new Uint8Array([2, 0, 0, 0, 123, 125]));
+      finish.close();
+      return said;
+    }"""
+    assert page.evaluate(script) is True
 
 
 def test_presets_protocols_and_drawn_knees_change_what_they_say(page):

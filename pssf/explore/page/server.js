@@ -12,8 +12,7 @@ async function sent(address, body, signal) {
     answer = await fetch(address, {
       method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body), signal,
     });
-  } catch (error) {
-    if (error.name === "AbortError") throw new Superseded();
+  } catch {
     throw new Error("pssf explore does not answer; is it still running?");
   }
   if (answer.ok) return answer;
@@ -22,13 +21,17 @@ async function sent(address, body, signal) {
   throw new Error(told.error);
 }
 
-/** The latest request of a kind wins: the one before it is aborted. */
-async function latest(kind, address, body) {
+/** The latest request of a kind wins: the one before it is aborted, however much of its answer has come. */
+async function latest(kind, address, body, read) {
   running.get(kind)?.abort();
-  const control = new AbortController();
+  const control = new AbortController(), { signal } = control;
   running.set(kind, control);
   try {
-    return await sent(address, { tab, ...body }, control.signal);
+    const found = await read(await sent(address, { tab, ...body }, signal));
+    signal.throwIfAborted();
+    return found;
+  } catch (error) {
+    throw signal.aborted ? new Superseded() : error;
   } finally {
     if (running.get(kind) === control) running.delete(kind);
   }
@@ -43,22 +46,22 @@ async function unpacked(answer) {
 
 /** Header and pixels (Uint16Array, row by row) of a state. */
 export async function radiograph(state) {
-  const { header, content } = await unpacked(await latest("radiograph", "answer/radiograph", state));
+  const { header, content } = await latest("radiograph", "answer/radiograph", state, unpacked);
   // The bytes are little-endian, as are all machines that browsers run on today.
   return { header, pixels: new Uint16Array(content) };
 }
 
 export async function masks(state) {
-  const { header, content } = await unpacked(await latest("masks", "answer/masks", state));
+  const { header, content } = await latest("masks", "answer/masks", state, unpacked);
   return { ...header, bits: new Uint8Array(content) };
 }
 
 export async function probe(state) {
-  return (await unpacked(await latest("probe", "answer/probe", state))).header;
+  return (await latest("probe", "answer/probe", state, unpacked)).header;
 }
 
 export async function solids(state) {
-  return (await (await latest("solids", "solids", state)).json()).page;
+  return (await latest("solids", "solids", state, (answer) => answer.json())).page;
 }
 
 export async function draw(wanted) {
