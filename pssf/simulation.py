@@ -8,21 +8,19 @@ from functools import cache
 from importlib.metadata import version
 from typing import Any
 
-import numpy as np
-
 from .anatomy import BuiltKnee, BuiltPair, build, build_pair, make_texture
 from .core.checks import InputError, require_choice, require_seed, require_workers
 from .core.timer import Timer
 from .core.workers import one_blas_thread
 from .geometry.mesh import Mesh
 from .geometry.scene import Scene
-from .geometry.view import depth_of, seen_at, view_of
+from .geometry.view import view_of
 from .model.knee import Knee
 from .model.protocol import Protocol
 from .model.radiograph import Radiograph, Truth
 from .precompile import compiling_aside
 from .raycast import ENGINES, Audit, Paths, shadow, trace, trace_strips
-from .raycast.clip import NEAREST
+from .raycast.room import require_room
 from .stages import Chain, LatentImage, expose
 from .xray.technique import technique_of
 
@@ -72,7 +70,7 @@ def simulate(
     technique = technique_of(protocol)
     scene = subject if isinstance(subject, Scene) else subject.scene
     if not isinstance(subject, Scene):
-        _require_room(scene, protocol)
+        require_room(scene, protocol)
     clock.lap("anatomy")
     for name in scene.materials:
         technique.material(name)  # refused before rays are cast
@@ -140,25 +138,6 @@ def _built(knee: Subject, protocol: Protocol, engine: str, workers: int) -> Buil
         if workers > 1 and textured:
             aside.submit(make_texture, knee)
         return build(knee, protocol)
-
-
-def _require_room(scene: Scene, protocol: Protocol) -> None:
-    """Refuse a detector that stands in the leg, of which rays would end before its skin."""
-    view = view_of(protocol)
-    for surface in scene.surfaces:
-        if surface.outside != "air":
-            continue
-        points_mm = surface.arrays.vertices
-        depth = depth_of(points_mm, view)
-        ahead = depth > NEAREST
-        seen = seen_at(points_mm[ahead], depth[ahead], view)
-        within = ((seen >= 0) & (seen < (view.rows, view.cols))).all(axis=1)
-        beyond_mm = (float(np.max(depth[ahead][within], initial=0.0)) - 1) * protocol.sdd_mm
-        if beyond_mm > 0:
-            raise InputError(
-                f"sod_mm = {protocol.sod_mm:g} mm with sdd_mm = {protocol.sdd_mm:g} mm: the leg reaches "
-                f"{beyond_mm:.1f} mm behind the detector; allowed: up to {np.floor(protocol.sod_mm - beyond_mm):g} mm"
-            )
 
 
 def _traced(scene: Scene, chain: Chain, paths: Paths | None) -> tuple[LatentImage, Audit]:

@@ -20,6 +20,7 @@ from ..model.knee import knee_table
 from ..model.protocol import protocol_table
 from ..model.radiograph import Radiograph, Truth
 from ..raycast import ENGINES, trace
+from ..raycast.room import with_room
 from ..simulation import simulate, versions
 from .plan import Case, Exposure, Plan
 
@@ -58,6 +59,8 @@ def make_cohort(
     kept: Callable[[int], None] = lambda stood: None,
 ) -> Path:
     """Make what is missing of a cohort and write its manifest; the bytes do not depend on who makes them.
+
+    A knee whose leg would reach behind the detector stands farther off (`raycast.room.with_room`): the manifest's sod_mm.
 
     folder     of this cohort; what an earlier run left there is checked against its hashes and kept
     workers    processes of this machine; None: one for each core that this process may use
@@ -113,7 +116,7 @@ def make_case(case: Case, site: Site, engine: str, threads: int, masks: str = "n
             built, paths = build(case.knee, exposure.protocol), None
         how: dict[str, Any] = {"seed": exposure.seed, "engine": engine, "workers": threads}
         how["keep"] = () if masks == "none" else ("masks",)
-        protocol = built.aimed(exposure.protocol)
+        protocol = with_room(built.scene, built.aimed(exposure.protocol))
         # Radiographs of one geometry, such as reference and low dose, have the same paths.
         if paths is None or (paths.view, paths.texture) != (view_of(protocol), protocol.texture):
             paths = trace(built.scene, protocol, engine=engine, workers=threads)
