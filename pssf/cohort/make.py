@@ -60,7 +60,7 @@ def make_cohort(
 ) -> Path:
     """Make what is missing of a cohort and write its manifest; the bytes do not depend on who makes them.
 
-    A knee whose leg would reach behind the detector stands farther off (`raycast.room.with_room`): the manifest's sod_mm.
+    A leg that would reach behind the detector stands farther off it (`raycast.room.with_room`): the manifest's sod_mm.
 
     folder     of this cohort; what an earlier run left there is checked against its hashes and kept
     workers    processes of this machine; None: one for each core that this process may use
