@@ -30,6 +30,7 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
             rows=round(known.rows / coarser),
             cols=round(known.cols / coarser),
             pixel_mm=known.pixel_mm * coarser,
+            scatter_photons=round(known.scatter_photons / coarser),
         )
         radiograph = pssf.simulate((right, left) if known.apart_mm else right, protocol, seed=1, engine="scanline")
         seen = pssf.present(radiograph.pixels)

@@ -11,6 +11,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import shutil
 import sys
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 
 import drawn
@@ -19,6 +20,7 @@ from hypothesis import HealthCheck, settings
 
 import pssf
 from pssf import cohort, study
+from pssf.cohort import make
 from pssf.data import code
 from pssf.study import StudyResult
 
@@ -81,6 +83,16 @@ def small_protocols(tmp_path_factory) -> list[str]:
         path.write_text("".join(f"{k} = {json.dumps(v)}\n" for k, v in fields.items()))
         paths.append(str(path))
     return paths
+
+
+@pytest.fixture(scope="session", autouse=True)
+def built_once() -> Iterator[None]:
+    """Cohorts of this process build a knee once, however often they make it; other processes build their own."""
+    with pytest.MonkeyPatch.context() as patch:
+        built = lru_cache(maxsize=8)(make.build)
+        patch.setattr(make, "build", built)
+        yield
+        built.cache_clear()
 
 
 @pytest.fixture(scope="session")

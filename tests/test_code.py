@@ -121,17 +121,17 @@ def test_every_file_of_data_counts_for_pixels_unless_it_is_named_with_a_reason()
 
 def test_tables_that_no_pixel_hangs_on_are_read_by_their_readers_alone_and_those_by_nothing_that_makes_pixels():
     made_by = imported(("cohort", "make")) - {"data/presets.py"}
+    called = [
+        (path.relative_to(ROOT).as_posix(), ast.unparse(node.func), [ast.unparse(one) for one in node.args])
+        for path in ROOT.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Call)
+    ]
+    readers = ("data", "tables.data", "field_laws", "check_fields")
     for table_name, reader in code.NOT_OF_PIXELS:
         assert f"data/{reader}" not in made_by
-        asked = f'"{Path(table_name).stem}"'
-        calls = [
-            path.relative_to(ROOT).as_posix()
-            for path in ROOT.rglob("*.py")
-            for node in ast.walk(ast.parse(path.read_text()))
-            if isinstance(node, ast.Call)
-            and ast.unparse(node.func) in ("data", "tables.data", "field_laws", "check_fields")
-            and any(ast.unparse(argument).replace("'", '"') == asked for argument in node.args)
-        ]
+        asked = repr(Path(table_name).stem)
+        calls = [path for path, function, given in called if function in readers and asked in given]
         assert set(calls) == {f"data/{reader}"}
 
 

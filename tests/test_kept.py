@@ -18,16 +18,32 @@ ROWS = [{"bone": "femur", "bones": 2, "rms_mm": 0.1 + 0.2, "scale": ""}, {"bone"
 def counted(monkeypatch):
     """The knees that landmarks are sought of, and how many may be before the run breaks off."""
     seen, whole = [], contours._landmarks_of
-    seen_of = {"seen": seen, "most": 100}
+    seen_of = {"seen": seen, "most": 100, "of": whole}
 
     def landmarks_of(taking, **more):
         if len(seen) == seen_of["most"]:
             raise KeyboardInterrupt
         seen.append(taking)
-        return whole(taking, **more)
+        return seen_of["of"](taking, **more)
 
     monkeypatch.setattr(contours, "_landmarks_of", landmarks_of)
     return seen_of
+
+
+@pytest.fixture(scope="module")
+def usual_mm():
+    """(16, 2) landmarks of the reference knee."""
+    knee = pssf.Knee()
+    return contours._landmarks_of(
+        (knee, pssf.load_protocol("reference")), anatomy_tables(), run.defining_protocol(knee)
+    )
+
+
+@pytest.fixture
+def made_up(counted, usual_mm):
+    """As `counted`, with landmarks about those of the reference knee, of which none is built."""
+    counted["of"] = lambda taking, **more: usual_mm + np.random.default_rng(taking[0].texture_seed).normal(size=(16, 2))
+    return counted
 
 
 def tables_of(folder):
@@ -38,18 +54,18 @@ def measure(out, **more):
     return run.measure(out, Execution(), **{"knees": 10, "seed": 4} | more)
 
 
-def test_contours_go_on_where_a_run_broke_off_and_are_those_of_a_run_that_did_not(counted, tmp_path):
-    counted["most"] = 3
+def test_contours_go_on_where_a_run_broke_off_and_are_those_of_a_run_that_did_not(made_up, tmp_path):
+    made_up["most"] = 3
     with pytest.raises(KeyboardInterrupt):
         measure(tmp_path / "broken")
     assert len(pd.read_csv(tmp_path / "broken" / "contours_knees.csv")) == 3
-    counted["most"] = 100
+    made_up["most"] = 100
     measure(tmp_path / "broken")
-    assert len(counted["seen"]) == 10
+    assert len(made_up["seen"]) == 10
     measure(tmp_path / "broken")
-    assert len(counted["seen"]) == 10
+    assert len(made_up["seen"]) == 10
     measure(tmp_path / "whole")
-    assert len(counted["seen"]) == 20
+    assert len(made_up["seen"]) == 20
     assert tables_of(tmp_path / "broken") == tables_of(tmp_path / "whole")
     pages = [(tmp_path / name / "realism.html").read_text() for name in ("broken", "whole")]
     assert pages[0] == pages[1]
@@ -125,7 +141,7 @@ def test_a_key_is_another_for_other_code_other_facts_and_other_bones():
     assert key_of({"a": "1"}, facts_of_bones({"femur": [mesh]})) == keys[0]
 
 
-def test_bones_are_measured_once_and_anew_for_another_seed(tmp_path, monkeypatch):
+def test_bones_are_measured_once_and_anew_for_another_seed(made_up, tmp_path, monkeypatch):
     mesh = bones.built_bones(pssf.Knee(), anatomy_tables())["patella"]
     for number in range(2):
         (tmp_path / "given" / "patella").mkdir(parents=True, exist_ok=True)

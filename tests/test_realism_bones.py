@@ -258,10 +258,8 @@ def test_a_folder_without_bones_and_damaged_files_are_refused(tmp_path):
 
 def test_forms_of_the_same_bones_are_alike_and_a_stretched_one_is_off():
     built = bones.built_bones(pssf.Knee(), anatomy_tables())
-    drawn = {
-        name: [bones.built_bones(pssf.Knee(shape=(score,)), anatomy_tables())[name] for score in (-1.0, 1.0)]
-        for name in bones.BONES
-    }
+    pair = [bones.built_bones(pssf.Knee(shape=(score,)), anatomy_tables()) for score in (-1.0, 1.0)]
+    drawn = {name: [one[name] for one in pair] for name in bones.BONES}
     for row in bones.compare(drawn, built, drawn).forms:
         assert abs(row["off_sd"]) < 1e-9 or row["sd"] < 1e-9
     high = {**drawn, "patella": [Mesh(one.vertices * [1.0, 1.0, 1.2], one.faces) for one in drawn["patella"]]}
