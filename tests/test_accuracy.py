@@ -105,6 +105,7 @@ def test_a_finer_tolerance_of_the_spectrum_is_kept_with_more_nodes():
         assert row["max_relative_error"] <= row["tolerance"]
 
 
+@pytest.mark.slow
 def test_outlines_of_the_bones_are_within_a_fiftieth_of_a_millimetre(monkeypatch):
     monkeypatch.setattr(tessellation, "_EXACT_MM", 0.008)
     rows = tessellation.tessellation_rows(coarse_mm=(0.1,), finer=())
@@ -241,6 +242,7 @@ def test_a_cold_run_finds_nothing_kept_and_keeps_bytecode(tmp_path, monkeypatch)
     assert done.stdout.split() == ["False", *(str(tmp_path / name) for name in ("bytecode", "numba", "pssf"))]
 
 
+@pytest.mark.slow
 def test_the_chain_tells_seconds_share_and_error_of_every_stage(monkeypatch, small):
     protocol = dataclasses.replace(small, rows=512, cols=512, pixel_mm=0.6)
     monkeypatch.setattr(chain, "load_protocol", lambda name: protocol)

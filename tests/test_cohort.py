@@ -363,6 +363,7 @@ def disk(tmp_path):
     subprocess.run(["umount", str(folder)], check=True)
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_told_in_one_line_and_the_same_command_goes_on_when_there_is_room(
     protocols, whole_cohort, tmp_path, disk
 ):
