@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 import trimesh
+from command import in_a_process, run
 
 import pssf
 from pssf import cli
@@ -17,26 +18,6 @@ from pssf.data.tables import read_toml
 from pssf.model.knee import knee_from
 
 SMALL = {"rows": 64, "cols": 64, "pixel_mm": 4.8}
-
-
-def in_a_process(*arguments):
-    script = [sys.executable, "-m", "pssf", *map(str, arguments)]
-    return subprocess.run(script, capture_output=True, text=True, check=False)
-
-
-@pytest.fixture
-def run(monkeypatch, capfd):
-    """The command line, in this process."""
-
-    def running(*arguments):
-        monkeypatch.setattr(sys, "argv", ["pssf", *map(str, arguments)])
-        capfd.readouterr()
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        told = capfd.readouterr()
-        return subprocess.CompletedProcess(arguments, ended.value.code or 0, told.out, told.err)
-
-    return running
 
 
 @pytest.fixture
@@ -58,7 +39,7 @@ def test_simulate_writes_tiff_png_and_parameters(protocol_file, tmp_path):
     assert pssf.load(tmp_path / "o" / f"{stem}.tif").seed == 3
 
 
-def test_a_knee_file_is_taken_as_it_stands(run, protocol_file, tmp_path):
+def test_a_knee_file_is_taken_as_it_stands(protocol_file, tmp_path):
     knee = tmp_path / "mine.toml"
     knee.write_text('jsw_medial_mm = 2.8\nosteophytes = [{ site = "medial_tibia", size_mm = 1.5 }]\n')
     assert run("simulate", "--knee", knee, "--protocol", protocol_file, "--out", tmp_path / "o").returncode == 0
@@ -66,7 +47,7 @@ def test_a_knee_file_is_taken_as_it_stands(run, protocol_file, tmp_path):
     assert loaded.knee == pssf.Knee(jsw_medial_mm=2.8, osteophytes=(pssf.Osteophyte(site="medial_tibia", size_mm=1.5),))
 
 
-def test_meshes_writes_what_is_asked_for(run, tmp_path):
+def test_meshes_writes_what_is_asked_for(tmp_path):
     done = run("meshes", "--grade", 2, "--formats", "glb", "--out", tmp_path / "m")
     assert done.returncode == 0, done.stderr
     assert [p.name for p in (tmp_path / "m").iterdir()] == ["knee_grade2.glb"]
@@ -113,7 +94,7 @@ def test_meshes_writes_what_is_asked_for(run, tmp_path):
         (("study", "--films", ".", "--films-protocol", "low"), "pssf: films-protocol = 'low'; allowed: reference, "),
     ],
 )
-def test_bad_input_is_one_line_and_exit_code_2_and_leaves_nothing(run, arguments, line, tmp_path):
+def test_bad_input_is_one_line_and_exit_code_2_and_leaves_nothing(arguments, line, tmp_path):
     done = run(*arguments, "--out", tmp_path / "o")
     assert done.returncode == 2
     assert done.stderr.startswith(line)
@@ -121,7 +102,7 @@ def test_bad_input_is_one_line_and_exit_code_2_and_leaves_nothing(run, arguments
     assert not list(tmp_path.rglob("*"))
 
 
-def test_a_detector_that_a_built_leg_has_no_room_before_is_one_line_and_exit_code_2(run, tmp_path):
+def test_a_detector_that_a_built_leg_has_no_room_before_is_one_line_and_exit_code_2(tmp_path):
     done = run("simulate", "--protocol", "ap_standing", "--set", "sod_mm=1010", "--out", tmp_path)
     assert done.returncode == 2
     assert done.stderr.startswith("pssf: sod_mm = 1010 mm with sdd_mm = 1016 mm: the leg reaches ")
@@ -134,7 +115,7 @@ def test_a_process_that_is_refused_ends_with_exit_code_2_and_one_line(tmp_path):
     assert (done.returncode, done.stderr) == (2, "pssf: grade = 5; allowed: whole numbers from 0 to 2\n")
 
 
-def test_an_unknown_option_is_answered_with_exit_code_2(run, tmp_path):
+def test_an_unknown_option_is_answered_with_exit_code_2(tmp_path):
     done = run("simulate", "--grad", 2, "--out", tmp_path)
     assert done.returncode == 2
     assert "No such option" in done.stderr
@@ -144,7 +125,7 @@ def test_an_unknown_option_is_answered_with_exit_code_2(run, tmp_path):
 @pytest.mark.parametrize(
     ("text", "word"), [("jsw_medal_mm = 3.0", "jsw_medal_mm"), ("jsw_medial_mm = nan", "jsw_medial_mm")]
 )
-def test_a_bad_knee_file_is_answered_with_the_field(run, text, word, tmp_path):
+def test_a_bad_knee_file_is_answered_with_the_field(text, word, tmp_path):
     path = tmp_path / "knee.toml"
     path.write_text(text)
     done = run("simulate", "--knee", path, "--out", tmp_path / "o")
@@ -154,7 +135,7 @@ def test_a_bad_knee_file_is_answered_with_the_field(run, text, word, tmp_path):
 
 
 @pytest.mark.parametrize("command", ["simulate", "meshes", "cohort", "study", "accuracy", "quality"])
-def test_an_unwritable_folder_is_answered_with_one_line_before_the_work(run, command, tmp_path):
+def test_an_unwritable_folder_is_answered_with_one_line_before_the_work(command, tmp_path):
     (tmp_path / "file").write_text("in the way")
     done = run(command, "--out", tmp_path / "file")
     assert done.returncode == 2
@@ -180,7 +161,7 @@ def test_an_interrupt_ends_a_command_at_once_in_one_line_and_leaves_no_unfinishe
 SMALL_SET = [part for name, value in SMALL.items() for part in ("--set", f"{name}={value}")]
 
 
-def test_fields_of_knee_and_protocol_are_changed_and_masks_written(run, tmp_path):
+def test_fields_of_knee_and_protocol_are_changed_and_masks_written(tmp_path):
     done = run(
         *("simulate", *SMALL_SET, "--set", "mas=2", "--set", "jsw_medial_mm=2.5", "--set", "knee.rotation_deg=3"),
         *("--masks", "--formats", "tif,dcm", "--out", tmp_path / "o"),
@@ -195,7 +176,7 @@ def test_fields_of_knee_and_protocol_are_changed_and_masks_written(run, tmp_path
     assert done.stdout.count("\n") == 5
 
 
-def test_a_taking_is_drawn_by_the_seed_and_what_is_set_stays(run, protocol_file, tmp_path):
+def test_a_taking_is_drawn_by_the_seed_and_what_is_set_stays(protocol_file, tmp_path):
     how = ("simulate", "--protocol", protocol_file, "--formats", "json", "--set", "mas=3", "--exposure", "drawn")
     angles = []
     for seed in (1, 1, 2):
@@ -207,7 +188,7 @@ def test_a_taking_is_drawn_by_the_seed_and_what_is_set_stays(run, protocol_file,
     assert angles[0] == angles[1] != angles[2]
 
 
-def test_meshes_of_ones_own_are_simulated_from_a_file_that_names_them(run, tmp_path):
+def test_meshes_of_ones_own_are_simulated_from_a_file_that_names_them(tmp_path):
     trimesh.creation.box((60, 60, 60)).export(tmp_path / "leg.stl")
     trimesh.creation.icosphere(radius=10).export(tmp_path / "ball.stl")
     scene = tmp_path / "phantom.toml"
@@ -229,7 +210,7 @@ def test_meshes_of_ones_own_are_simulated_from_a_file_that_names_them(run, tmp_p
         assert why in refused.stderr
 
 
-def test_a_cohort_of_ones_own_size_grades_and_protocols_has_its_masks(run, protocol_file, tmp_path):
+def test_a_cohort_of_ones_own_size_grades_and_protocols_has_its_masks(protocol_file, tmp_path):
     done = run(
         *("cohort", "--knees", "0,0,1,1", "--grades", "people", "--protocols", protocol_file, "--masks"),
         *("--workers", 1, "--out", tmp_path / "c"),
@@ -268,33 +249,33 @@ def test_a_cohort_of_ones_own_size_grades_and_protocols_has_its_masks(run, proto
         (("cohort", "--grades", "mine"), "pssf: "),
     ],
 )
-def test_what_is_changed_wrongly_is_one_line(run, arguments, line, tmp_path):
+def test_what_is_changed_wrongly_is_one_line(arguments, line, tmp_path):
     done = run(*arguments, "--out", tmp_path / "o")
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert done.stderr.startswith(line)
     assert not list(tmp_path.rglob("*"))
 
 
-def test_a_field_that_is_taken_for_an_option_is_answered_with_how_to_change_it(run, tmp_path):
+def test_a_field_that_is_taken_for_an_option_is_answered_with_how_to_change_it(tmp_path):
     done = run("simulate", "--jsw-medial-mm", "2", "--out", tmp_path / "o")
     assert "A field of a knee is changed by --set jsw_medial_mm=VALUE" in done.stderr
 
 
 @pytest.mark.parametrize("command", [("protocols",), ("protocols", "skyline"), ("knees",)])
-def test_lists_of_fields_fit_80_columns(run, command):
+def test_lists_of_fields_fit_80_columns(command):
     done = run(*command)
     assert done.returncode == 0
     assert max(map(len, done.stdout.splitlines())) < 80
     assert ("tube_kv" if command[0] == "protocols" else "stature_mm = 1755.0 mm  [1400 to 2100]") in done.stdout
 
 
-def test_the_template_of_a_knee_is_taken_as_a_knee(run, tmp_path):
+def test_the_template_of_a_knee_is_taken_as_a_knee(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(run("knees", "--template").stdout)
     assert knee_from(read_toml(path)) == pssf.Knee()
 
 
-def test_the_version_is_told(run):
+def test_the_version_is_told():
     assert run("--version").stdout == f"pssf {version('pssf')}\n"
 
 

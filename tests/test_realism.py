@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from command import run as pssf_command
 from phantoms import PIXEL_MM, TEMPLATE, phantom
 from PIL import Image
-from test_cli import run as pssf_command
 from test_realism_contours import made_up
 
 import pssf

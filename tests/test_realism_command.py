@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
-from test_cli import run as pssf_command
+from command import run as pssf_command
 
 from pssf.data.anatomy import anatomy_tables
 from pssf.geometry.mesh import Mesh
