@@ -28,12 +28,11 @@ DOORS = {
     "radiomics/tables.py": "radiomics_tables",
     "study/tables.py": "laws_of study_tables",
     "xray/technique.py": "technique_of",
-    # What users call by other names: both knees of a person, a radiograph for eyes, fields and their values.
+    # What users call by other names: both knees of a person, fields and their values.
     "anatomy/pair.py": "build_pair",
     # What is made beside it, and what comes with the package.
     "anatomy/built.py": "make_texture",
     "anatomy/ship.py": "main",
-    "detector/rendering.py": "for_eyes",
     "model/listing.py": "field_rows knee_template with_changes",
     "precompile.py": "compile_others compile_rays",
     # Files that are read or written whole.

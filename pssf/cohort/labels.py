@@ -7,7 +7,7 @@ import numpy as np
 
 from ..anatomy.landmarks import CONTOUR_LANDMARKS
 from ..core.checks import InputError
-from ..detector.rendering import for_eyes
+from ..detector.rendering import present
 from ..io.atomic import folder
 from ..io.images import load, load_parameters
 from ..io.labels import LabelledImage, write_coco, write_pts
@@ -61,7 +61,7 @@ def write_labels(cohort: str | Path, out: str | Path) -> list[Path]:
         write_pts(folder(out / "landmarks") / f"{made['radiograph']}.pts", places)
         picture = f"{'none' if truth.grade is None else truth.grade}/{made['radiograph']}.png"
         side_by_side(
-            [for_eyes(radiograph).astype(np.uint8)],
+            [present(radiograph, look="processed").astype(np.uint8)],
             folder((out / "images" / picture).parent) / f"{made['radiograph']}.png",
         )
         size = radiograph.pixels.shape

@@ -7,6 +7,6 @@ marker     a letter, drawn or of lead
 rendering  a view for eyes, of 8 to 16 bit, marked or not
 """
 
-from .rendering import LOOKS, for_eyes, look_of, named_look, present
+from .rendering import LOOKS, look_of, named_look, present
 
-__all__ = ["LOOKS", "for_eyes", "look_of", "named_look", "present"]
+__all__ = ["LOOKS", "look_of", "named_look", "present"]

@@ -65,13 +65,6 @@ def present(
     return np.clip(np.rint(most * shown), 0, most).astype(np.uint8 if bits == 8 else np.uint16)
 
 
-def for_eyes(
-    radiograph: Radiograph, bits: int = 8, side: str | None = None, look: str | Processed | Film = "processed"
-) -> NDArray[np.uint8 | np.uint16]:
-    """(rows, cols)  a radiograph as files for eyes hold it; arguments as `present` has them"""
-    return present(radiograph, bits=bits, side=side, look=look)
-
-
 def named_look(look: Processed | Film | None) -> str:
     """A look in words, as `look_of` gives it: its name, and its parameters where it has any."""
     if look is None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.checks import Array, InputError
-from ..detector import for_eyes
+from ..detector import present
 from ..geometry.view import magnification, project, view_of
 from ..io.parcels import mesh_bytes, radiograph_bytes
 from ..io.viewer import solids_page
@@ -64,7 +64,7 @@ def _shown(pixels: NDArray[np.uint16], made: Exposed, wanted: Wanted) -> NDArray
     if wanted.look == "linear":
         return pixels
     bare = Radiograph(pixels=pixels, protocol=made.protocol, seed=wanted.seed)
-    return np.asarray(for_eyes(bare, bits=16, look=wanted.look), np.uint16)
+    return np.asarray(present(bare, bits=16, look=wanted.look), np.uint16)
 
 
 def _figures(made: Exposed) -> Header:

@@ -18,7 +18,7 @@ from ..core.checks import InputError, require_choice
 from ..data.detectors import Detector, detectors
 from ..data.dicom import DicomTables, dicom_tables
 from ..data.looks import Film, Processed
-from ..detector import for_eyes, named_look
+from ..detector import named_look, present
 from ..geometry.view import magnification, view_of
 from ..model.knee import Knee, knee_table
 from ..model.protocol import Protocol
@@ -41,7 +41,7 @@ def write(
     detector = detectors()[protocol.detector]
     shown: NDArray[np.generic] = radiograph.pixels
     if intent == "presentation":
-        shown = for_eyes(radiograph, 12, side, look or "linear")
+        shown = present(radiograph, bits=12, side=side, look=look or "linear")
     pixels = shown.astype("<u2", copy=False)
     uids = uids_of(radiograph, description)
     item = start(radiograph, uids, ("radiograph", intent), tables)

@@ -14,7 +14,7 @@ from PIL import Image, ImageOps
 
 from ..core.checks import Array, InputError, require, require_choice, require_whole
 from ..data.looks import Processed
-from ..detector import for_eyes
+from ..detector import present
 from .images import load, load_parameters, reading
 
 SIDES = ("right", "left")
@@ -44,7 +44,7 @@ class Film:
     side      right | left | None where it is not known
     pixel_mm  pitch at the film, None where it is not known
     sha256    of the file
-    look      that linear pixels are shown with, None for that of `for_eyes`; others are shown already
+    look      that linear pixels are shown with, None for "processed"; others are shown already
     coarse_mm pitch, of a knee of the standard size, that it is made smaller to before it is compared; None: as it is
     """
 
@@ -181,7 +181,7 @@ def _sha256(path: Path) -> str:
 def read_film(path: str | Path, look: Processed | None = None) -> FilmImage:
     """A film as it is displayed; linear pixels, and others' logarithms of them, are rendered for eyes first.
 
-    look    that they are rendered with; None: as `for_eyes` has it
+    look    that they are rendered with; None: "processed"
     path    PNG, JPEG, TIFF or DICOM of 8 to 16 bit; of colour only what is grey in truth
     raises  InputError naming a file that is missing, empty, damaged, of another kind, of several frames, coloured, of
             one grey value or too small; one whose pixels are not square; a DICOM For Processing that does not say how
@@ -210,7 +210,7 @@ def read_film(path: str | Path, look: Processed | None = None) -> FilmImage:
 def _rendered(path: Path, look: Processed | None) -> FilmImage:
     """Linear pixels of this package, for eyes."""
     radiograph = load(path)
-    shown = for_eyes(radiograph, 16, look=look or "processed")
+    shown = present(radiograph, bits=16, look=look or "processed")
     side = None if radiograph.knee is None else radiograph.knee.side
     return FilmImage(pixels=shown / 65535.0, pixel_mm=radiograph.protocol.pixel_mm, side=side)
 

@@ -13,7 +13,7 @@ from PIL import Image, PngImagePlugin
 from ..core.checks import InputError, require_choice, require_path
 from ..data.looks import Film, Processed, looks
 from ..data.userfiles import read_text, require_file
-from ..detector import for_eyes, look_of, named_look
+from ..detector import look_of, named_look, present
 from ..model.radiograph import Radiograph
 from .atomic import write_bytes, writing
 from .description import as_json, parameters, require_as_written
@@ -61,7 +61,7 @@ def save(
             note = PngImagePlugin.PngInfo()
             note.add_text("Description", as_json(radiograph))
             note.add_text("Look", named_look(shown_as))
-            Image.fromarray(for_eyes(radiograph, side=side, look=shown_as or "linear")).save(
+            Image.fromarray(present(radiograph, side=side, look=shown_as or "linear")).save(
                 temporary, format="PNG", pnginfo=note
             )
         elif suffix == ".dcm":
