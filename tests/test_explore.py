@@ -12,6 +12,7 @@ import threading
 import time
 import tomllib
 import zipfile
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from io import BytesIO
 
@@ -20,6 +21,7 @@ import pytest
 
 import pssf
 from pssf.core.checks import InputError
+from pssf.core.workers import WorkersLostError
 from pssf.data.explore import explored
 from pssf.data.fields import field_laws
 from pssf.explore import ahead, answers
@@ -29,7 +31,7 @@ from pssf.explore.listing import listing, page_knee
 from pssf.explore.python import python_lines
 from pssf.explore.server import _bound
 from pssf.explore.warm import ENGINE, Warm
-from pssf.explore.worker import SupersededError
+from pssf.explore.worker import SupersededError, Worker
 from pssf.io import viewer
 from pssf.model.knee import Cyst, Knee, Osteophyte
 from pssf.model.protocol import protocol_table
@@ -482,3 +484,17 @@ def test_spectra_are_computed_ahead_from_the_protocols_own_voltage_outwards(monk
     ahead.compute_spectra("reference")
     assert asked[0] == (70.0, 12.0, 3.0)
     assert sorted(kv for kv, _, _ in asked) == list(range(40, 121))
+
+
+def test_a_worker_that_is_closed_lets_go_of_who_waits_and_takes_no_more():
+    worker = Worker()
+    with ThreadPoolExecutor(1) as aside:
+        waiting = aside.submit(worker.ask, "radiograph", wanted())
+        while worker.pid is None:
+            time.sleep(0.01)
+        worker.close()
+        with pytest.raises((SupersededError, WorkersLostError)):
+            waiting.result()
+    assert worker.pid is None
+    with pytest.raises(WorkersLostError, match="closed"):
+        worker.ask("radiograph", wanted())

@@ -4,6 +4,7 @@ import signal
 from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing import get_context
+from threading import Lock
 from typing import Any
 
 from ..core.checks import InputError
@@ -27,6 +28,8 @@ class Worker:
         self._pipe: Any = None
         self._stop: Any = None
         self._number = 0
+        self._closed = False
+        self._starting = Lock()
         self.started = 0
 
     @property
@@ -44,10 +47,13 @@ class Worker:
         """Header and bytes of an answer; blocks until it is there.
 
         raises  InputError as the job, SupersededError where it was given up, WorkersLostError where the process was
-                killed, RuntimeError where it failed
+                killed or is closed, RuntimeError where it failed
         """
-        if self._process is None or not self._process.is_alive():
-            self._start()
+        with self._starting:
+            if self._closed:
+                raise WorkersLostError("the worker is closed")
+            if self._process is None or not self._process.is_alive():
+                self._start()
         self._number += 1
         try:
             self._pipe.send((self._number, job, wanted))
@@ -64,11 +70,16 @@ class Worker:
         return header, content
 
     def close(self) -> None:
-        """End the process."""
-        if self._process is not None:
+        """End the process, and let go of who waits for its answer."""
+        with self._starting:
+            self._closed = True
+        process = self._process
+        if process is not None:
             self.give_up()
-            self._pipe.close()
-            self._process.join(_PATIENCE_S)
+            # The pipe stays open, since who waits reads from it in another thread.
+            with suppress(OSError):
+                self._pipe.send(None)
+            process.join(_PATIENCE_S)
             self._drop()
 
     def _start(self) -> None:
@@ -89,12 +100,12 @@ class Worker:
 
 
 def work(pipe: Any, stop: Any) -> None:
-    """Answer until the pipe is closed; what runs in the process.
+    """Answer until nothing is asked any more; what runs in the process.
 
-    pipe  brings numbered requests, takes answers
+    pipe  brings numbered requests, and None at the end; takes answers
     stop  brings the numbers of requests that are no longer wanted
     """
-    # The terminal's Ctrl-C is the server's, which then closes the pipe.
+    # The terminal's Ctrl-C is the server's, which then says that it is the end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     keep_memory()
     from .warm import Warm
@@ -111,9 +122,12 @@ def work(pipe: Any, stop: Any) -> None:
     warm = Warm(step)
     while True:
         try:
-            number, job, wanted = pipe.recv()
+            asked = pipe.recv()
         except (EOFError, OSError):
             return
+        if asked is None:
+            return
+        number, job, wanted = asked
         pipe.send(_outcome(lambda job=job, wanted=wanted: _answer(warm, job, wanted)))  # type: ignore[misc]
 
 
