@@ -1,5 +1,6 @@
 """A study with radiographs taken by design, from their manifests to the report."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -83,6 +84,11 @@ def test_what_is_taken_by_design_is_in_the_tables_and_in_the_report(result):
     assert {"curve_dose", "curve_pixel_size", "meaning"} <= set(result.pictures)
     page = result.report.read_text(encoding="utf-8")
     assert all(f'<section id="{name}">' in page for name in ("curves", "meaning"))
+    # Its grades are of no table of ranges, so that none is told.
+    built = page[page.index("What the knees were built with") : page.index("What was done")]
+    assert "Drawn: mean" in built
+    assert "These grades have no ranges" in built
+    assert not re.search(r"Range<|alike", built)
     dose = load_typed_table(result.tables["curve_dose"])
     assert sorted(set(dose["step"])) == sorted(AXES["dose"].steps)
     assert set(dose["measure"]) >= {"median ICC(2,1)", "AUC", "threshold shift, log odds"}
