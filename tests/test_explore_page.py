@@ -24,9 +24,13 @@ CHROMIUM = chromium()
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium (apt-get install chromium)")
 SIDE = 96
 WAIT_MS = 240_000
+# The page's own modules, as the page has loaded them, and not in the frame of its solids. A promise of `import` that
+# none but a test waits for is now and then collected before it is kept.
+MODULES = """addEventListener("load", () => {
+  for (const name of window === window.top && document.querySelector("#film") ? ["app", "server"] : [])
+    import(new URL(`page/${name}.js`, document.baseURI).href).then((module) => { window[name] = module; });
+})"""
 # A small detector of the same field, so that a picture takes a moment.
-# The page's own module, as the page has loaded it.
-APP = "await import(new URL('page/app.js', document.baseURI).href)"
 SMALL = {"rows": SIDE, "cols": SIDE, "pixel_mm": 3.2}
 
 
@@ -61,6 +65,7 @@ def browser():
 def opened(browser, link, where=None):
     """A tab with the page; what it says on its console must be nothing."""
     context = browser.new_context(viewport={"width": 1500, "height": 900})
+    context.add_init_script(MODULES)
     page, said = context.new_page(), []
     page.set_default_timeout(WAIT_MS)
     # The browser's own line for a refusal, which some tests ask for.
@@ -68,6 +73,7 @@ def opened(browser, link, where=None):
     page.on("pageerror", lambda error: said.append(str(error)))
     page.goto(link + (where or fragment()))
     page.wait_for_selector("html[data-picture$=whole]")
+    page.wait_for_function("window.app && window.server")
     yield page
     context.close()
     assert said == []
@@ -108,19 +114,19 @@ def act(page, what):
 
 def page_state(page):
     """The state as the page has it."""
-    return page.evaluate(f"async () => ({APP}).store.now")
+    return page.evaluate("app.store.now")
 
 
 def values(page):
     """(rows, cols)  pixels as the page has them"""
     # As text of their bytes: a list of four million numbers takes the browser's driver most of a minute.
-    rows, cols, data = page.evaluate(f"""async () => {{
-      const {{ header, pixels }} = ({APP}).film.present;
+    rows, cols, data = page.evaluate("""async () => {
+      const { header, pixels } = app.film.present;
       const file = new FileReader();
-      const read = new Promise((done) => {{ file.onload = () => done(file.result); }});
+      const read = new Promise((done) => { file.onload = () => done(file.result); });
       file.readAsDataURL(new Blob([pixels]));
       return [header.rows, header.cols, await read];
-    }}""")
+    }""")
     return np.frombuffer(base64.b64decode(data.split(",")[1]), "<u2").reshape(rows, cols)
 
 
@@ -154,17 +160,19 @@ def test_the_page_shows_the_pixels_of_simulate_and_the_lines_that_make_them(page
 
 def test_every_control_of_a_field_changes_the_field_that_it_names(browser, server):
     context = browser.new_context()
+    context.add_init_script(MODULES)
     page = context.new_page()
     page.goto(server[1] + fragment())
     page.wait_for_selector("html[data-picture]", timeout=WAIT_MS)
+    page.wait_for_function("window.app")
     # No picture is made of these.
     page.route("**/answer/**", lambda route: route.fulfill(status=409, json={"error": "superseded"}))
-    changed = page.evaluate(f"""async () => {{
-      const {{ store }} = {APP}, found = {{}}, places = {{ knee: "knee", protocol: "exposure" }};
+    changed = page.evaluate("""() => {
+      const { store } = app, found = {}, places = { knee: "knee", protocol: "exposure" };
       const fields = Object.keys(places).flatMap((part) =>
         store.listing[part].flatMap((group) => group.fields.map((field) => [part, field])));
-      for (const [part, field] of fields) {{
-        const box = document.querySelector(`#${{places[part]}} [data-field="${{field.name}}"]`);
+      for (const [part, field] of fields) {
+        const box = document.querySelector(`#${places[part]} [data-field="${field.name}"]`);
         const open = box.querySelector("input[type=checkbox]");
         if (open && !open.checked) open.click();
         const before = store.now[part][field.name];
@@ -179,11 +187,11 @@ def test_every_control_of_a_field_changes_the_field_that_it_names(browser, serve
         const others = Object.keys(was).filter((name) =>
           name !== field.name && text(store.now[part][name]) !== text(was[name]));
         const link = store.read(location.hash)[part][field.name];
-        found[`${{part}} ${{field.name}}`] = [now !== before, others, JSON.stringify(link) === JSON.stringify(now),
+        found[`${part} ${field.name}`] = [now !== before, others, JSON.stringify(link) === JSON.stringify(now),
           box.querySelector("label").textContent.length > 0, box.querySelector(".hint").textContent.length > 5];
-      }}
+      }
       return found;
-    }}""")
+    }""")
     assert len(changed) == sum(len(group.fields) for group in (*explored().knee, *explored().protocol))
     assert {name: facts for name, facts in changed.items() if facts != [True, [], True, True, True]} == {}
     context.close()
@@ -265,7 +273,7 @@ def test_two_tabs_do_not_disturb_each_other(browser, server, page):
 
 
 def test_after_the_worker_is_killed_the_next_picture_comes(page):
-    process = f"async () => ({APP}).film.present.header.process"
+    process = "app.film.present.header.process"
     before = page.evaluate(process)
     os.kill(before, signal.SIGKILL)
     act(page, lambda: page.click("#another"))
@@ -289,7 +297,7 @@ def test_a_refusal_is_told_where_it_is_read_out_and_goes_when_it_is_mended(page)
 
 def test_an_answer_that_is_still_coming_when_another_is_asked_for_is_dropped(page):
     script = """async () => {
-      const server = await import(new URL("page/server.js", document.baseURI).href), real = window.fetch;
+      const { server } = window, real = window.fetch;
       let finish, headed;
       const begun = new Promise((resolve) => { headed = resolve; });
       window.fetch = async () => {
@@ -386,13 +394,13 @@ def test_overlays_are_where_the_truth_is(page):
     page.set_checked("#show-spaces", True)
     protocol = dataclasses.replace(pssf.load_protocol("reference"), **SMALL)
     truth = pssf.build(pssf.Knee()).truth(protocol)
-    marks = page.evaluate(f"""async () => {{
-      const {{ film }} = {APP}, {{ left, top, size }} = film.box;
+    marks = page.evaluate("""() => {
+      const { film } = app, { left, top, size } = film.box;
       const marks = [...document.querySelectorAll("#overlay circle.mark")];
       return Object.fromEntries(marks.map((mark) => [mark.dataset.landmark,
         [((+mark.getAttribute("cy") - top) / size[1]) * film.shown.header.rows - 0.5,
          ((+mark.getAttribute("cx") - left) / size[0]) * film.shown.header.cols - 0.5]]));
-    }}""")
+    }""")
     assert set(marks) == set(truth.landmarks_px)
     for name, place in truth.landmarks_px.items():
         assert marks[name] == pytest.approx(place, abs=1e-6)
