@@ -236,13 +236,13 @@ def test_a_knee_is_placed_anew_to_opposite_sides_and_changes_in_nothing_else():
 
 
 def test_repeats_can_be_made_as_a_cohort_whose_manifest_says_what_they_are(protocols, tmp_path):
-    plan = tiny(protocols, retested=1)
+    plan = tiny(protocols, retested=2)
     repeats = cohort.plan_retest(plan)
     rows = rows_of(cohort.make_cohort(repeats, tmp_path / "r", workers=1))
     turns = (("noise", "1"), ("noise", "2"), ("perturbation", "1"), ("perturbation", "2"))
-    assert Counter((row["kind"], row["turn"]) for row in rows) == dict.fromkeys(turns, 1)
+    assert Counter((row["kind"], row["turn"]) for row in rows) == dict.fromkeys(turns, 2)
     assert {row["subject"] for row in rows} == {str(plan.cases[int(row["of_knee"])].subject) for row in rows}
-    assert len({row["sha256"] for row in rows}) == 4
+    assert len({row["sha256"] for row in rows}) == 8
     beams = {entry["beam_angle_deg"] for entry in json.loads((tmp_path / "r" / "cohort.json").read_text())["protocols"]}
     assert beams == {-1.0, 0.0, 1.0}
 

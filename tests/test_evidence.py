@@ -45,7 +45,7 @@ def study(cohort: pd.DataFrame, settings: StudySettings = ALL) -> tuple[list[Out
 
 
 def test_three_subjects_of_a_grade_are_enough_and_two_are_refused():
-    _, tables = study(table(3), dataclasses.replace(ALL, selections=("l1",), repeats=2))
+    _, tables = study(table(3), dataclasses.replace(ALL, repeats=2))
     scores = tables["scores"]
     assert (scores["test_subjects"] == scores["task"].map({"0 vs 2": 2, "0/1/2": 3})).all()
     assert (scores["auc_low"] <= scores["auc"]).all()

@@ -91,7 +91,7 @@ def die_always(item, killer, seconds):
     return item
 
 
-@pytest.mark.parametrize(("killer", "seconds"), [(0, 0.5), (4, 0.0)])
+@pytest.mark.parametrize(("killer", "seconds"), [(0, 0.5), (1, 0.5), (4, 0.0)])
 def test_work_that_kills_every_worker_is_given_up_after_all_else_was_done(killer, seconds):
     arrived = []
     shared = {"killer": killer, "seconds": seconds}

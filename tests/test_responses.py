@@ -163,7 +163,7 @@ def test_no_subject_is_tested_and_learnt_from_and_only_those_with_curves_are_tes
 
 def test_intervals_hold_a_models_auc_though_halves_of_few_knees_are_tested_again_and_again():
     """A marker that needs no training: its AUC is known, and chance is whose knees have curves and who is tested."""
-    distance, cohorts, rng = 1.5, 100, np.random.default_rng(0)
+    distance, cohorts, rng = 1.5, 200, np.random.default_rng(0)
     truth, held, held_by_trained = norm.cdf(distance / np.sqrt(2)), 0, 0
     base = pd.DataFrame({"subject": range(100), "grade": 2 * (np.arange(100) % 2)})
     for cohort in range(cohorts):

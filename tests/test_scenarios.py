@@ -77,7 +77,7 @@ def test_a_fingerprint_of_the_subject_does_not_leak_across_the_split():
     for i in range(3):  # the same in all radiographs of a subject: split by radiograph, it would tell every grade
         table[f"mark{i}"] = mark[table["subject"], i]
     names = [f"mark{i}" for i in range(3)]
-    assert abs(mean_auc(table, names, "rf", repeats=3) - 0.5) < 4 * np.sqrt(49 / (12 * 24 * 24))
+    assert abs(mean_auc(table, names, "rf") - 0.5) < 4 * np.sqrt(49 / (12 * 24 * 24))
     # The same study with the leak planted, each radiograph passing for a subject of its own: the mark tells nearly all.
     leaking = table.assign(subject=np.arange(len(table)))
-    assert mean_auc(leaking, names, "rf", repeats=1) > 0.9
+    assert mean_auc(leaking, names, "rf", repeats=2) > 0.9

@@ -1,10 +1,9 @@
 import csv
 import dataclasses
 import shutil
-import subprocess
-import sys
 
 import pytest
+from command import in_a_process
 
 import pssf
 from pssf import cohort
@@ -113,15 +112,11 @@ def test_a_folder_of_no_cohort_is_refused(tmp_path):
 
 
 def test_the_command_prints_a_line_a_fault_and_ends_with_2_or_one_line_and_ends_with_0(folder):
-    def run():
-        script = [sys.executable, "-m", "pssf", "cohort", "verify", str(folder)]
-        return subprocess.run(script, capture_output=True, text=True, check=False)
-
-    whole = run()
+    whole = in_a_process("cohort", "verify", folder)
     assert (whole.returncode, whole.stdout) == (0, "whole     6 radiographs, 11 files, as they were written\n")
     for image in list((folder / "images").iterdir())[:2]:
         append(image)
-    broken = run()
+    broken = in_a_process("cohort", "verify", folder)
     assert broken.returncode == 2
     assert broken.stdout.count("\n") == broken.stdout.count(": changed (sha256 ") == 2
     assert broken.stderr == ""
