@@ -16,7 +16,7 @@ from ..model.knee import Knee, knee_table
 from ..model.protocol import Protocol, load_protocol, protocol_table
 
 # Keys of the streams under a cohort's seed. A knee's index stands first, so the order of making changes nothing.
-_SHAPE, _NOISE, _RETEST, _TAKING, _BODY = 0, 3, 4, 5, 2**31
+_SHAPE, _NOISE, _RETEST, _TAKING, _BODY, _NUMBERS, _SOME = 0, 3, 4, 5, 2**31, 2**31 + 1, 2**31 + 2
 # Off by which a knee is placed anew: what a careful radiographer is said to keep to (judgement).
 _ROTATION_DEG, _FLEXION_DEG, _BEAM_DEG = 2.0, 2.0, 1.0
 
@@ -113,6 +113,7 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
         require_choice("preset entry", name, known.__struct_fields__)
     chosen = structs.replace(known, **(overrides or {}))
     require_choice("exposures", chosen.exposures, ("fixed", "drawn"))
+    require_choice("numbered", chosen.numbered, ("by grade", "by chance"))
     protocols = [taken for name in chosen.protocols for taken in _variants(load_protocol(name), chosen)]
     names = [protocol.name for protocol in protocols]
     if len(set(names)) < len(names) or not names:
@@ -126,16 +127,38 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
     require_whole("knees: grades", len(chosen.knees), 1, most + 1, "")
     for index, (subject, grade, side) in enumerate(_people(chosen.knees, chosen.bilateral)):
         cases.append(_case(_Place(seed, index, subject, grade, side), protocols, chosen, laws))
+    if chosen.numbered == "by chance":
+        cases = _renumbered(cases, seed)
     require_whole("retested", chosen.retested, 0, 100_000, "knees")
     return Plan(
         preset=preset, seed=seed, repeats=chosen.repeats, cases=tuple(cases), retested=chosen.retested, masks=masks
     )
 
 
-def some_people(plan: Plan, people: int) -> Plan:
-    """People of a plan, evenly over those of each grade, with their images as they are in the whole.
+def _renumbered(cases: Sequence[Case], seed: int) -> list[Case]:
+    """The same knees and images under subjects' numbers that tell nothing, in the order of these."""
+    subjects = list(dict.fromkeys(case.subject for case in cases))
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_NUMBERS,)))
+    number = dict(zip(subjects, rng.permutation(len(subjects)).tolist(), strict=True))
+    ordered = sorted(cases, key=lambda case: number[case.subject])
+    return [_named(case, number[case.subject], index) for index, case in enumerate(ordered)]
 
-    people  in all; of each grade as many
+
+def _named(case: Case, subject: int, index: int) -> Case:
+    before, now = stem(case.subject, case.index), stem(subject, index)
+    exposures = tuple(replace(taken, name=now + taken.name.removeprefix(before)) for taken in case.exposures)
+    return replace(case, subject=subject, index=index, exposures=exposures)
+
+
+def stem(subject: int, index: int) -> str:
+    """What the names of a knee's radiographs begin with."""
+    return f"s{subject:04d}_k{index:04d}"
+
+
+def some_people(plan: Plan, people: int) -> Plan:
+    """People of a plan, chosen by chance under its seed, with their images as they are in the whole.
+
+    people  in all; of each grade as many; fewer of them are among more
     raises  InputError for more than there are, or a number that is no multiple of the number of grades
     """
     of_grade: dict[int | None, dict[int, None]] = {}
@@ -145,7 +168,8 @@ def some_people(plan: Plan, people: int) -> Plan:
     most = min(map(len, of_grade.values()))
     if rest or not 1 <= each <= most:
         raise InputError(f"people = {people}; allowed: a multiple of {len(of_grade)} grades, to {most * len(of_grade)}")
-    chosen = {list(whole)[k * len(whole) // each] for whole in of_grade.values() for k in range(each)}
+    rng = np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(_SOME,)))
+    chosen = {subject for whole in of_grade.values() for subject in rng.permutation(list(whole))[:each].tolist()}
     return replace(plan, cases=tuple(case for case in plan.cases if case.subject in chosen))
 
 
@@ -189,10 +213,10 @@ def _retest(seed: int, case: Case, protocol: Protocol, at: int) -> list[Case]:
     root = np.random.SeedSequence(seed, spawn_key=(case.index, _RETEST))
     states = [int(state >> np.uint64(1)) for state in root.generate_state(4, np.uint64)]
     signs = np.random.default_rng(root.spawn(1)[0]).choice([-1.0, 1.0], 3)
-    stem = f"s{case.subject:04d}_k{case.index:04d}"
 
     def exposure(kind: str, turn: int, protocol: Protocol, seed: int) -> Exposure:
-        return Exposure(f"{stem}_{kind}{turn}", protocol, seed, kind, turn, of_knee=case.index)
+        name = f"{stem(case.subject, case.index)}_{kind}{turn}"
+        return Exposure(name, protocol, seed, kind, turn, of_knee=case.index)
 
     cases = [replace(case, exposures=tuple(exposure("noise", k, protocol, states[k - 1]) for k in (1, 2)))]
     for turn, side in ((1, 1.0), (2, -1.0)):
@@ -264,7 +288,7 @@ def _case(place: _Place, protocols: list[Protocol], preset: Preset, laws: DrawLa
     exposures = []
     for turn, protocol in enumerate(protocols):
         state = np.random.SeedSequence(seed, spawn_key=(number, _NOISE, turn)).generate_state(1, np.uint64)
-        name = f"s{subject:04d}_k{number:04d}_{protocol.name}"
+        name = f"{stem(subject, number)}_{protocol.name}"
         if preset.exposures == "drawn":
             taking = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, _TAKING, turn)))
             protocol = draw_exposure(protocol, rng=taking, side=knee.side)

@@ -18,6 +18,8 @@ class Preset(Record, frozen=True):
     grades     table that knees are drawn by, see `draw_knee`
     doses      factors of a protocol's mAs, and
     tilts_deg  degrees more of its beam angle: each protocol is taken at every one of both
+    numbered   subjects and knees: by grade, one after the other, or by chance, so that no name tells a grade; of the
+               same images
     """
 
     knees: tuple[int, ...]
@@ -29,6 +31,7 @@ class Preset(Record, frozen=True):
     grades: str = "paper"
     doses: tuple[float, ...] = (1.0,)
     tilts_deg: tuple[float, ...] = (0.0,)
+    numbered: str = "by grade"
 
 
 @cache

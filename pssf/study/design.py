@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..cohort.plan import Case, Exposure, Plan
+from ..cohort.plan import Case, Exposure, Plan, stem
 from ..core.checks import InputError, require_whole
 from ..model.protocol import Protocol
 from .tasks import TASKS, contrast_of
@@ -177,12 +177,12 @@ def _taken(seed: int, case: Case, reference: str, axes: Sequence[str]) -> Case:
     root = np.random.SeedSequence(seed, spawn_key=(case.index, _CURVES))
     # All axes draw, so that leaving one out leaves the others as they are.
     states = iter(root.generate_state(sum(len(axis.steps) for axis in AXES.values()), np.uint64))
-    stem, exposures = f"s{case.subject:04d}_k{case.index:04d}", []
+    exposures = []
     for name, axis in AXES.items():
         for turn, step in enumerate(axis.steps, start=1):
             noise = int(next(states) >> np.uint64(1))
             if name in axes:
                 protocol = axis.varied(known[reference], step)
-                label = f"{stem}_{name}{turn}"
+                label = f"{stem(case.subject, case.index)}_{name}{turn}"
                 exposures.append(Exposure(label, protocol, noise, kind=name, turn=turn, of_knee=case.index))
     return replace(case, exposures=tuple(exposures))

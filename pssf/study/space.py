@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import ndtri
 
-from ..cohort.plan import Case, Exposure, Plan
+from ..cohort.plan import Case, Exposure, Plan, stem
 from ..core.checks import Array, InputError, require_whole
 from ..model.knee import Knee, Osteophyte
 from ..model.protocol import Protocol
@@ -210,11 +210,10 @@ def plan_pairs(plan: Plan, *, knees: int, reference: str, parameters: Sequence[s
             taken = _beside(own, SPACE[name], STEP * span)
             at.setdefault(taken.knee, []).append((name, taken))
         for knee, rows in at.items():
-            stem, exposures = f"s{case.subject:04d}_k{case.index:04d}", []
+            exposures = []
             for name, taken in rows:
-                exposures.append(
-                    Exposure(f"{stem}_{name}", taken.protocol, taken.seed, kind=name, turn=1, of_knee=case.index)
-                )
+                label = f"{stem(case.subject, case.index)}_{name}"
+                exposures.append(Exposure(label, taken.protocol, taken.seed, kind=name, turn=1, of_knee=case.index))
             cases.append(replace(case, index=len(cases), knee=knee, exposures=tuple(exposures)))
     return Plan(preset=f"{plan.preset}, pairs", seed=plan.seed, repeats=plan.repeats, cases=tuple(cases))
 
