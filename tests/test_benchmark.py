@@ -22,9 +22,10 @@ from pssf.radiomics.patches import Template
 from pssf.study import StudySettings
 from pssf.study.learn import network
 from pssf.study.learn.frozen import films_of, predict, splits_of
+from pssf.study.statistics.provenance import warnings_of
 
 # Seven knees of six people, one of whom gives both; the fewest that can be split in three parts.
-FEW = {"knees": (4, 0, 3), "bilateral": 1, "doses": (1.0, 0.5), "tilts_deg": (0.0,)}
+FEW = {"knees": (4, 0, 3), "bilateral": 1, "doses": (1.0, 0.5), "tilts_deg": (0.0,), "numbered": "by grade"}
 LIGHT = StudySettings(models=("lr",), selections=("l1",), repeats=3, reference="one")
 
 
@@ -118,7 +119,7 @@ def test_the_datasheet_answers_under_every_heading_and_says_that_these_are_other
     assert "arXiv:2601.11642" in citation
 
 
-def test_it_is_told_that_subjects_are_numbered_by_grade_and_names_are_not_to_be_learnt_from(tiny):
+def test_where_subjects_are_numbered_by_grade_it_is_told_that_names_are_not_to_be_learnt_from(tiny):
     (told,) = [note for note in tiny[0].notes if "numbered by their grade" in note]
     assert "names of files that have it, knows the grade: leave them out of what is learnt from" in told
     page = (tiny[0].folder / "datasheet.md").read_text()
@@ -187,6 +188,27 @@ def test_columns_that_a_manifest_lacks_are_not_described():
     held_by_croissant(described)
     names = [field["@id"] for field in described["recordSet"][0]["field"]]
     assert names == ["radiographs/radiograph", "radiographs/grade", "radiographs/image"]
+
+
+def test_numbers_of_its_people_tell_no_grade_and_change_no_image():
+    whole = cohort.plan_cohort("benchmark-1", seed=0)
+    by_grade = cohort.plan_cohort("benchmark-1", seed=0, overrides={"numbered": "by grade"})
+
+    def images(plan):
+        return [(case.knee, *((taken.protocol, taken.seed) for taken in case.exposures)) for case in plan.cases]
+
+    assert set(images(whole)) == set(images(by_grade))
+    assert images(whole) != images(by_grade)
+    assert [case.index for case in whole.cases] == list(range(1100))
+    assert sorted({case.subject for case in whole.cases}) == list(range(1000))
+    for case in whole.cases:
+        assert all(taken.name.startswith(f"s{case.subject:04d}_k{case.index:04d}_fixed") for taken in case.exposures)
+    for plan, told in ((by_grade, 1), (whole, 0), (cohort.some_people(whole, 50), 0)):
+        rows = [(case.subject, case.index, case.knee.grade) for case in plan.cases]
+        people = pd.DataFrame(rows, columns=["subject", "knee", "grade"])
+        assert people["subject"].is_monotonic_increasing
+        assert people.groupby("subject")["grade"].nunique().max() == 1
+        assert sum("numbered by their grade" in line for line in warnings_of(people.assign(protocol="one"))) == told
 
 
 def test_some_people_are_spread_over_the_grades_with_the_images_of_the_whole():

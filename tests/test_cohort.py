@@ -469,6 +469,13 @@ def test_exposures_are_fixed_or_drawn_and_the_paper_has_them_fixed():
         tiny(["reference"], exposures="any")
 
 
+def test_people_are_numbered_by_grade_or_by_chance():
+    by_chance = tiny(["reference"], numbered="by chance")
+    assert {case.knee for case in by_chance.cases} == {case.knee for case in tiny(["reference"]).cases}
+    with pytest.raises(pssf.InputError, match="numbered = 'any'; allowed: by grade, by chance"):
+        tiny(["reference"], numbered="any")
+
+
 def test_the_frozen_cohort_is_of_1000_people_at_two_tilts_and_three_doses_each_geometry_together():
     plan = cohort.plan_cohort("benchmark-1", seed=0)
     assert len({case.subject for case in plan.cases}) == 1000
