@@ -104,6 +104,7 @@ def test_baselines_are_tested_under_every_dose_but_those_that_are_of_the_knee(ti
     assert ("cnn" in where) == there
     assert any("PyTorch is not installed" in note for note in result.notes) != there
     assert any("fewer than 6 people" in note for note in result.notes)
+    assert result.frozen == (0, 0)  # another data set is held against no hash
 
 
 def test_the_datasheet_answers_under_every_heading_and_says_that_these_are_others(tiny):
@@ -223,7 +224,7 @@ def test_some_people_are_spread_over_the_grades_with_the_images_of_the_whole():
             cohort.some_people(whole, wrong)
 
 
-def test_a_hash_is_of_a_persons_pixels_and_of_nothing_else():
+def test_a_hash_is_of_a_persons_pixels_and_the_radiographs_names_and_of_nothing_else():
     images = {f"{k}.tif": np.full((4, 4), k, np.uint16) for k in range(3)}
     rows = [{"subject": k // 2, "radiograph": f"r{k}", "file": f"{k}.tif"} for k in range(3)]
     made = hashes(pd.DataFrame(rows), images.__getitem__)
@@ -232,6 +233,12 @@ def test_a_hash_is_of_a_persons_pixels_and_of_nothing_else():
     images["1.tif"] = images["1.tif"] + np.uint16(1)
     other = hashes(pd.DataFrame(rows), images.__getitem__)
     assert (other["0"] == made["0"], other["1"] == made["1"]) == (False, True)
+    images["1.tif"] = images["1.tif"] - np.uint16(1)
+    elsewhere = {row["file"]: f"moved/{row['file']}" for row in rows}
+    moved = [row | {"file": elsewhere[row["file"]], "dose": 1.0} for row in rows]
+    assert hashes(pd.DataFrame(moved), lambda file: images[file.removeprefix("moved/")]) == made
+    renamed = hashes(pd.DataFrame([rows[0], rows[1], rows[2] | {"radiograph": "other"}]), images.__getitem__)
+    assert (renamed["0"] == made["0"], renamed["1"] == made["1"]) == (True, False)
     assert agreement(other, made) == (1, 2)
     assert agreement(made, {}) == (0, 0)
     assert f'"0" = "{made["0"]}"' in as_toml(made)
@@ -275,6 +282,25 @@ def test_baselines_learn_from_one_protocol_and_from_training_people_alone():
     again = scores(spoilt)
     keys = [("radiomics", name) for name in others]
     pd.testing.assert_frame_equal(again.loc[0].loc[keys], first.loc[0].loc[keys])
+
+
+def test_baselines_of_nothing_to_learn_from_are_refused():
+    usable = made_up()
+    splits, names = splits_of(usable, LIGHT), ["signal", "noise"]
+    parameters = usable.drop_duplicates("knee")[["knee", "jsw_medial_mm", "jsw_lateral_mm"]]
+    for found in (usable[usable["protocol"] == "two"], usable[:0]):
+        with pytest.raises(pssf.InputError, match="regions found under one = 0; allowed: 1 or more"):
+            films_of(found, names, parameters, LIGHT)
+    films = films_of(usable[usable["grade"] == 2], names, parameters, LIGHT)
+    with pytest.raises(pssf.InputError, match=r"grades with a region found = \[2\]; allowed: those of one of 0 vs 2, "):
+        predict(films, splits, LIGHT, Execution())
+
+
+@pytest.mark.parametrize("side_px", [16, 110, 127, 128, 511, 512, 513])
+def test_a_network_sees_no_more_than_it_is_said_to(side_px):
+    shown = network.seen(np.full((side_px, side_px), 7, np.uint16), "left")
+    assert min(side_px, network.SIDE_PX) / 2 < shown.shape[0] <= network.SIDE_PX
+    assert np.allclose(shown, np.log(7))
 
 
 def test_a_network_sees_medial_on_one_side():

@@ -83,6 +83,25 @@ def test_a_feature_is_followed_in_value_and_in_icc(answered):
     assert_allclose(at(table, responses.SHIFT, "glcm_steady")["value"], 0.0, atol=1e-12)
 
 
+def test_a_sample_is_of_the_same_subjects_at_every_step_whoever_lacks_a_region_at_one():
+    base, steps = made(noise=1e-6)
+    steps = steps.assign(glcm_other=steps["glcm_other"] + np.random.default_rng(7).normal(size=len(steps)))
+    known = ["glcm_other"]
+
+    def medians(table):
+        return responses.curves_of_features(base, table, known, step, replicates=400, seed=0).medians
+
+    one, other = (medians(steps[~((steps["turn"] == turn) & (steps["knee"] == 3 * turn))]) for turn in (1, 2))
+    every = medians(steps)
+    assert every.keys() == one.keys() == other.keys()
+    for turn in range(1, 8):
+        at_one = [np.array_equal(table["dose", turn], every["dose", turn]) for table in (one, other)]
+        assert at_one == [turn != 1, turn != 2]
+    # With one of 32 knees away a sample's ICC is nearly what it was; of other subjects it would be another sample's.
+    for table, turn in ((one, 1), (other, 2)):
+        assert np.corrcoef(table["dose", turn][1:], every["dose", turn][1:])[0, 1] > 0.9
+
+
 def test_a_model_loses_by_noise_and_its_threshold_moves_by_the_shift(answered):
     table = answered[1]
     auc, odds = at(table, responses.AUC)["value"], at(table, responses.ODDS)

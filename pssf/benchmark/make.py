@@ -33,7 +33,8 @@ class BenchmarkResult:
 
     baselines  one row a task, predictor and protocol tested on
     notes      sentences on baselines that are not there, and on what tells a grade without a look at the knee
-    frozen     how many people have the hash that the package has written down, and of how many it has one
+    frozen     how many people have the hash that the package has written down, and of how many it has one; none of
+               another data set
     """
 
     folder: Path
@@ -55,8 +56,8 @@ def make_benchmark(
 
     people     so many of them, of the grades alike, with the same images as in the whole; 0: all
     overrides  entries that replace the preset's, as for `plan_cohort`, which makes another data set of it
-    raises     InputError as `cohort.make_cohort` does, and for too few people of a grade to split them;
-               WorkersLostError when workers keep being killed
+    raises     InputError as `cohort.make_cohort` does, for too few people of a grade to split them, and where no region
+               is found to learn from; WorkersLostError when workers keep being killed
     """
     require_extra(execution.scheduler)
     from ..study.learn.split import split_subjects
@@ -93,7 +94,7 @@ def make_benchmark(
     results.save_text(out / "CITATION.cff", citation(frozen, versions()))
     files = {name: (sha256(out / name), len(results.load_bytes(out / name))) for name in _TABLES}
     results.save_json(out / "croissant.json", croissant(frozen, files, list(manifest.columns)))
-    agreed = agreement(made, frozen_hashes())
+    agreed = agreement(made, {} if overrides else frozen_hashes())
     return BenchmarkResult(folder=out, baselines=baselines, notes=(*notes, *about.warnings), frozen=agreed)
 
 

@@ -40,5 +40,6 @@ def benchmark(
         print(f"{where} AUC {row['auc']:.2f} ({row['auc_low']:.2f} to {row['auc_high']:.2f})")
     for note in made.notes:
         print(note)
-    print(f"frozen    {made.frozen[0]} of {made.frozen[1]} people whose hashes the package has are as they were frozen")
+    if made.frozen[1]:
+        print(f"frozen    {made.frozen[0]} of {made.frozen[1]} people are as they were frozen")
     print(f"folder    {made.folder}")

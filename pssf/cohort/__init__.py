@@ -11,7 +11,8 @@ images) and, when all is made, manifest.csv with one row a radiograph.
 
 from .labels import write_labels
 from .make import make_cohort
-from .plan import Case, Exposure, Plan, plan_cohort, plan_retest, preset_names, some_people
+from .plan import Case, Exposure, Plan, plan_cohort, preset_names, some_people
+from .retest import plan_retest
 from .verify import Verification, verify_cohort
 
 __all__ = [

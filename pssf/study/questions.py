@@ -11,7 +11,7 @@ from .learn.confounders import CLASSES, CONFOUNDERS, confound
 from .learn.ladder import climb, known_of, rungs_of
 from .learn.responses import respond
 from .learn.separability import KNEES, separability
-from .learn.split import split_subjects
+from .learn.split import of_grades_to_split, split_subjects
 from .measuring import Run, measured_by_design
 from .predictions import joined
 from .report.page import Picture
@@ -79,10 +79,10 @@ def ask(
 def _ladder(manifest: pd.DataFrame, usable: pd.DataFrame, names: list[str], run: Run, laws: DrawLaws | None) -> Answers:
     """Ladder and learning curves: nothing where the manifest has no joint spaces to hold features against.
 
-    Nor of so few tested subjects that nothing could be decided.
+    Nor of so few tested subjects that nothing could be decided; a grade of too few to split is left out.
     """
     settings, execution = run.settings, run.execution
-    known = known_of(usable, names, parameters_of(manifest), settings)
+    known = of_grades_to_split(known_of(usable, names, parameters_of(manifest), settings))
     if len(rungs_of(known, names)) < 2 or not _enough(known, settings):
         return Answers({}, [])
     splits = climb(known, names, settings, execution)
@@ -120,7 +120,7 @@ def _confounders(manifest: pd.DataFrame, usable: pd.DataFrame, names: list[str],
     known = usable[["knee", "subject", "grade", "protocol", *names]]
     known = known.merge(known_of_knees[["knee", *columns]], on="knee", how="left")
     wanted = columns + (["site"] if known["protocol"].nunique() > 1 else [])
-    if not wanted or not _enough(known[known["grade"].isin(sum(CLASSES, ()))], run.settings):
+    if not wanted or not _enough(of_grades_to_split(known[known["grade"].isin(sum(CLASSES, ()))]), run.settings):
         return Answers({}, [])
     table = confounders.confounding(confound(known, names, wanted, run.settings, run.execution))
     if table.empty:
@@ -130,6 +130,8 @@ def _confounders(manifest: pd.DataFrame, usable: pd.DataFrame, names: list[str],
 
 def _enough(known: pd.DataFrame, settings: StudySettings) -> bool:
     """Whether the first split tests enough subjects of the least grade and any other one to decide anything."""
+    if known.empty:
+        return False
     test = known[known["subject"].isin(split_subjects(known["subject"], known["grade"], seed=settings.seed).test)]
     first, *others = sorted(set(known["grade"]))
     pairs = ((first, grade) for grade in others)

@@ -18,7 +18,7 @@ class StudySettings:
     region_px      side of the region about the medial joint line
     bins           of grey value, for texture
     repeats        splits of the subjects
-    rho            |Spearman's rho| above which the later of two features is left out
+    rho            |Spearman's rho| above which one of two features is left out, see `learn.selection.DropRedundant`
     most_features  that a selection may keep
     replicates     of the bootstraps of subjects: of trends, ICCs and films
     families       of features; one that is left out costs nothing

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from ...core.checks import InputError
 from ...core.execution import Execution
 from ...data.code import require_code
 from ..predictions import NONE, class_of
@@ -56,7 +57,10 @@ def films_of(
 
     parameters  of `statistics.parameters.parameters_of`
     images      radiograph -> (size, size) of `network.seen`, dimensionless; None: no network
+    raises      InputError where no region was found under the reference, which is learnt from
     """
+    if not (usable["protocol"] == settings.reference).any():
+        raise InputError(f"regions found under {settings.reference} = 0; allowed: 1 or more, which models learn from")
     known = {}
     for protocol in protocols_of(usable, settings.reference):
         part = usable[usable["protocol"] == protocol]
@@ -81,11 +85,15 @@ def predict(films: Films, splits: pd.DataFrame, settings: StudySettings, executi
     """Predictions of the test people, as `predictions` has them; model: one of PREDICTORS.
 
     splits  of `splits_of`
-    raises  WorkersLostError when workers keep being killed
+    raises  InputError where no split has the grades of a task; WorkersLostError when workers keep being killed
     """
     shared = {"films": films, "splits": splits, "settings": settings}
     rows = each_split(predict_split, range(settings.repeats), shared, execution, "baselines")
-    return pd.DataFrame([row for of_split in rows for row in of_split])
+    predictions = pd.DataFrame([row for of_split in rows for row in of_split])
+    if predictions.empty:
+        grades = sorted({int(grade) for table in films.known.values() for grade in table["grade"]})
+        raise InputError(f"grades with a region found = {grades}; allowed: those of one of {', '.join(TASKS)}")
+    return predictions
 
 
 def without_network() -> str:

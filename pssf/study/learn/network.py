@@ -3,6 +3,7 @@
 Needs PyTorch (extra `cnn`), which is imported where a network is trained and nowhere else.
 """
 
+import math
 from importlib.util import find_spec
 from typing import Any
 
@@ -29,7 +30,7 @@ def seen(region: NDArray[np.generic], side: str) -> NDArray[np.float32]:
     region  (rows, cols) linear, DN
     side    right | left, which is mirrored
     """
-    small = block_mean(region.astype(np.float64), max(1, region.shape[0] // SIDE_PX))
+    small = block_mean(region.astype(np.float64), math.ceil(region.shape[0] / SIDE_PX))
     grey = np.log(np.maximum(small, 1.0)).astype(np.float32)
     return np.ascontiguousarray(grey if side == "right" else grey[:, ::-1])
 

@@ -53,6 +53,16 @@ def split_subjects(subjects: Sequence[Any], grades: Sequence[int], *, seed: int,
     return Split(*(np.array(sorted(parts[part]), dtype=kind) for part in PARTS))
 
 
+def of_grades_to_split(table: pd.DataFrame) -> pd.DataFrame:
+    """The rows of subjects of whose grade there are enough for `split_subjects`; a subject counts as it does there.
+
+    table  one row a radiograph or knee: subject, grade
+    """
+    worst = worst_grades(table["subject"], table["grade"])
+    counts = worst.map(worst.value_counts())
+    return table[table["subject"].isin(worst.index[counts >= len(PARTS)])]
+
+
 def seed_of_split(seed: int, repeat: int) -> int:
     """Seed of what is fitted on a split, which the subjects' own chance does not hang on."""
     return int(np.random.SeedSequence(seed, spawn_key=(repeat, 1)).generate_state(1)[0] >> 1)

@@ -8,13 +8,17 @@ import numpy as np
 import pandas as pd
 
 from ..statistics.degenerate import is_degenerate
-from ..statistics.reliability import THRESHOLD, grid, icc
+from ..statistics.reliability import THRESHOLD, grid, icc, is_whole
 
 
 def stable_features(training: pd.DataFrame, names: list[str], protocols: list[str]) -> list[str]:
-    """Names of the features whose ICC(2,1) across the protocols is 0.90 or more in the training subjects."""
+    """Names of the features whose ICC(2,1) across the protocols is 0.90 or more in the training subjects.
+
+    Knees of which a feature is not known under each of them are left out of its ICC.
+    """
     values, _ = grid(training, names, "protocol", protocols)
-    return [name for index, name in enumerate(names) if icc(values[:, :, index])[0] >= THRESHOLD]
+    of_feature = ((name, values[:, :, index]) for index, name in enumerate(names))
+    return [name for name, one in of_feature if icc(one[is_whole(one)])[0] >= THRESHOLD]
 
 
 def harmonise(features: pd.DataFrame, of: pd.DataFrame, onto: pd.DataFrame) -> pd.DataFrame:

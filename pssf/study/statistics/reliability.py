@@ -158,6 +158,14 @@ def count_stable(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def is_whole(values: Array) -> NDArray[np.bool_]:
+    """(knees,) whether a feature is known of a knee under every condition
+
+    values  (knees, conditions) of any unit
+    """
+    return np.asarray(np.isfinite(values).all(axis=1))
+
+
 def protocols_of(table: pd.DataFrame, reference: str) -> list[str]:
     """The protocols of a table: the reference first, then as they come."""
     return sorted(table["protocol"].unique(), key=lambda name: name != reference)
@@ -168,7 +176,7 @@ def _rows(
 ) -> list[dict[str, object]]:
     weights, rows = knee_weights(subjects, replicates=replicates, seed=seed), []
     for index, name in enumerate(names):
-        whole = np.isfinite(values[:, :, index]).all(axis=1)
+        whole = is_whole(values[:, :, index])
         one = values[whole, :, index]
         forms, bounds, tested = icc(one), _UNKNOWN, len(set(subjects[whole].tolist()))
         if np.isfinite(forms[0]):

@@ -6,16 +6,18 @@ intervals of `intervals`.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from ...core.checks import Array
 from .degenerate import is_degenerate
 from .icc_by_subject import icc_by_weights, icc_interval, knee_weights
 from .intervals import estimate, estimate_share
 from .metrics import mean_interval, percentiles
-from .reliability import icc
+from .reliability import icc, is_whole
 from .tested import TESTED
 
 SHIFT, ICC, MEDIAN_ICC, ODDS, AUC, LOSS = (
@@ -48,33 +50,41 @@ def curves_of_features(
     steps   radiographs along the axes, with a region: knee, subject, kind (axis), turn, features
     """
     spread = base[names].std(ddof=1).to_numpy(np.float64)
-    varies = np.array([not is_degenerate(base[name].to_numpy()) for name in names])
+    varies = [index for index, name in enumerate(names) if not is_degenerate(base[name].to_numpy())]
     own = base.drop_duplicates("knee").set_index("knee")[names]
+    steps = steps[steps["knee"].isin(own.index)]
+    curved = steps.drop_duplicates("knee").sort_values("knee")
+    # Drawn once, so that a sample is of the same subjects at every step, whoever lacks a region at one.
+    weights = knee_weights(curved["subject"].to_numpy(), replicates=replicates, seed=seed)
     rows, medians = [], {}
-    for (axis, turn), part in steps[steps["knee"].isin(own.index)].groupby(["kind", "turn"], sort=False):
+    for (axis, turn), part in steps.groupby(["kind", "turn"], sort=False):
         part = part.sort_values("knee")
         values = np.stack([own.loc[part["knee"]].to_numpy(np.float64), part[names].to_numpy(np.float64)], axis=1)
         label = {"axis": axis, "turn": int(turn), "step": step(str(axis), int(turn)), "knees": len(part)}
-        weights = knee_weights(part["subject"].to_numpy(), replicates=replicates, seed=seed)
-        samples = []
-        for index in np.flatnonzero(varies):
-            one = values[:, :, index]
-            whole = np.isfinite(one).all(axis=1)
+        there, samples = curved["knee"].isin(part["knee"]).to_numpy(), []
+        for index in varies:
+            one, whole = values[:, :, index], is_whole(values[:, :, index])
             rows.append(label | {"measure": SHIFT, "feature": names[index]} | _shift(one[whole] / spread[index]))
-            agreement = icc(one[whole])[0]
-            if np.isfinite(agreement):
-                drawn = icc_by_weights(one[whole], weights[:, whole])[0]
-                samples.append(np.concatenate([[agreement], drawn]))
-                tested = part["subject"].to_numpy()[whole]
-                low, high = icc_interval(agreement, drawn, conditions=2, subjects=len(set(tested.tolist())))
-                bounds = {"value": agreement, "low": low, "high": high}
-                rows.append(label | {"measure": ICC, "feature": names[index]} | bounds)
+            agreement, drawn = _agreement(one[whole], weights[:, there][:, whole], part["subject"].to_numpy()[whole])
+            if drawn is not None:
+                rows.append(label | {"measure": ICC, "feature": names[index]} | agreement)
+                samples.append(np.concatenate([[agreement["value"]], drawn]))
         if samples:
             medians[str(axis), int(turn)] = median = np.nanmedian(samples, axis=0)
             low, high = percentiles(median[1:])
             bounds = {"value": float(median[0]), "low": low, "high": high}
             rows.append(label | {"measure": MEDIAN_ICC, "feature": ""} | bounds)
     return Curves(pd.DataFrame(rows, columns=COLUMNS), medians)
+
+
+def _agreement(values: Array, weights: Array, subjects: NDArray[Any]) -> tuple[dict[str, float], Array | None]:
+    """ICC(2,1) of knees (knees, 2) with its interval, and that of samples of subjects; None where there is none."""
+    value = icc(values)[0]
+    if not np.isfinite(value):
+        return {}, None
+    drawn = icc_by_weights(values, weights)[0]
+    low, high = icc_interval(value, drawn, conditions=2, subjects=len(set(subjects.tolist())))
+    return {"value": value, "low": low, "high": high}, drawn
 
 
 def _shift(values: Array) -> dict[str, float]:

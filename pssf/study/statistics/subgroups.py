@@ -1,5 +1,6 @@
 """How well models do in women and men, and in younger and older subjects: grade 0 against 2, within protocol."""
 
+from collections.abc import Iterable
 from typing import Any
 
 import pandas as pd
@@ -18,8 +19,8 @@ def subgroups(
 ) -> pd.DataFrame:
     """One row a model, selection and group: COLUMNS; means over the splits, 95 % intervals from them.
 
-    A split whose test part has not both grades in a group gives nothing there; where splits do
-    not test `enough` subjects of a group, it has no interval.
+    A split whose test part has not both grades in a group gives nothing there; where splits, in the median, do not test
+    `enough` subjects of a group, it has no interval.
 
     predictions  of all splits
     parameters   of `parameters.parameters_of`; without sex and age there are no groups
@@ -33,7 +34,7 @@ def subgroups(
             for group, subjects in _groups(parameters).items():
                 inside = of_arm[of_arm["subject"].isin(subjects)]
                 row = {"model": model, "selection": selection, "group": group, "subjects": inside["subject"].nunique()}
-                rows.append(row | _scores(inside, ratio))
+                rows.append(row | _scores(inside, of_arm["repeat"].unique(), ratio))
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
@@ -49,11 +50,11 @@ def _groups(parameters: pd.DataFrame) -> dict[str, set[Any]]:
     return {name: set(people["subject"][inside]) for name, inside in chosen.items()}
 
 
-def _scores(inside: pd.DataFrame, ratio: float) -> dict[str, float]:
+def _scores(inside: pd.DataFrame, repeats: Iterable[Any], ratio: float) -> dict[str, float]:
     of_splits = [score(*truth_and_probability(split)) for _, split in inside.groupby("repeat", sort=False)]
     table = pd.DataFrame(of_splits, columns=list(METRICS))
     means = {metric: float(table[metric].mean()) for metric in METRICS}
     # Of fewer that are tested an interval may have no width, and holds nothing.
-    counts = [count_tested(split["subject"], split["truth"], range(2)) for _, split in inside.groupby("repeat")]
-    decidable = len(counts) > 0 and enough(pd.DataFrame(counts).mean())
-    return means | (bounds(table, ratio) if decidable else {})
+    tested = (inside[inside["repeat"] == repeat] for repeat in repeats)
+    counts = [count_tested(split["subject"], split["truth"], range(2)) for split in tested]
+    return means | (bounds(table, ratio) if enough(pd.DataFrame(counts).median()) else {})
