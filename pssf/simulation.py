@@ -153,7 +153,7 @@ def _traced(scene: Scene, chain: Chain, paths: Paths | None) -> tuple[LatentImag
 
 
 def _known(subject: BuiltKnee | BuiltPair | Scene, protocol: Protocol, keep: Collection[str]) -> dict[str, Any]:
-    """Fields of a radiograph that say of what it is; none where it is of a scene of one's own."""
+    """Fields of a radiograph that say of what it is."""
     masked = "masks" in keep
     if isinstance(subject, BuiltKnee):
         truth = subject.truth(protocol)
@@ -164,7 +164,7 @@ def _known(subject: BuiltKnee | BuiltPair | Scene, protocol: Protocol, keep: Col
             pairs = zip(truths, subject.solids(), strict=True)
             truths = tuple(_masked(truth, solids, protocol) for truth, solids in pairs)
         return {"knees": tuple(built.knee for built in subject.knees), "truths": truths}
-    return {}
+    return {"scene": subject.table()}
 
 
 def _masked(truth: Truth, solids: dict[str, Mesh], protocol: Protocol) -> Truth:

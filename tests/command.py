@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import warnings
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 
@@ -21,6 +22,7 @@ def run(*arguments: object) -> "subprocess.CompletedProcess[str]":
     out, told = StringIO(), StringIO()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(told):
         patch.setattr(sys, "argv", ["pssf", *map(str, arguments)])
+        patch.setattr(warnings, "formatwarning", warnings.formatwarning)  # which a command sets
         with pytest.raises(SystemExit) as ended:
             cli.main()
     return subprocess.CompletedProcess(arguments, int(ended.value.code or 0), out.getvalue(), told.getvalue())

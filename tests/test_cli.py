@@ -204,10 +204,59 @@ def test_meshes_of_ones_own_are_simulated_from_a_file_that_names_them(tmp_path):
         (("--knee", "a.toml"), "allowed: one of both"),
         (("--set", "side=left"), "allowed: one of both"),
         (("--masks",), "allowed: of a knee, or of both"),
+        (("--grade", 3), "with grade = 3; allowed: one of both"),
+        (("--grades", "people"), "with grades = people; allowed: one of both"),
     ):
         refused = run("simulate", "--scene", scene, *arguments, "--out", tmp_path / "p")
         assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
         assert why in refused.stderr
+
+
+def test_what_is_noted_of_meshes_of_ones_own_is_told(tmp_path):
+    trimesh.creation.box((60, 60, 60)).export(tmp_path / "leg.stl")
+    far = trimesh.creation.icosphere(radius=10)
+    far.apply_translation((2000, 0, 0)).export(tmp_path / "far.stl")
+    scene = tmp_path / "phantom.toml"
+    scene.write_text(
+        "[[surface]]\nfile = 'leg.stl'\ninside = 'muscle'\noutside = 'air'\n"
+        "[[surface]]\nfile = 'far.stl'\ninside = 'cortical_bone'\noutside = 'air'\n"
+    )
+    done = run("simulate", "--scene", scene, *SMALL_SET, "--formats", "json", "--out", tmp_path / "o")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.splitlines() == ["pssf: noted: far: covers no pixel; it is not in the image"]
+    refused = run("simulate", "--scene", scene, *SMALL_SET, "--border", "marked", "--out", tmp_path / "p")
+    assert (refused.returncode, refused.stderr) == (2, "pssf: border = 'marked' of a scene; allowed: of one knee\n")
+    assert not (tmp_path / "p").exists()
+
+
+def test_a_radiograph_of_other_parameters_is_not_written_over(tmp_path):
+    how = ("simulate", *SMALL_SET, "--out", tmp_path)
+    assert run(*how, "--set", "mas=2").returncode == 0
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    for others, name in ((("mas=4",), "protocol"), (("mas=2", "--set", "jsw_medial_mm=3"), "knee")):
+        refused = run(*how, "--set", *others)
+        assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
+        assert f"knee_grade0_reference_seed0.tif: is there, of another {name}; allowed: " in refused.stderr
+    assert run(*how, "--set", "mas=2").returncode == 0  # the same is made again
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    (tmp_path / "knee_grade0_reference_seed0.tif").write_bytes(b"my own")
+    refused = run(*how, "--set", "mas=2")
+    assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
+    assert (tmp_path / "knee_grade0_reference_seed0.tif").read_bytes() == b"my own"
+
+
+def test_no_command_is_answered_with_the_help():
+    done = run()
+    assert done.returncode == 2
+    assert done.stderr.splitlines() == run("--help").stdout.splitlines()
+
+
+def test_a_warning_of_the_package_is_one_line(tmp_path):
+    kernel = ("--protocol", "skyline", "--set", "scatter=kernel")
+    done = in_a_process("simulate", *kernel, *SMALL_SET, "--formats", "json", "--out", tmp_path)
+    assert done.returncode == 0
+    assert done.stderr.startswith("pssf: ")
+    assert done.stderr.count("\n") == 1
 
 
 def test_a_cohort_of_ones_own_size_grades_and_protocols_has_its_masks(protocol_file, tmp_path):
@@ -247,6 +296,9 @@ def test_a_cohort_of_ones_own_size_grades_and_protocols_has_its_masks(protocol_f
         (("cohort", "--knees", "1,x"), "pssf: knees = '1,x'; allowed: whole numbers with commas"),
         (("cohort", "--knees", "1,1,1", "--bilateral", "5"), "pssf: bilateral = 5 subjects; allowed: "),
         (("cohort", "--grades", "mine"), "pssf: "),
+        (("simulate", "--knee", "a.toml", "--grade", "2"), "pssf: knee = a.toml, with grade = 2; allowed: one of both"),
+        (("simulate", "--protocol", "bilateral", "--border", "marked"), "pssf: border = 'marked' of both knees; allowed"),
+        (("study", "--films-pixel-mm", "0.5"), "pssf: films = none, with films-pixel-mm, "),
     ],
 )
 def test_what_is_changed_wrongly_is_one_line(arguments, line, tmp_path):

@@ -14,6 +14,7 @@ Commands import what they need when they run, so that help does not wait for wha
 
 import re
 import sys
+import warnings
 from importlib.metadata import version
 from typing import Annotated, Any
 
@@ -31,6 +32,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+_PYTHONS = warnings.formatwarning
 _COMMANDS = (
     *(make.simulate, make.meshes, benchmark, study, read),
     *(measure.accuracy, measure.quality, measure.realism, measure.grades, measure.protocols, measure.knees),
@@ -58,6 +60,7 @@ app.add_typer(make.cohort_app, name="cohort")
 
 def main() -> None:
     """Run the command line; bad input ends in one line and exit code 2."""
+    warnings.formatwarning = _as_a_line
     try:
         _require_once(sys.argv[1:])
         sys.exit(app(standalone_mode=False))
@@ -66,6 +69,13 @@ def main() -> None:
         sys.exit(130)
     except Exception as error:
         sys.exit(_refused(error))
+
+
+def _as_a_line(message: Warning | str, category: type[Warning], filename: str, lineno: int, line: Any = None) -> str:
+    """A warning of the package's own as a refusal is told; of others as Python does."""
+    if category.__module__.split(".")[0] == "pssf":
+        return f"pssf: {message}\n"
+    return _PYTHONS(message, category, filename, lineno, line)
 
 
 def _require_once(arguments: list[str]) -> None:
@@ -103,6 +113,9 @@ def _refused(error: Exception) -> int:
         print(f"pssf: memory = too little ({reason}); allowed: fewer rows and cols, or fewer workers", file=sys.stderr)
         return 1
     # A misused option: the parser's own classes are private, their one-line message is not.
+    if getattr(error, "format_message", str)().startswith("Usage:"):  # no command was given: this is the help
+        print(error.format_message(), file=sys.stderr)  # type: ignore[attr-defined]
+        return 2
     message = one_line(error.format_message()) if hasattr(error, "format_message") else str(error)
     if not (isinstance(error, InputError) or hasattr(error, "format_message")):
         raise error

@@ -1,7 +1,8 @@
 """Commands that make something: simulate, meshes, cohort."""
 
+import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -27,6 +28,10 @@ from .options import (
     subject_of,
     taken_as,
 )
+
+if TYPE_CHECKING:
+    from ..geometry.scene import Scene
+    from ..model.protocol import Protocol
 
 
 def simulate(
@@ -82,9 +87,11 @@ def simulate(
         raise InputError("masks = of a scene; allowed: of a knee, or of both")
     with waiting("simulating; the first run after an installation compiles for some seconds more"):
         from ..detector import LOOKS
+        from ..geometry.scene import Scene
         from ..io.atomic import folder
         from ..io.images import BORDERS, KINDS, save_kinds
         from ..io.masks import save_masks
+        from ..model.knee import Knee
         from ..raycast import ENGINES
         from ..simulation import simulate as run
 
@@ -93,6 +100,10 @@ def simulate(
             require_choice("formats", kind, KINDS)
         require_choice("border", border, BORDERS)
         require_choice("look", look, LOOKS)
+        if border != "none" and not isinstance(subject, Knee):
+            raise InputError(f"border = {border!r} of {'a scene' if scene else 'both knees'}; allowed: of one knee")
+        if isinstance(subject, Scene):
+            _tell_noted(subject, technique)
         folder(out)
         keep = ("masks",) if masks else ()
         radiograph = run(subject, technique, seed=seed, keep=keep, engine=engine, workers=workers)
@@ -102,6 +113,15 @@ def simulate(
         paths += [save_masks(radiograph, f"{stem}_masks.{kind}") for kind in ("tif", "dcm") if kind in ("tif", *wanted)]
     for path in paths:
         print(path)
+
+
+def _tell_noted(scene: "Scene", protocol: "Protocol") -> None:
+    """What is traced as it is, and may not be what was meant, a line each."""
+    from ..raycast import check
+
+    for fault in check(scene, protocol).faults:
+        if fault.outcome == "noted":
+            print(f"pssf: noted: {fault}", file=sys.stderr)
 
 
 def meshes(

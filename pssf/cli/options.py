@@ -145,10 +145,20 @@ def knee_of(choice: KneeChoice) -> "tuple[Knee, str]":
 
     require_seed(choice.seed)
     if choice.path is not None:
+        _require_not_drawn(choice, f"knee = {choice.path}")
         read = knee_from(read_toml(choice.path), f"knee {choice.path.name}")
         return with_changes(read, choice.changed), choice.path.stem
     drawn = draw_knee(grade=choice.grade, rng=np.random.default_rng(choice.seed), table=choice.table)
     return with_changes(drawn, choice.changed), f"knee_grade{choice.grade}"
+
+
+def _require_not_drawn(choice: KneeChoice, given: str) -> None:
+    """Refuse what a knee would be drawn by, where it is given."""
+    from ..core.checks import InputError
+
+    for name, value, default in (("grade", choice.grade, 0), ("grades", choice.table, KneeChoice.table)):
+        if value != default:
+            raise InputError(f"{given}, with {name} = {value}; allowed: one of both")
 
 
 def subject_of(choice: KneeChoice, protocol: "Protocol") -> "tuple[Knee | tuple[Knee, Knee] | Scene, str]":
@@ -165,6 +175,7 @@ def subject_of(choice: KneeChoice, protocol: "Protocol") -> "tuple[Knee | tuple[
         if choice.path is not None or choice.changed:
             given = choice.path or ", ".join(choice.changed)
             raise InputError(f"scene = {choice.scene}, with knee = {given}; allowed: one of both")
+        _require_not_drawn(choice, f"scene = {choice.scene}")
         return read_scene(choice.scene), choice.scene.stem
     if not protocol.apart_mm:
         return knee_of(choice)

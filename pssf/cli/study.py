@@ -92,7 +92,7 @@ def study(
 
     What is left out costs nothing: protocols, families of features, selections, models.
     """
-    from ..core.checks import require_choice
+    from ..core.checks import InputError, require_choice
     from ..core.execution import Execution
     from ..core.progress import bar
     from ..experiment import SHOWN, ByDesign, OwnFilms, make_experiment, measure_experiment, run_experiment, shown_rows
@@ -107,6 +107,8 @@ def study(
     settings |= {"difference": difference, "strengths": numbers_of("strengths", strengths)}
     overrides = cohort_overrides(knees, bilateral, protocols, grades)
     own = None
+    if films is None and (films_pixel_mm or films_region_mm or films_protocol):
+        raise InputError("films = none, with films-pixel-mm, films-region-mm or films-protocol; allowed: --films FOLDER")
     if films is not None:
         chosen = {"pixel_mm": films_pixel_mm or None, "region_mm": films_region_mm or None}
         own = OwnFilms(folder=films, protocol=films_protocol or None, **chosen)

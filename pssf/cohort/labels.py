@@ -39,9 +39,13 @@ def write_labels(cohort: str | Path, out: str | Path) -> list[Path]:
     images/GRADE/*.png 8 bit, for eyes, as torchvision's ImageFolder and others read them
 
     cohort  folder that `make_cohort` has filled
-    raises  InputError for a folder that holds no whole cohort, or a disk that is full or cannot be written
+    out     another folder
+    raises  InputError for a folder that holds no whole cohort, the cohort's own for `out`, or a disk that is full or
+            cannot be written
     """
     cohort, out = Path(cohort), Path(out)
+    if out.resolve() == cohort.resolve():
+        raise InputError(f"out = {out}, the cohort's own folder; allowed: another one")
     manifest = cohort / "manifest.csv"
     if not manifest.exists():
         raise InputError(f"folder {cohort}: no manifest.csv; allowed: a cohort that is made")

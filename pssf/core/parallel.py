@@ -117,7 +117,10 @@ def _in_processes(
         except BrokenProcessPool:
             killed = killed + 1 if len(left) == before else 0
             if killed == _PATIENCE:
-                raise WorkersLostError(f"a worker process was killed {killed} times over (memory?)") from None
+                raise WorkersLostError(
+                    f"a worker process was killed {killed} times over (memory? or a script that starts workers outside "
+                    'of `if __name__ == "__main__"`?)'
+                ) from None
             if killed:
                 in_hand = 1 if killed > 1 else workers
                 left[:] = left[in_hand:] + left[:in_hand]

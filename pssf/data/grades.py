@@ -4,7 +4,7 @@ from collections.abc import Sized
 from functools import cache
 from pathlib import Path
 
-from ..core.checks import InputError
+from ..core.checks import InputError, require_path
 from .records import Numbers, Pair, Record, Rows, record
 from .tables import read_toml
 
@@ -240,6 +240,7 @@ def grade_table(name_or_path: str = "paper") -> RangeGrades | SeverityGrades:
 
 
 def _path(name_or_path: str) -> Path:
+    require_path(name_or_path, "grades")
     if Path(name_or_path).suffix == ".toml":
         return Path(name_or_path)
     if str(name_or_path) not in grade_tables():

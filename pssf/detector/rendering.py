@@ -1,6 +1,7 @@
 """A view for eyes, bone bright; with the collimator's edge and a side marker where they are wanted."""
 
 import math
+import reprlib
 
 import numpy as np
 from msgspec.structs import asdict
@@ -43,13 +44,14 @@ def present(
     pixel_mm  pitch, for "processed", whose structures have sizes, and for the field
     field_mm  width and height of the collimator's field about the middle, beyond which all is black; 0: no leaves there
     raises    InputError for another number of bits, another side, an unknown detector or look, a pitch or a field out
-              of range
+              of range, and for what is no picture of finite numbers
     """
     require_whole("bits", bits, 8, 16, "")
     if isinstance(pixels, Radiograph):
         protocol = pixels.protocol
         detector, pixel_mm = protocol.detector, protocol.pixel_mm
         field_mm, pixels = (protocol.field_width_mm, protocol.field_height_mm), pixels.pixels
+    _require_pixels(pixels)
     panels = detectors()
     require_choice("detector", detector, tuple(panels))
     shown_as = look_of(look, looks())
@@ -63,6 +65,17 @@ def present(
         shown = _marked(shown, side)
     most = 2**bits - 1
     return np.clip(np.rint(most * shown), 0, most).astype(np.uint8 if bits == 8 else np.uint16)
+
+
+def _require_pixels(pixels: object) -> None:
+    numbers = isinstance(pixels, np.ndarray) and pixels.ndim == 2 and pixels.size and pixels.dtype.kind in "iuf"
+    if not numbers:
+        given = f"an array {pixels.shape} of {pixels.dtype}" if isinstance(pixels, np.ndarray) else reprlib.repr(pixels)
+        raise InputError(f"pixels = {given}; allowed: (rows, cols) of numbers, or a Radiograph")
+    assert isinstance(pixels, np.ndarray)
+    wrong = np.count_nonzero(~np.isfinite(pixels))
+    if wrong:
+        raise InputError(f"pixels: {wrong} of {pixels.size} are not finite; allowed: finite numbers")
 
 
 def named_look(look: Processed | Film | None) -> str:

@@ -1,5 +1,6 @@
 """Scene: closed surfaces and what is on either side of each."""
 
+import hashlib
 import math
 import re
 import reprlib
@@ -78,6 +79,18 @@ class Surface:
         """Vertices and faces of the mesh, without trimesh."""
         return MeshField.arrays(self)
 
+    def table(self) -> dict[str, Any]:
+        """Name, materials, densities that vary by what they are, size of the mesh and its hash, JSON-ready."""
+        vertices, faces = self.arrays
+        digest = hashlib.sha256(np.ascontiguousarray(vertices, "<f8").tobytes())
+        digest.update(np.ascontiguousarray(faces, "<i8").tobytes())
+        densities = (("inside_density", self.inside_density), ("outside_density", self.outside_density))
+        return {
+            **{"name": self.name, "inside": self.inside, "outside": self.outside},
+            **{label: type(density).__name__ for label, density in densities if density is not None},
+            **{"vertices": len(vertices), "faces": len(faces), "sha256": digest.hexdigest()},
+        }
+
     @cached_property
     def solid(self) -> Solid:
         """What the mesh bounds, mended where only one reading is possible, with an account of it."""
@@ -127,6 +140,10 @@ class Scene:
         for surface in self.surfaces:
             names += [surface.outside, surface.inside]
         return tuple(dict.fromkeys(names))
+
+    def table(self) -> dict[str, Any]:
+        """What it is made of, JSON-ready: what is around all, and every surface's own."""
+        return {"ambient": self.ambient, "surfaces": [surface.table() for surface in self.surfaces]}
 
     @cached_property
     def bounds_mm(self) -> Array:

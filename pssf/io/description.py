@@ -45,6 +45,7 @@ class _Described(Record, frozen=True):
     sha256: str
     knees: tuple[dict[str, Any], ...] = ()
     truths: tuple[_Truth, ...] = ()
+    scene: dict[str, Any] | None = None
 
 
 def as_json(radiograph: Radiograph, indent: int | None = None) -> str:
@@ -69,6 +70,7 @@ def parameters(text: str, path: Path) -> dict[str, Any]:
         "seed": described.seed,
         "knees": tuple(knee_from(table, where) for table in described.knees),
         "truths": tuple(map(_truth, described.truths)),
+        "scene": described.scene,
         "knee": None if described.knee is None else knee_from(described.knee, where),
         "truth": None if described.truth is None else _truth(described.truth),
         "engine": described.engine,
@@ -105,6 +107,7 @@ def _fields(radiograph: Radiograph) -> dict[str, Any]:
         "protocol": protocol_table(radiograph.protocol),
         "knee": None if radiograph.knee is None else knee_table(radiograph.knee),
         **(both if radiograph.knees else {}),
+        **({} if radiograph.scene is None else {"scene": dict(radiograph.scene)}),
         "seed": radiograph.seed,
         "truth": None if radiograph.truth is None else _truth_table(radiograph.truth),
         "engine": radiograph.engine,

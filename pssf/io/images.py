@@ -1,6 +1,6 @@
 """Radiographs on disk: 16-bit TIFF and DICOM that carry all they were made from, PNG and a second DICOM for eyes."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
@@ -27,6 +27,7 @@ INTENTS = {
 }
 SUFFIXES = tuple(INTENTS)
 BORDERS = ("none", "marked")
+_MARKED = "for a presentation of one knee, of a known side; else none"
 # What `save_kinds` writes.
 KINDS = ("tif", "png", "json", "dcm")
 
@@ -90,7 +91,7 @@ def _side(radiograph: Radiograph, intent: str, border: str, path: Path) -> str |
     if border == "none":
         return None
     if intent != "presentation" or radiograph.knee is None:
-        raise InputError(f"file {path}: border = {border!r}; allowed: for a presentation of a knee, else none")
+        raise InputError(f"file {path}: border = {border!r}; allowed: {_MARKED}")
     return radiograph.knee.side
 
 
@@ -106,10 +107,14 @@ def save_kinds(
 
     kinds         of KINDS; "dcm" is two objects, STEM.dcm For Processing and STEM_presentation.dcm
     border, look  as in `save`, of what is for presentation
-    raises        InputError for another kind; as `save`
+    raises        InputError for another kind, a file of another radiograph that is there already; as `save`
     """
     for kind in kinds:
         require_choice("formats", kind, KINDS)
+    # Before anything is written.
+    require_no_other(radiograph, (f"{stem}.{kind}" for kind in kinds))
+    if {"png", "dcm"} & set(kinds):
+        _side(radiograph, "presentation", border, Path(stem))
     paths = []
     if "tif" in kinds:
         paths.append(save(radiograph, f"{stem}.tif"))
@@ -122,6 +127,19 @@ def save_kinds(
         shown = f"{stem}_presentation.dcm"
         paths.append(save(radiograph, shown, intent="presentation", border=border, look=look))
     return paths
+
+
+def require_no_other(radiograph: Radiograph, paths: Iterable[str | Path]) -> None:
+    """Refuse files that would be written over, and are of another radiograph than this one made again.
+
+    raises  InputError, also for a file that is not by this package
+    """
+    for path in map(Path, paths):
+        if path.exists():
+            made = load_parameters(path)
+            for name in ("protocol", "knee", "knees", "scene", "seed"):
+                if made[name] != getattr(radiograph, name):
+                    raise InputError(f"file {path}: is there, of another {name}; allowed: another folder, or delete it")
 
 
 def load(path: str | Path) -> Radiograph:

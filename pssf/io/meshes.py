@@ -165,7 +165,8 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
     except OSError as error:
         raise InputError(f"file {path}: {error.strerror or error}; allowed: a readable mesh file") from None
     except Exception as error:  # mesh readers fail in many ways on a damaged file
-        raise InputError(f"file {path}: not a mesh ({type(error).__name__}); allowed: STL, PLY, OBJ or GLB") from None
+        kind = path.suffix or "a file without a suffix"
+        raise InputError(f"file {path}: not a mesh as {kind} ({error}); allowed: STL, PLY, OBJ or GLB, whole") from None
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise InputError(f"file {path}: holds no faces; allowed: STL, PLY, OBJ or GLB with a closed mesh")
     if path.suffix.lower() in (".glb", ".gltf"):

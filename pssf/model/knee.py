@@ -216,6 +216,7 @@ def require_scores(scores: Any, modes: Sequence[Mode]) -> tuple[float, ...]:
 
     raises  InputError for what is no sequence of numbers, too many of them, or one out of range
     """
+    scores = scores.tolist() if hasattr(scores, "tolist") else scores  # numpy's
     if not isinstance(scores, tuple | list) or len(scores) > len(modes):
         raise InputError(f"shape = {scores!r}; allowed: up to {len(modes)} numbers, one a mode")
     for mode, score in zip(modes, scores, strict=False):

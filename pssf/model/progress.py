@@ -67,7 +67,12 @@ def progress(knee: Knee, years: float, rng: np.random.Generator) -> Knee:
 def true_change(before: Knee, after: Knee) -> dict[str, float]:
     """Field -> by how much it has grown (less than 0: shrunk), of spaces, plate, varus, growth into the notch, effusion
     and age; the largest osteophyte and how many there are; and the KL grade, where both have one.
+
+    raises  InputError for what is no knee
     """
+    for called, knee in (("before", before), ("after", after)):
+        if not isinstance(knee, Knee):
+            raise InputError(f"{called} = {knee!r}; allowed: a Knee")
     change = {name: round(getattr(after, name) - getattr(before, name), 4) for name in _CHANGED}
     sizes = [[one.size_mm for one in knee.osteophytes] for knee in (before, after)]
     change["largest_osteophyte_mm"] = round(max(sizes[1], default=0.0) - max(sizes[0], default=0.0), 4)

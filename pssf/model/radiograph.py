@@ -73,6 +73,7 @@ class Radiograph:
     truth     labels, or None likewise
     knees     right and left, where both were taken together; else none
     truths    labels of either, likewise
+    scene     of a scene of one's own its materials and a hash of each mesh; else None
     engine    that cast its rays
     audit     what it found and mended; see `raycast.Audit`
     versions  of the package and of what the pixels depend on
@@ -88,6 +89,7 @@ class Radiograph:
     truth: Truth | None = None
     knees: tuple[Knee, ...] = ()
     truths: tuple[Truth, ...] = ()
+    scene: Mapping[str, Any] | None = None
     engine: str = "embree"
     audit: Mapping[str, int] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
@@ -97,7 +99,7 @@ class Radiograph:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Radiograph):
             return NotImplemented
-        names = ("protocol", "seed", "knee", "truth", "knees", "truths", "engine", "versions")
+        names = ("protocol", "seed", "knee", "truth", "knees", "truths", "scene", "engine", "versions")
         same = all(getattr(self, name) == getattr(other, name) for name in names)
         return same and np.array_equal(self.pixels, other.pixels)
 

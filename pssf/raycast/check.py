@@ -42,6 +42,7 @@ def check(scene: Scene | HasScene, protocol: Protocol | View | None = None) -> R
     "refused" and "mended" are what `trace` refuses and mends. "noted" is traced as it is: edges of more than two faces,
     a mesh that overlaps itself (there path counts as often as the mesh goes around), a surface that says it is
     surrounded by what rays do not find there, and over how many millimetres, paths of a little less than nothing.
+    Materials are names here: `simulate` refuses those that it does not know, before rays are cast.
 
     scene     surfaces, or what carries them, as `build(knee)` gives it
     protocol  with it, the paths of that very view are looked at, and also what is behind the source, behind the

@@ -21,6 +21,8 @@ from ..radiomics.tables import RadiomicsTables, radiomics_tables
 from .external import job_of
 from .learn.modelfile import SavedModel, backend_here
 
+# Of linear radiographs, in which a joint is looked for on one side.
+BOTH_KNEES, NO_SIDE = "both knees", "side not given"
 # Columns of what was found, before the probabilities and features.
 _SHOWN = ("status", "film_side", "film_polarity", "film_pixel_mm", "film_pixel_from", "row_px", "col_px", "score")
 
@@ -59,13 +61,15 @@ def read_films(model: SavedModel, films: Sequence[Film], folder: Path, execution
         backend=backend_here(card),
     )
     jobs = [replace(job_of(film), radiograph=str(place)) for place, film in enumerate(films)]
-    linear = [] if card.reads == "display" else [job for job in map(partial(_linear, folder), jobs) if job is not None]
-    shown = [job for job in jobs if job.radiograph not in {one.radiograph for one in linear}]
+    asked = {} if card.reads == "display" else {job.radiograph: _linear(folder, job) for job in jobs}
+    linear = [job for job in asked.values() if isinstance(job, Job)]
+    refused = {name: {"radiograph": name, "status": why} for name, why in asked.items() if isinstance(why, str)}
+    shown = [job for job in jobs if asked.get(job.radiograph) is None]
     if shown:
         require_plateau(model.templates)
     measured = partial(_measured, model, how, radiomics_tables(), execution)
     records = measured(linear, measure_linear, partial(_signal, folder))
-    records |= measured(shown, measure_display, partial(_display, folder))
+    records |= measured(shown, measure_display, partial(_display, folder)) | refused
     table = pd.DataFrame([{"status": "", **records[job.radiograph]} for job in jobs])
     warnings = list(_unreadable(films, table["status"], folder))
     if card.reads == "linear" and shown:
@@ -115,15 +119,17 @@ def _measured(
     return {record["radiograph"]: record for record in records}
 
 
-def _linear(folder: Path, job: Job) -> Job | None:
-    """The job with what its file says, if that is of linear pixels and says it."""
+def _linear(folder: Path, job: Job) -> Job | str | None:
+    """The job with what its file says, or why it is refused; None where that is not of linear pixels."""
     try:
         radiograph = _loaded(folder, job.file)
     except InputError:
         return None
+    if radiograph.knees:
+        return BOTH_KNEES
     side = job.side or (None if radiograph.knee is None else radiograph.knee.side)
     if side is None:
-        return None
+        return NO_SIDE
     return replace(job, side=side, pixel_mm=job.pixel_mm or radiograph.protocol.pixel_mm)
 
 
