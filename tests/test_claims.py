@@ -20,7 +20,7 @@ def radiographs(rise, seed=3, subjects=90):
     return pd.DataFrame({"subject": np.arange(subjects), "grade": grade, "protocol": "reference", **values})
 
 
-def told(rise, score_step=0.0, *, tested=30, rarest=3, p_holm=0.01, texture=(0.8, 0.7), icc=(0.92, 0.97)):
+def told(rise, score_step=0.0, *, tested=30, rarest=3, p_holm=0.01, texture=(0.8, 0.7), icc=(0.92, 0.97), of_others=2):
     table = radiographs(rise)
     rng = np.random.default_rng(4)
     middle = table["grade"] * score_step + 0.3 * rng.standard_normal(len(table))
@@ -37,7 +37,8 @@ def told(rise, score_step=0.0, *, tested=30, rarest=3, p_holm=0.01, texture=(0.8
     })  # fmt: skip
     offered = pd.DataFrame({
         "task": "0 vs 2", "trained_on": "reference", "selection": "l1",
-        "repeat": np.repeat(np.arange(10), 4), "feature": ["glcm_Contrast", "glcm_Id", "gldm_a", "gldm_b"] * 10,
+        "repeat": np.repeat(np.arange(10), 4),
+        "feature": ["glcm_Contrast", "glcm_Id", "glszm_a", "glszm_b"][of_others:] * 10 + ["gldm_a"] * (10 * of_others),
     })  # fmt: skip
     subjects = pd.DataFrame({"repeat": 0, "subject": range(6), "part": ["training"] * 4 + ["validation", "test"]})
     scores = pd.DataFrame([{
@@ -136,6 +137,11 @@ def test_what_features_weigh_is_held_against_what_was_offered():
     found = told(rise=1.0, texture=(0.45, 0.40))
     row = found[found["claim"].str.startswith("The most important")].iloc[0]
     assert (row["bound"], row["verdict"]) == (0.5, "does not hold")
+    # Of features of which three in four are of these families, 0.75 of the importance is what chance gives them.
+    for texture, expected in (((0.8, 0.9), "holds"), ((0.7, 0.6), "does not hold"), ((0.8, 0.7), UNDECIDED)):
+        found = told(rise=1.0, texture=texture, of_others=1)
+        row = found[found["claim"].str.startswith("The most important")].iloc[0]
+        assert (row["bound"], row["verdict"]) == (0.75, expected)
 
 
 def test_calls_at_random_spare_the_extreme_grades_by_nothing():

@@ -297,7 +297,10 @@ def test_a_cohort_of_ones_own_size_grades_and_protocols_has_its_masks(protocol_f
         (("cohort", "--knees", "1,1,1", "--bilateral", "5"), "pssf: bilateral = 5 subjects; allowed: "),
         (("cohort", "--grades", "mine"), "pssf: "),
         (("simulate", "--knee", "a.toml", "--grade", "2"), "pssf: knee = a.toml, with grade = 2; allowed: one of both"),
-        (("simulate", "--protocol", "bilateral", "--border", "marked"), "pssf: border = 'marked' of both knees; allowed"),
+        (
+            ("simulate", "--protocol", "bilateral", "--border", "marked"),
+            "pssf: border = 'marked' of both knees; allowed",
+        ),
         (("study", "--films-pixel-mm", "0.5"), "pssf: films = none, with films-pixel-mm, "),
     ],
 )

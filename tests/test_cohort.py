@@ -469,6 +469,14 @@ def test_exposures_are_fixed_or_drawn_and_the_paper_has_them_fixed():
         tiny(["reference"], exposures="any")
 
 
+def test_knees_of_a_part_that_are_placed_anew_have_indices_of_their_own():
+    part = cohort.some_people(tiny(["reference"], knees=(20, 20, 20), bilateral=0, retested=10), 12)
+    again = cohort.plan_retest(part)
+    placed = [case.index for case in again.cases if case.exposures[0].kind == "perturbation"]
+    assert len(set(placed)) == len(placed)
+    assert min(placed) > max(case.index for case in part.cases)
+
+
 def test_people_are_numbered_by_grade_or_by_chance():
     by_chance = tiny(["reference"], numbered="by chance")
     assert {case.knee for case in by_chance.cases} == {case.knee for case in tiny(["reference"]).cases}

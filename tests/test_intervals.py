@@ -118,6 +118,18 @@ def test_differences_are_paired_and_find_the_worse_arm():
     assert found.loc[("model minus JSW (true)", "lr"), "p"].item() > 0.01  # same strength, other noise
 
 
+def test_training_on_all_is_held_against_the_reference_on_the_same_films_alone():
+    table = predictions()
+    own = table[(table["scenario"] == "within") & (table["model"] == "lr")]
+    there = own["tested_on"].iloc[0]
+    of_all = [own.assign(scenario="multi", trained_on="all", tested_on=on) for on in (there, "x")]
+    of_other = own.assign(scenario="cross", tested_on="x")
+    found = intervals.differences(score_splits(pd.concat([own, of_other, *of_all], ignore_index=True)), 0.2)
+    pairs = found[found["metric"] == "auc"].groupby("comparison")["tested_on"].agg(list).to_dict()
+    assert pairs["multi minus within"] == [there]
+    assert pairs["multi minus cross"] == ["x"]
+
+
 def test_an_arm_does_not_differ_from_itself():
     table = predictions()
     twin = table[(table["scenario"] == "within") & (table["model"] == "lr")].assign(scenario="cross", tested_on="x")

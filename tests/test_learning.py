@@ -94,6 +94,10 @@ def test_a_curve_has_the_gain_of_each_step_on_the_same_tested_subjects():
     table = learning.curves(pd.DataFrame(rows)).set_index("trained")
     assert np.isnan(table.loc[40, "gain"])
     assert table.loc[80, "gain"] == pytest.approx(0.1, abs=0.002)
+    # With the variance of the smaller share: 20 tested over 40 learnt from.
+    auc_of = pd.DataFrame(rows).pivot(index="repeat", columns="share", values="auc")
+    expected = estimate((auc_of[1.0] - auc_of[0.5]).to_numpy(), 20 / 40)
+    assert table.loc[80, ["gain_low", "gain_high"]].tolist() == pytest.approx([expected.low, expected.high])
     # What both shares have in common is not in the interval of the gain.
     assert table.loc[80, "gain_high"] - table.loc[80, "gain_low"] < table.loc[80, "high"] - table.loc[80, "low"]
 

@@ -15,7 +15,7 @@ from pssf.core.execution import Execution
 from pssf.io.films import Film
 from pssf.realism import domains, films_section
 from pssf.realism.blind import blind_choice, blind_test
-from pssf.realism.effects import effects
+from pssf.realism.effects import _reliability, effects
 from pssf.realism.films import Source, centred, measured
 from pssf.realism.form import PITCH_MM, PLATEAU_MM, Place, field_of, joint_pixel, made_smaller, stretched
 from pssf.realism.outline import cheapest_path, trace_outline
@@ -59,6 +59,15 @@ def test_contours_of_plain_shapes_are_traced_to_a_pixel(gap_mm):
     assert np.abs((outline.femur[beside] - row) * PITCH_MM + gap_mm / 2).max() < 1.5 * PITCH_MM
     lateral, medial = plateau_edges(outline)
     assert (medial - lateral) * PITCH_MM == pytest.approx(PLATEAU_MM, abs=2 * PITCH_MM)
+
+
+def test_the_reliability_of_all_is_browns_of_two_halves():
+    halves = np.random.default_rng(0).normal(size=(3, 2, 12)) + np.linspace(-2, 2, 12)
+    r = np.mean([np.corrcoef(*pair)[0, 1] for pair in halves])
+    assert 0.3 < r < 0.95
+    assert _reliability(halves) == pytest.approx(2 * r / (1 + r))
+    assert _reliability(halves * [[[1.0], [-1.0]]]) == 0.0
+    assert np.isnan(_reliability(np.full((2, 2, 5), np.nan)))
 
 
 def test_where_bone_lies_on_bone_the_femur_ends_at_the_tibia_and_not_at_an_edge_within():

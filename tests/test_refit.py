@@ -6,6 +6,7 @@ from made_up import SHAKY_NAMES, measured_cohort, settings_of
 from pssf.study.learn.models import refit, tune
 from pssf.study.learn.refit import refitted
 from pssf.study.learn.selection import preparation
+from pssf.study.learn.split import split_subjects
 
 SETS = {"a": ("a",), "all": ("a", "b")}
 
@@ -33,6 +34,21 @@ def test_a_model_has_the_first_splits_parameters_and_knows_every_subject():
     lost = rows.index[0]
     other = next(refitted(table.drop(index=lost), SHAKY_NAMES, settings_of(), {"a": ("a",)}))
     assert not np.array_equal(other.fitted.pipeline.named_steps["scale"].mean_, scaled.mean_)
+
+
+def test_parameters_are_chosen_on_the_first_splits_validation_subjects_and_on_no_other(monkeypatch):
+    table, chosen = measured_cohort(), []
+
+    def seen(preparation, model, training, validation, **how):
+        chosen.append([set(table.loc[part[0].index, "subject"]) for part in (training, validation)])
+        return tune(preparation, model, training, validation, **how)
+
+    monkeypatch.setattr("pssf.study.learn.refit.tune", seen)
+    list(refitted(table, SHAKY_NAMES, settings_of(), SETS))
+    split = split_subjects(table["subject"], table["grade"], seed=0)
+    asked = {grades: set(table.loc[table["grade"].isin(grades), "subject"]) for grades in ((0, 2), (0, 1, 2))}
+    of_tasks = [[set(of) & whose for of in (split.training, split.validation)] for whose in asked.values()]
+    assert chosen == of_tasks * len(SETS)
 
 
 def test_a_grade_that_the_first_split_has_not_under_some_protocol_leaves_its_models_out():

@@ -64,6 +64,19 @@ def test_a_group_of_which_splits_test_fewer_than_six_has_no_interval(subjects, t
     assert np.isfinite(found["auc_low"]) == told
 
 
+@pytest.mark.parametrize(
+    ("tested", "decided"), [((4, 4, 4, 14, 14), False), ((4, 4, 6, 6, 6), True), ((0, 0, 8), False)]
+)
+def test_what_splits_test_of_a_group_is_their_median_and_none_counts(tested, decided):
+    told = predictions(40, repeats=len(tested))
+    men = told[told["subject"] % 2 == 1]
+    # Of each split as many of either grade, the first ones.
+    place = men.groupby(["repeat", "truth"]).cumcount()
+    men = men[place < men["repeat"].map(dict(enumerate(tested))) // 2]
+    found = subgroups(pd.concat([told[told["subject"] % 2 == 0], men]), people(40), SETTINGS, 15 / 70)
+    assert np.isfinite(found.set_index("group").loc["men", "auc_low"]) == decided
+
+
 def test_a_group_of_which_splits_test_fewer_than_three_of_a_grade_has_no_interval():
     told = predictions(40)
     men = told["subject"] % 2 == 1

@@ -108,7 +108,9 @@ def study(
     overrides = cohort_overrides(knees, bilateral, protocols, grades)
     own = None
     if films is None and (films_pixel_mm or films_region_mm or films_protocol):
-        raise InputError("films = none, with films-pixel-mm, films-region-mm or films-protocol; allowed: --films FOLDER")
+        raise InputError(
+            "films = none, with films-pixel-mm, films-region-mm or films-protocol; allowed: --films FOLDER"
+        )
     if films is not None:
         chosen = {"pixel_mm": films_pixel_mm or None, "region_mm": films_region_mm or None}
         own = OwnFilms(folder=films, protocol=films_protocol or None, **chosen)
