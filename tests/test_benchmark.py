@@ -13,7 +13,6 @@ import pssf
 from pssf import cohort, simulation
 from pssf.benchmark import make, make_benchmark
 from pssf.benchmark.croissant import CONFORMS_TO, croissant
-from pssf.benchmark.datasheet import HEADINGS
 from pssf.benchmark.hashes import agreement, as_toml, hashes
 from pssf.core.execution import Execution
 from pssf.data.benchmark import frozen_hashes, frozen_set
@@ -26,6 +25,11 @@ from pssf.study.statistics.provenance import warnings_of
 
 # Seven knees of six people, one of whom gives both; the fewest that can be split in three parts.
 FEW = {"knees": (4, 0, 3), "bilateral": 1, "doses": (1.0, 0.5), "tilts_deg": (0.0,), "numbered": "by grade"}
+# Of Gebru 2021.
+HEADINGS = (
+    *("Motivation", "Composition", "Collection process", "Preprocessing, cleaning, labelling"),
+    *("Uses", "Distribution", "Maintenance"),
+)
 LIGHT = StudySettings(models=("lr",), selections=("l1",), repeats=3, reference="one")
 
 

@@ -3,6 +3,7 @@ import json
 import numpy as np
 import pytest
 import tifffile
+import trimesh
 
 import pssf
 
@@ -29,6 +30,17 @@ def test_a_flipped_bit_of_pixels_or_description_is_refused(radiograph, tmp_path,
         assert what
     path.write_bytes(content)
     assert pssf.load(path) == radiograph
+
+
+@pytest.mark.parametrize("suffix", [".tif", ".dcm"])
+def test_a_radiograph_of_a_scene_says_of_which_when_it_is_read_back(small, tmp_path, suffix):
+    ball = pssf.Surface(trimesh.creation.icosphere(radius=30), "cortical_bone", "air", "ball")
+    scene = pssf.Scene([ball])
+    made = pssf.simulate(scene, small, seed=7)
+    assert made.scene == scene.table()
+    read = pssf.load(pssf.save(made, tmp_path / f"r{suffix}"))
+    assert read == made
+    assert read.scene["surfaces"][0]["sha256"] == ball.table()["sha256"]
 
 
 def test_pixels_of_another_type_over_the_same_description_are_refused(radiograph, tmp_path):

@@ -8,7 +8,7 @@ import pytest
 
 import pssf
 from pssf import InputError
-from pssf.cohort import make_cohort, plan_cohort, write_labels
+from pssf.cohort import make_cohort, plan_cohort, verify_cohort, write_labels
 from pssf.io.labels import read_pts
 
 # Of the Osteoarthritis Initiative's readings of knee radiographs, without the visit before them.
@@ -101,6 +101,15 @@ def test_a_radiograph_that_shows_no_contours_is_refused_before_anything_is_writt
     with pytest.raises(InputError, match="projection = 'ML'; allowed: AP or PA"):
         write_labels(tmp_path / "cohort", tmp_path / "labels")
     assert not (tmp_path / "labels").exists()
+
+
+def test_labels_are_not_written_into_the_cohort(made, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "link").symlink_to(made)
+    for own in (made, tmp_path / "link"):
+        with pytest.raises(InputError, match="the cohort's own folder; allowed: another one"):
+            write_labels(made, own)
+    assert verify_cohort(made).faults == ()
 
 
 def test_labels_of_what_is_no_cohort_are_refused(tmp_path):

@@ -245,3 +245,27 @@ def test_a_radiograph_is_shown_by_its_own_detector_pitch_and_field(look):
     assert_array_equal(shown, pssf.present(radiograph.pixels, look=look, **told))
     assert (shown[:, :20] == 0).all()
     assert (pssf.present(radiograph.pixels, look=look) != shown).any()
+
+
+@pytest.mark.parametrize(
+    ("pixels", "given"),
+    [
+        (None, "None"),
+        ([[1, 2], [3, 4]], "[[1, 2], [3, 4]]"),
+        ("x", "'x'"),
+        (np.zeros((5, 5, 3), np.uint16), "an array (5, 5, 3) of uint16"),
+        (np.zeros((0, 5), np.uint16), "an array (0, 5) of uint16"),
+        (np.full((5, 5), "a"), "an array (5, 5) of <U1"),
+    ],
+)
+def test_what_is_no_picture_is_refused(pixels, given):
+    with pytest.raises(InputError) as refused:
+        pssf.present(pixels)
+    assert str(refused.value) == f"pixels = {given}; allowed: (rows, cols) of numbers, or a Radiograph"
+
+
+def test_pixels_that_are_not_finite_are_counted():
+    pixels = limb()
+    pixels[3, :4] = np.nan, np.inf, -np.inf, 1.0
+    with pytest.raises(InputError, match="pixels: 3 of 65536 are not finite; allowed: finite numbers"):
+        pssf.present(pixels)

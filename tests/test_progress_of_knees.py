@@ -121,3 +121,11 @@ def test_what_is_no_course_is_refused():
     ):
         with pytest.raises(InputError, match=match):
             pssf.progress(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "line"), [("x", pssf.Knee(), "before = 'x'"), (pssf.Knee(), None, "after = ")]
+)
+def test_a_change_is_between_knees(before, after, line):
+    with pytest.raises(pssf.InputError, match=f"{line}.*; allowed: a Knee"):
+        pssf.true_change(before, after)

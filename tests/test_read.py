@@ -106,6 +106,22 @@ def test_a_linear_file_has_the_features_and_probability_of_the_study(film_study,
     assert_allclose(done.table["p grade 0"] + done.table["p grade 2"], 1.0)
 
 
+def test_a_linear_file_of_both_knees_or_of_no_known_side_is_refused_with_the_reason(files, linear, tmp_path):
+    made = pssf.load(linear[0])
+    both = dataclasses.replace(made, knee=None, knees=(pssf.Knee(), pssf.Knee(side="left")))
+    scene = dataclasses.replace(made, knee=None, scene={"ambient": "air", "surfaces": []})
+    paths = [pssf.save(one, tmp_path / f"{name}.tif") for name, one in (("both", both), ("scene", scene))]
+    model = model_of(files["lr_l1_0v2_reference"])
+    done = read_films(model, [film_of(path) for path in paths], tmp_path)
+    assert done.table["status"].tolist() == ["both knees", "side not given"]
+    assert done.table["p grade 0"].isna().all()
+    assert done.warnings == ()
+    told = read_films(model, [film_of(paths[1], side=made.knee.side)], tmp_path).table.iloc[0]
+    own = read_films(model, [film_of(linear[0])], linear[0].parent).table.iloc[0]
+    assert told["status"] == "found"
+    assert told["p grade 0"] == own["p grade 0"]
+
+
 def test_a_linear_file_of_another_pitch_is_brought_to_the_models(files, linear):
     path, _ = linear
     at_own = read_films(model_of(files["lr_l1_0v2_reference"]), [film_of(path)], path.parent).table.iloc[0]

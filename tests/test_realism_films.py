@@ -311,6 +311,15 @@ def test_of_too_few_films_nothing_is_said():
     assert all("auc" not in row for row in rows)
 
 
+@pytest.mark.parametrize(("people", "decided"), [(1, False), (4, False), (5, True)])
+def test_of_films_of_too_few_people_nothing_is_said(people, decided):
+    many, few = films_of("a", 120), films_of("b", 20, seed=1)
+    few = dataclasses.replace(few, subjects=np.array([f"b{index % people}" for index in range(20)]))
+    assert {"auc" in row for row in domains.told_apart(many, few, **CHANCE)} == {decided}
+    learnt = domains.transferred(few, many, low=0, high=(2,), **CHANCE)
+    assert {"auc" in row for row in learnt} == {decided}
+
+
 def test_both_knees_of_a_person_are_never_on_both_sides_of_a_fold():
     rng = np.random.default_rng(0)
     people = np.repeat(np.arange(60), 2)

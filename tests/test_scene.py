@@ -121,6 +121,21 @@ def test_neither_scene_nor_surface_prints_or_compares_what_it_is_made_of():
     assert Scene([surface]) != Scene([surface])
 
 
+def test_a_scene_says_what_it_is_made_of_as_far_as_a_radiograph_hangs_on_it():
+    def told(size=10, inside="water", ambient="air", **more):
+        return Scene(
+            [Surface(trimesh.creation.box(extents=3 * [size]), inside, "air", "thing", **more)], ambient
+        ).table()
+
+    one = told()
+    assert one == told()
+    (surface,) = one["surfaces"]
+    assert (surface["name"], surface["inside"], surface["vertices"], surface["faces"]) == ("thing", "water", 8, 12)
+    waves = PlaneWaves(amplitudes=(0.1,), waves_per_mm=((1.0, 2.0, 3.0),), phases=(0.0,))
+    others = [told(size=10.001), told(inside="muscle"), told(ambient="water"), told(inside_density=waves)]
+    assert all(other != one for other in others)
+
+
 def test_a_mesh_that_was_mended_is_told_of():
     box = trimesh.creation.box(extents=(10, 10, 10))
     with pytest.warns(MeshNotice, match="thing: mesh is inside out; faces: 12; turned outward"):

@@ -10,11 +10,6 @@ import pandas as pd
 from ..data.benchmark import FrozenSet
 from ..study.learn.frozen import PREDICTORS
 
-HEADINGS = (
-    *("Motivation", "Composition", "Collection process", "Preprocessing, cleaning, labelling"),
-    *("Uses", "Distribution", "Maintenance"),
-)
-
 
 @dataclass(frozen=True, kw_only=True)
 class About:

@@ -72,7 +72,7 @@ def simulate(
 
     Of both knees of a person under a protocol that takes both.
     """
-    from ..core.checks import InputError, require_choice, require_workers
+    from ..core.checks import require_choice, require_workers
     from ..core.progress import waiting
     from ..model.listing import changes, with_changes
     from ..model.protocol import load_protocol
@@ -83,15 +83,13 @@ def simulate(
     subject, name = subject_of(choice, with_changes(meant, of_protocol))
     technique = with_changes(taken_as(exposure, meant, subject, seed), of_protocol)
     require_workers(workers)
-    if masks and scene is not None:
-        raise InputError("masks = of a scene; allowed: of a knee, or of both")
+    _require_known(scene is not None, subject, masks, border)
     with waiting("simulating; the first run after an installation compiles for some seconds more"):
         from ..detector import LOOKS
         from ..geometry.scene import Scene
         from ..io.atomic import folder
         from ..io.images import BORDERS, KINDS, save_kinds
         from ..io.masks import save_masks
-        from ..model.knee import Knee
         from ..raycast import ENGINES
         from ..simulation import simulate as run
 
@@ -100,8 +98,6 @@ def simulate(
             require_choice("formats", kind, KINDS)
         require_choice("border", border, BORDERS)
         require_choice("look", look, LOOKS)
-        if border != "none" and not isinstance(subject, Knee):
-            raise InputError(f"border = {border!r} of {'a scene' if scene else 'both knees'}; allowed: of one knee")
         if isinstance(subject, Scene):
             _tell_noted(subject, technique)
         folder(out)
@@ -113,6 +109,17 @@ def simulate(
         paths += [save_masks(radiograph, f"{stem}_masks.{kind}") for kind in ("tif", "dcm") if kind in ("tif", *wanted)]
     for path in paths:
         print(path)
+
+
+def _require_known(own: bool, subject: object, masks: bool, border: str) -> None:
+    """Refuse what only a knee has, of a scene of one's own; and what only one has, of both."""
+    from ..core.checks import InputError
+    from ..model.knee import Knee
+
+    if masks and own:
+        raise InputError("masks = of a scene; allowed: of a knee, or of both")
+    if border != "none" and not isinstance(subject, Knee):
+        raise InputError(f"border = {border!r} of {'a scene' if own else 'both knees'}; allowed: of one knee")
 
 
 def _tell_noted(scene: "Scene", protocol: "Protocol") -> None:

@@ -1,7 +1,7 @@
 """The command study."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -19,6 +19,9 @@ from .options import (
     cohort_overrides,
     numbers_of,
 )
+
+if TYPE_CHECKING:
+    from ..experiment import OwnFilms
 
 
 def study(
@@ -92,10 +95,10 @@ def study(
 
     What is left out costs nothing: protocols, families of features, selections, models.
     """
-    from ..core.checks import InputError, require_choice
+    from ..core.checks import require_choice
     from ..core.execution import Execution
     from ..core.progress import bar
-    from ..experiment import SHOWN, ByDesign, OwnFilms, make_experiment, measure_experiment, run_experiment, shown_rows
+    from ..experiment import SHOWN, ByDesign, make_experiment, measure_experiment, run_experiment, shown_rows
     from ..io.readme import open_checkout
 
     require_choice("until", until, ("features", "report"))
@@ -106,14 +109,7 @@ def study(
     settings |= {"backend": backend} if backend else {}
     settings |= {"difference": difference, "strengths": numbers_of("strengths", strengths)}
     overrides = cohort_overrides(knees, bilateral, protocols, grades)
-    own = None
-    if films is None and (films_pixel_mm or films_region_mm or films_protocol):
-        raise InputError(
-            "films = none, with films-pixel-mm, films-region-mm or films-protocol; allowed: --films FOLDER"
-        )
-    if films is not None:
-        chosen = {"pixel_mm": films_pixel_mm or None, "region_mm": films_region_mm or None}
-        own = OwnFilms(folder=films, protocol=films_protocol or None, **chosen)
+    own = _own_films(films, films_protocol, films_pixel_mm, films_region_mm)
     made = make_experiment(
         out,
         execution,
@@ -135,3 +131,18 @@ def study(
     for what, paths in (("picture", result.pictures), ("model", result.models)):
         for path in paths.values():
             print(f"{what:<10}{path}")
+
+
+def _own_films(folder: Path | None, protocol: str, pixel_mm: float, region_mm: float) -> "OwnFilms | None":
+    """Films and how they are taken, where there are any."""
+    from ..core.checks import InputError
+    from ..experiment import OwnFilms
+
+    if folder is not None:
+        at = {"pixel_mm": pixel_mm or None, "region_mm": region_mm or None}
+        return OwnFilms(folder=folder, protocol=protocol or None, **at)
+    if pixel_mm or region_mm or protocol:
+        raise InputError(
+            "films = none, with films-pixel-mm, films-region-mm or films-protocol; allowed: --films FOLDER"
+        )
+    return None

@@ -44,7 +44,6 @@ class LandmarkReference(Record, frozen=True):
     grade: dict[str, GradeContours]
     modes: ContourModes
     gap_alone_auc: dict[str, Triple]
-    correlation_of_gaps: float
 
 
 @cache

@@ -21,7 +21,7 @@ from .aspect import locate_film, with_square_pixels
 from .backends import default_backend
 from .families import FAMILIES
 from .features import extract
-from .locate import Located, find_joint, locate
+from .locate import Located, find_joint, in_pixels, locate
 from .patches import LINEAR_MM, Template
 from .table import FOUND, SCORES, How, Job, Measured, Record, measure
 from .tables import RadiomicsTables
@@ -176,9 +176,7 @@ def find_in_display(
         return locate_film(pixels, templates, table, side=side, pixel_mm=pixel_mm)
     assert pixel_mm is not None
     joint = locate(block_mean(pixels, step), templates, table, side=side, pixel_mm=pixel_mm * step)
-    values = {name: getattr(joint, name) for name in Located.__dataclass_fields__}
-    place = {name: values[name] * step + (step - 1) / 2 for name in ("row", "col")}
-    return Located(**values | place | {"pixel_mm": pixel_mm})
+    return in_pixels(joint, step, pixel_mm)
 
 
 def cut_display(

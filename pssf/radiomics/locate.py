@@ -94,11 +94,16 @@ def find_joint(
     """
     step = max(1, int(LINEAR_MM / pixel_mm))
     joint = locate(density_of(block_mean(pixels, step)), templates, table, side=side, pixel_mm=pixel_mm * step)
+    joint = in_pixels(joint, step, pixel_mm)
+    if joint.status == "found" and not region_fits(pixels.shape, joint.row, joint.col, region_px):
+        return replace(joint, status="leaves image")
+    return joint
+
+
+def in_pixels(joint: Located, step: int, pixel_mm: float) -> Located:
+    """The same place in the pixels of an image, where it was found in means of step x step of them."""
     row, col = (at * step + (step - 1) / 2 for at in (joint.row, joint.col))
-    status = joint.status
-    if status == "found" and not region_fits(pixels.shape, row, col, region_px):
-        status = "leaves image"
-    return replace(joint, row=row, col=col, pixel_mm=pixel_mm, status=status)
+    return replace(joint, row=row, col=col, pixel_mm=pixel_mm)
 
 
 def locate(

@@ -20,7 +20,7 @@ from .films import BETWEEN, TOLD, Record
 Row = dict[str, Any]
 ALL = "all"
 FOLDS = 5
-_FEWEST = 10  # of either kind; with fewer, nothing is said
+_FEWEST = 10  # films of either kind; with fewer, nothing is said
 _STRENGTH = 0.1  # of the inverse penalty: some hundred features, some hundred films
 _LEADING = 8
 _NO_WAY: dict[str, float | None] = {"way": None, "way_low": None, "way_high": None}
@@ -78,7 +78,7 @@ def told_apart(first: Films, second: Films, *, replicates: int, seed: int) -> li
     for group, columns in groups_of(table).items():
         row = {"first": first.name, "second": second.name, "group": group, "features": len(columns)}
         row |= {"first_films": len(first.features), "second_films": len(second.features)}
-        if min(np.bincount(truth, minlength=2)) >= _FEWEST:
+        if _enough(truth, subjects):
             value = by_folds(table[columns], truth, subjects, seed)
             drawn = resampled_auc(truth, value, subjects, replicates=replicates, seed=seed)
             row |= _with_interval(truth, value, drawn)
@@ -105,7 +105,7 @@ def transferred(
             "source": real.name, "task": f"{low} v {'+'.join(map(str, high))}", "group": group,
             "trained_on": f"{low} v {'+'.join(map(str, highest))}", "real": len(truth), "simulated": len(known),
         }  # fmt: skip
-        if min(*np.bincount(truth, minlength=2), *np.bincount(known, minlength=2)) >= _FEWEST:
+        if _enough(truth, here.subjects) and min(np.bincount(known, minlength=2)) >= _FEWEST:
             carried = model(seed).fit(there.features[columns].to_numpy(), known)
             value = carried.predict_proba(here.features[columns].to_numpy())[:, 1]
             own = by_folds(here.features[columns], truth, here.subjects, seed)
@@ -117,6 +117,12 @@ def transferred(
             row |= _way(truth, (value, own), (drawn, drawn_own)) if by_real["low"] > 0.5 else _NO_WAY
         rows.append(row)
     return rows
+
+
+def _enough(truth: NDArray[np.bool_], subjects: NDArray[Any]) -> bool:
+    """Whether there are films enough of either kind, and of people enough for each fold to have one of them."""
+    kinds = [subjects[truth == kind] for kind in (False, True)]
+    return all(len(of) >= _FEWEST and len(set(of.tolist())) >= FOLDS for of in kinds)
 
 
 def groups_of(features: pd.DataFrame) -> dict[str, list[Any]]:

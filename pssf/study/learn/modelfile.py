@@ -27,7 +27,6 @@ from .refit import Kept
 from .saving import dumps, loads, unzipped, zipped
 
 SUFFIX = ".skops"
-READS = ("linear", "display")
 _FORMAT = "pssf model 1"
 _CARD = "pssf/model.json"
 # What the probabilities of a film depend on.

@@ -37,7 +37,7 @@ _TRENDS = (
 _HIGH = 0.80
 _ASKED = ("auc", "balanced_accuracy")
 _FAMILIES = ("glcm", "glszm")
-_STREAM = 2**31 + 1  # beside that of `intervals`
+_STREAM = 2**31 + 1  # key under a study's seed, as `external`'s of films, and beside that of `icc_by_subject`
 UNDECIDED = "not decidable"
 _LEVEL = 0.05  # of p after Holm
 # Of an interval of 95 per cent, and the greatest correlation that has a finite z.

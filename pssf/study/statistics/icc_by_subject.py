@@ -13,7 +13,7 @@ from scipy.stats import t as t_distribution
 
 from ...core.checks import Array
 
-_STREAM = 2**31 + 2  # beside those of `intervals` and `claims`
+_STREAM = 2**31 + 2  # key under a study's seed, beside that of `claims`
 _EDGE = 1e-12  # by how much less than its ends an ICC has a finite z
 Interval = tuple[float, float]
 
