@@ -23,7 +23,7 @@ def benchmark(
 ) -> None:
     """The frozen data set benchmark-1: images, fixed splits, baselines, datasheet, citation, Croissant file.
 
-    The whole is 52 GB and some two and a half hours on two cores; 50 people are 2.6 GB and 13 minutes of CPU.
+    The whole is 52 GB and 2 h 18 min on two cores; 50 people are 2.6 GB and 13 minutes of CPU.
     Goes on where an earlier run stopped or was killed, and ends with the same bytes. A small network is among the
     baselines where PyTorch is installed.
     """
