@@ -160,7 +160,8 @@ def load(path: str | Path) -> Radiograph:
 
 
 def load_parameters(path: str | Path) -> dict[str, Any]:
-    """What a radiograph on disk was made from: protocol, knee or knees, seed, truth or truths, engine, audit, versions.
+    """What a radiograph on disk was made from: protocol, knee, knees or scene, seed, truth or truths, engine,
+    audit, versions.
 
     path    what `save` or `save_parameters` wrote, of any suffix and intent
     raises  InputError for a file that is missing, damaged, or not written by this package
