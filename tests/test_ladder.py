@@ -142,6 +142,18 @@ def test_the_report_shows_every_question_with_its_picture():
         assert section.pictures[0].png.startswith(b"\x89PNG")
 
 
+@pytest.mark.parametrize("rare", [1, 2])
+def test_a_grade_of_one_or_two_subjects_is_left_out_and_stops_nothing(rare):
+    known = cohort(0, texture=1.0)
+    asked_of = known[["knee", "subject", "grade", *NAMES]].assign(protocol="reference")
+    manifest = known[["knee", "subject", "grade", "jsw_medial_mm", "jsw_lateral_mm"]]
+    whole = asked(manifest, asked_of).tables["ladder"]
+    few = asked_of["subject"].isin(known.loc[known["grade"] == 2, "subject"].iloc[:rare])
+    grades = np.where(few, 1, asked_of["grade"])
+    answers = asked(manifest.assign(grade=grades), asked_of.assign(grade=grades))
+    assert set(answers.tables["ladder"]["grades"]) == set(whole["grades"]) == {"0 vs 2"}
+
+
 def test_the_best_possible_is_the_better_fit_of_all_parameters():
     drawn = pd.DataFrame(
         {

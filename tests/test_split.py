@@ -1,13 +1,14 @@
 """Training, validation and test subjects."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 from pssf.core.checks import InputError
-from pssf.study.learn.split import split_subjects
+from pssf.study.learn.split import of_grades_to_split, split_subjects
 
 
 @settings(max_examples=50)
@@ -54,3 +55,19 @@ def test_subjects_may_be_called_by_texts():
     by_number, by_text = (split_subjects(names, grades, seed=3) for names in (numbers, texts))
     assert by_text.table()["subject"].tolist() == [f"P-{subject:02d}" for subject in by_number.table()["subject"]]
     assert by_text.table()["part"].tolist() == by_number.table()["part"].tolist()
+
+
+def test_grades_of_too_few_subjects_are_left_out_where_that_is_asked_for():
+    # Subject 8 gives knees of grade 1 and 2, and counts under 2; so grade 1 has two subjects, whatever their knees.
+    table = pd.DataFrame(
+        {"subject": [0, 1, 2, 3, 3, 4, 4, 5, 6, 7, 8, 8], "grade": [0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 1, 2]}
+    )
+    with pytest.raises(InputError, match="grade 1 has 2 subjects"):
+        split_subjects(table["subject"], table["grade"], seed=0)
+    left = of_grades_to_split(table)
+    assert sorted(set(left["subject"])) == [0, 1, 2, 5, 6, 7, 8]
+    assert len(left) == 8
+    split = split_subjects(left["subject"], left["grade"], seed=0)
+    assert sum(len(part) for part in (split.training, split.validation, split.test)) == 7
+    assert of_grades_to_split(left).equals(left)
+    assert of_grades_to_split(table[:2]).empty

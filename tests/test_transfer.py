@@ -34,6 +34,12 @@ def test_stable_features_are_those_that_agree_across_protocols():
     assert stable_features(measured_cohort(shift=30.0), SHAKY_NAMES, ["a", "b"]) == []
 
 
+def test_a_knee_of_which_a_feature_is_not_known_is_left_out_of_its_icc():
+    table = measured_cohort()
+    table.loc[(table["knee"] == table["knee"].iloc[0]) & (table["protocol"] == "b"), "signal"] = np.nan
+    assert "signal" in stable_features(table, SHAKY_NAMES, ["a", "b"])
+
+
 def auc_of(table: pd.DataFrame, scenario: str) -> float:
     scores = score_splits(one_split(0, table=table, names=SHAKY_NAMES, settings=settings_of()).predictions)
     found = scores[(scores["task"] == "0/1/2") & (scores["scenario"] == scenario) & (scores["model"] == "lr")]
