@@ -333,6 +333,10 @@ def test_a_network_learns_and_is_the_same_for_the_same_seed():
     assert not np.array_equal(one, other)
     assert np.allclose(one.sum(axis=1), 1.0)
     assert ((one[:, 1] > 0.5) == (truth[50:] == 1)).mean() >= 0.9
+    (train, known), (check, known_too) = parts
+    # Labels that are tied to nothing are not learnt: 20 unseen images, half of them right by chance.
+    shuffled = network.learnt((train, rng.permutation(known)), (check, rng.permutation(known_too)), 2, seed=1)
+    assert ((shuffled(images[50:])[:, 1] > 0.5) == (truth[50:] == 1)).mean() < 1.0
     # What it says of an image does not hang on the others that it is asked of.
     learnt = network.learnt(*parts, 2, seed=1)
     assert np.allclose(np.concatenate([learnt(image[None]) for image in images[50:]]), one, atol=1e-6)

@@ -188,14 +188,20 @@ def test_a_taking_is_drawn_by_the_seed_and_what_is_set_stays(protocol_file, tmp_
     assert angles[0] == angles[1] != angles[2]
 
 
-def test_meshes_of_ones_own_are_simulated_from_a_file_that_names_them(tmp_path):
-    trimesh.creation.box((60, 60, 60)).export(tmp_path / "leg.stl")
-    trimesh.creation.icosphere(radius=10).export(tmp_path / "ball.stl")
-    scene = tmp_path / "phantom.toml"
+def scene_of(folder: Path, ball: trimesh.Trimesh, outside: str, name: str) -> Path:
+    """A scene file of a leg of muscle and a ball of bone."""
+    trimesh.creation.box((60, 60, 60)).export(folder / "leg.stl")
+    ball.export(folder / "ball.stl")
+    scene = folder / "phantom.toml"
     scene.write_text(
         "[[surface]]\nfile = 'leg.stl'\ninside = 'muscle'\noutside = 'air'\n"
-        "[[surface]]\nfile = 'ball.stl'\ninside = 'cortical_bone'\noutside = 'muscle'\nname = 'bone'\n"
+        f"[[surface]]\nfile = 'ball.stl'\ninside = 'cortical_bone'\noutside = '{outside}'\nname = '{name}'\n"
     )
+    return scene
+
+
+def test_meshes_of_ones_own_are_simulated_from_a_file_that_names_them(tmp_path):
+    scene = scene_of(tmp_path, trimesh.creation.icosphere(radius=10), "muscle", "bone")
     done = run("simulate", "--scene", scene, *SMALL_SET, "--formats", "tif", "--out", tmp_path / "o")
     assert done.returncode == 0, done.stderr
     radiograph = pssf.load(tmp_path / "o" / "phantom_reference_seed0.tif")
@@ -213,14 +219,8 @@ def test_meshes_of_ones_own_are_simulated_from_a_file_that_names_them(tmp_path):
 
 
 def test_what_is_noted_of_meshes_of_ones_own_is_told(tmp_path):
-    trimesh.creation.box((60, 60, 60)).export(tmp_path / "leg.stl")
-    far = trimesh.creation.icosphere(radius=10)
-    far.apply_translation((2000, 0, 0)).export(tmp_path / "far.stl")
-    scene = tmp_path / "phantom.toml"
-    scene.write_text(
-        "[[surface]]\nfile = 'leg.stl'\ninside = 'muscle'\noutside = 'air'\n"
-        "[[surface]]\nfile = 'far.stl'\ninside = 'cortical_bone'\noutside = 'air'\n"
-    )
+    far = trimesh.creation.icosphere(radius=10).apply_translation((2000, 0, 0))
+    scene = scene_of(tmp_path, far, "air", "far")
     done = run("simulate", "--scene", scene, *SMALL_SET, "--formats", "json", "--out", tmp_path / "o")
     assert done.returncode == 0, done.stderr
     assert done.stderr.splitlines() == ["pssf: noted: far: covers no pixel; it is not in the image"]

@@ -113,12 +113,14 @@ def _refused(error: Exception) -> int:
         print(f"pssf: memory = too little ({reason}); allowed: fewer rows and cols, or fewer workers", file=sys.stderr)
         return 1
     # A misused option: the parser's own classes are private, their one-line message is not.
-    if getattr(error, "format_message", str)().startswith("Usage:"):  # no command was given: this is the help
-        print(error.format_message(), file=sys.stderr)  # type: ignore[attr-defined]
-        return 2
-    message = one_line(error.format_message()) if hasattr(error, "format_message") else str(error)
-    if not (isinstance(error, InputError) or hasattr(error, "format_message")):
+    by_parser = hasattr(error, "format_message")
+    if not (isinstance(error, InputError) or by_parser):
         raise error
+    message = error.format_message() if by_parser else str(error)
+    if by_parser and message.startswith("Usage:"):  # no command was given: this is the help
+        print(message, file=sys.stderr)
+        return 2
+    message = one_line(message)
     print(f"pssf: {message}{_field_hint(message)}", file=sys.stderr)
     return 2
 
