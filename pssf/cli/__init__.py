@@ -113,11 +113,11 @@ def _refused(error: Exception) -> int:
         print(f"pssf: memory = too little ({reason}); allowed: fewer rows and cols, or fewer workers", file=sys.stderr)
         return 1
     # A misused option: the parser's own classes are private, their one-line message is not.
-    by_parser = hasattr(error, "format_message")
-    if not (isinstance(error, InputError) or by_parser):
+    told = getattr(error, "format_message", None)
+    if told is None and not isinstance(error, InputError):
         raise error
-    message = error.format_message() if by_parser else str(error)
-    if by_parser and message.startswith("Usage:"):  # no command was given: this is the help
+    message: str = told() if told else str(error)
+    if told and message.startswith("Usage:"):  # no command was given: this is the help
         print(message, file=sys.stderr)
         return 2
     message = one_line(message)
