@@ -113,11 +113,11 @@ def _refused(error: Exception) -> int:
         print(f"pssf: memory = too little ({reason}); allowed: fewer rows and cols, or fewer workers", file=sys.stderr)
         return 1
     # A misused option: the parser's own classes are private, their one-line message is not.
-    told = getattr(error, "format_message", None)
-    if told is None and not isinstance(error, InputError):
+    by_parser = getattr(error, "format_message", None)
+    if by_parser is None and not isinstance(error, InputError):
         raise error
-    message: str = told() if told else str(error)
-    if told and message.startswith("Usage:"):  # no command was given: this is the help
+    message: str = by_parser() if told else str(error)
+    if by_parser and message.startswith("Usage:"):  # no command was given: this is the help
         print(message, file=sys.stderr)
         return 2
     message = one_line(message)
