@@ -116,7 +116,7 @@ def _refused(error: Exception) -> int:
     by_parser = getattr(error, "format_message", None)
     if by_parser is None and not isinstance(error, InputError):
         raise error
-    message: str = by_parser() if told else str(error)
+    message: str = by_parser() if by_parser else str(error)
     if by_parser and message.startswith("Usage:"):  # no command was given: this is the help
         print(message, file=sys.stderr)
         return 2
