@@ -26,10 +26,10 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
     reference = pssf.load_protocol("reference")
     protocol = dataclasses.replace(reference, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
     joint = (slice(pixels * 5 // 16, pixels * 11 // 16), slice(pixels * 5 // 16, pixels * 11 // 16))
-    before = pssf.simulate(knee, protocol, seed=1).pixels
+    before = pssf.simulate(knee, protocol, rng=1).pixels
     shown = [panel(pssf.present(before, look="processed")[joint], SIDE, SIDE, "healthy")]
     for what, other in changed.items():
-        after = pssf.simulate(other, protocol, seed=1).pixels
+        after = pssf.simulate(other, protocol, rng=1).pixels
         change = np.clip(128 + 200 * (np.log(after + 1.0) - np.log(before + 1.0)), 0, 255).astype(np.uint8)
         shown += [
             panel(pssf.present(after, look="processed")[joint], SIDE, SIDE, what),

@@ -3,8 +3,6 @@
 import dataclasses
 from pathlib import Path
 
-import numpy as np
-
 import pssf
 from pssf.data.presets import presets
 from pssf.io.pictures import panel, side_by_side
@@ -16,7 +14,7 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
     """Write the medial compartment at each dose and tilt as one PNG; `pixels` is the side of the detector."""
     taken = presets()["benchmark-1"]
     known = pssf.load_protocol(taken.protocols[0])
-    knee = pssf.draw_knee(grade=3, rng=np.random.default_rng(1), table=taken.grades, side="right")
+    knee = pssf.draw_knee(grade=3, rng=1, grade_table=taken.grade_table, side="right")
     built = pssf.build(knee, known)
     pixel_mm = known.pixel_mm * known.cols / pixels
     shown = []
@@ -30,7 +28,7 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
                 mas=known.mas * dose,
                 beam_angle_deg=known.beam_angle_deg + tilt_deg,
             )
-            radiograph = pssf.simulate(built, protocol, seed=1)
+            radiograph = pssf.simulate(built, protocol, rng=1)
             row, col = (round(place) for place in radiograph.truth.medial_joint_line_px)
             half = round(26.0 / pixel_mm)
             near = pssf.present(radiograph.pixels, look="processed")[row - half : row + half, col - half : col + half]

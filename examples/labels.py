@@ -23,10 +23,10 @@ ROWS, COLS = 720, 600
 
 def run(out: Path, pixels: int = 2048) -> list[Path]:
     """Write a radiograph and its labels side by side as one PNG; `pixels` is the side of the detector."""
-    knee = pssf.draw_knee(grade=2, rng=np.random.default_rng(3), side="right", sex="female")
+    knee = pssf.draw_knee(grade=2, rng=3, side="right", sex="female")
     reference = pssf.load_protocol("reference")
     protocol = dataclasses.replace(reference, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
-    radiograph = pssf.simulate(knee, protocol, seed=2, keep=("masks",))
+    radiograph = pssf.simulate(knee, protocol, rng=2, keep=("masks",))
     truth = radiograph.truth
     plain = pssf.present(radiograph.pixels, look="processed")
     drawn = np.repeat(plain[..., None], 3, axis=2)

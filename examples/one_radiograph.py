@@ -3,17 +3,15 @@
 import dataclasses
 from pathlib import Path
 
-import numpy as np
-
 import pssf
 
 
 def run(out: Path, pixels: int = 2048) -> list[Path]:
     """Write a grade 2 knee as TIFF and PNG; `pixels` is the side of the detector, which keeps its 307 mm."""
-    knee = pssf.draw_knee(grade=2, rng=np.random.default_rng(7))
+    knee = pssf.draw_knee(grade=2, rng=7)
     reference = pssf.load_protocol("reference")
     protocol = dataclasses.replace(reference, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
-    radiograph = pssf.simulate(knee, protocol, seed=7)
+    radiograph = pssf.simulate(knee, protocol, rng=7)
     print(f"medial joint space {radiograph.truth.jsw_medial_mm} mm at pixel {radiograph.truth.medial_joint_line_px}")
     print(f"rays {radiograph.audit}")
     return [pssf.save(radiograph, out / f"one_radiograph.{suffix}") for suffix in ("tif", "png")]

@@ -27,7 +27,7 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
     reference = pssf.load_protocol("reference")
     protocol = dataclasses.replace(reference, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
     print(pssf.check(scene, protocol))
-    radiograph = pssf.simulate(scene, protocol, seed=1, keep=("path_mm",))
+    radiograph = pssf.simulate(scene, protocol, rng=1, keep=("path_mm",))
     part = (slice(pixels * 3 // 8, pixels * 5 // 8), slice(pixels // 4, pixels * 3 // 4))
     bone_mm = radiograph.kept["path_mm"]["cortical_bone"][part]
     shown = [

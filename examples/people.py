@@ -18,14 +18,14 @@ def run(out: Path, pixels: int = 1024, each: int = 3) -> list[Path]:
     columns = []
     for grade in range(5):
         chance = [np.random.default_rng(10 * number + grade) for number in range(each)]
-        knees = [pssf.draw_knee(grade=grade, rng=rng, table="people") for rng in chance]
+        knees = [pssf.draw_knee(grade=grade, rng=rng, grade_table="population") for rng in chance]
         columns.append(np.vstack([shown(knee, protocol) for knee in knees]))
     return [side_by_side(columns, out / "people.png")]
 
 
 def shown(knee: pssf.Knee, protocol: pssf.Protocol) -> np.ndarray:
     """The middle of a knee's radiograph, as a picture."""
-    radiograph = pssf.simulate(knee, protocol, seed=1)
+    radiograph = pssf.simulate(knee, protocol, rng=1)
     magnified = protocol.sdd_mm / protocol.sod_mm / protocol.pixel_mm
     (row, col), (tall, wide) = radiograph.truth.landmarks_px["joint_centre"], (half * magnified for half in HALF_MM)
     part = pssf.present(radiograph.pixels, look="processed")[

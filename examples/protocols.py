@@ -3,8 +3,6 @@
 import dataclasses
 from pathlib import Path
 
-import numpy as np
-
 import pssf
 from pssf.io.pictures import panel, side_by_side
 
@@ -14,14 +12,14 @@ SIDE = 320
 
 def run(out: Path, pixels: int = 2048) -> list[Path]:
     """Write the medial compartment under each protocol as one PNG; `pixels` is the side of the detector."""
-    knee = pssf.draw_knee(grade=2, rng=np.random.default_rng(3), side="right", sex="female")
+    knee = pssf.draw_knee(grade=2, rng=3, side="right", sex="female")
     built = pssf.build(knee)
     shown = []
     for name in PROTOCOLS:
         known = pssf.load_protocol(name)
         pixel_mm = known.pixel_mm * known.cols / pixels
         protocol = dataclasses.replace(known, rows=pixels, cols=pixels, pixel_mm=pixel_mm)
-        radiograph = pssf.simulate(built, protocol, seed=1)
+        radiograph = pssf.simulate(built, protocol, rng=1)
         row, col = (round(place) for place in radiograph.truth.medial_joint_line_px)
         half = round(30.0 / pixel_mm)
         near = pssf.present(radiograph.pixels, look="processed")[row - half : row + half, col - half : col + half]

@@ -17,8 +17,8 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
     protocol = dataclasses.replace(reference, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
     columns = []
     for grade in (0, 1, 2):
-        knee = pssf.draw_knee(grade=grade, rng=np.random.default_rng(3), side="right", sex="female")
-        radiograph = pssf.simulate(knee, protocol, seed=grade, keep=("path_mm",))
+        knee = pssf.draw_knee(grade=grade, rng=3, side="right", sex="female")
+        radiograph = pssf.simulate(knee, protocol, rng=grade, keep=("path_mm",))
         joint = radiograph.truth.medial_joint_line_px
         told = f"medial joint space {knee.jsw_medial_mm:.1f} mm"
         columns.append(

@@ -13,7 +13,7 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
     """Write the stages of a knee at a low dose as one PNG; `pixels` is the side of the detector."""
     low = pssf.load_protocol("low_dose")
     protocol = dataclasses.replace(low, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
-    radiograph = pssf.simulate(pssf.Knee(), protocol, seed=1, keep=("primary", "scatter", "noise_free"))
+    radiograph = pssf.simulate(pssf.Knee(), protocol, rng=1, keep=("primary", "scatter", "noise_free"))
     primary, scatter = radiograph.kept["primary"], radiograph.kept["scatter"]
     joint = np.s_[pixels * 5 // 16 : pixels * 11 // 16, pixels * 5 // 16 : pixels * 11 // 16]
     ratio = scatter[joint] / primary[joint]

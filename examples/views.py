@@ -17,9 +17,7 @@ WIDTH_MM, HEIGHT_MM = 150.0, 210.0
 
 def run(out: Path, pixels: int = 2048) -> list[Path]:
     """Write a woman's knee, and both, in all views as one PNG; `pixels` is the side of the reference's detector."""
-    right = pssf.draw_knee(
-        grade=1, rng=np.random.default_rng(3), table="people", side="right", sex="female", rotation_deg=0.0
-    )
+    right = pssf.draw_knee(grade=1, rng=3, grade_table="population", side="right", sex="female", rotation_deg=0.0)
     left = dataclasses.replace(right, side="left", texture_seed=right.texture_seed + 1)
     shown = []
     for name in VIEWS:
@@ -32,7 +30,7 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
             pixel_mm=known.pixel_mm * coarser,
             scatter_photons=round(known.scatter_photons / coarser),
         )
-        radiograph = pssf.simulate((right, left) if known.apart_mm else right, protocol, seed=1, engine="scanline")
+        radiograph = pssf.simulate((right, left) if known.apart_mm else right, protocol, rng=1, engine="scanline")
         seen = pssf.present(radiograph.pixels)
         lengths = SHOWN_MM.get(name, (WIDTH_MM, HEIGHT_MM))
         wide, high = (

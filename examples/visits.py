@@ -16,14 +16,14 @@ def run(out: Path, pixels: int = 1024) -> list[Path]:
     """Write the visits side by side as one PNG; `pixels` is the side of the detector."""
     view = pssf.load_protocol("fixed_flexion")
     protocol = dataclasses.replace(view, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
-    first = pssf.draw_knee(grade=2, rng=np.random.default_rng(8), table="people", side="right")
+    first = pssf.draw_knee(grade=2, rng=8, grade_table="population", side="right")
     shown = []
     for visit, years in enumerate(YEARS):
         # One seed, one course: each time is a visit of it.
         knee = pssf.progress(first, years, np.random.default_rng(8))
         change = pssf.true_change(first, knee)
         taking = pssf.draw_exposure(protocol, rng=np.random.default_rng([8, visit]), side=knee.side)
-        radiograph = pssf.simulate(knee, taking, seed=visit)
+        radiograph = pssf.simulate(knee, taking, rng=visit)
         magnified = taking.sdd_mm / taking.sod_mm / taking.pixel_mm
         (row, col), (tall, wide) = radiograph.truth.landmarks_px["joint_centre"], (mm * magnified for mm in HALF_MM)
         part = np.s_[round(row - tall) : round(row + tall), round(col - wide) : round(col + wide)]

@@ -6,17 +6,19 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
 from importlib.metadata import version
+from os import PathLike
 from typing import Any
 
 from .anatomy import BuiltKnee, BuiltPair, build, build_pair, make_texture
-from .core.checks import InputError, require_choice, require_seed, require_workers
+from .core.checks import Chance, InputError, require_choice, require_workers, seed_of
+from .core.keywords import keywords
 from .core.timer import Timer
 from .core.workers import one_blas_thread
 from .geometry.mesh import Mesh
 from .geometry.scene import Scene
 from .geometry.view import view_of
 from .model.knee import Knee
-from .model.protocol import Protocol
+from .model.protocol import Protocol, load_protocol
 from .model.radiograph import Radiograph, Truth
 from .precompile import compiling_aside
 from .raycast import ENGINES, Audit, Paths, shadow, trace, trace_strips
@@ -36,37 +38,73 @@ class KernelNotice(UserWarning):
     """The kernel of scatter was asked for in a view that it does not hold for; the message says by how much."""
 
 
+@keywords(seed="rng")
 @one_blas_thread()
 def simulate(
     knee: Subject,
-    protocol: Protocol,
+    protocol: Protocol | str | PathLike[str],
     *,
-    seed: int = 0,
+    rng: Chance = 0,
     keep: Collection[str] = (),
     engine: str = "embree",
     workers: int = 2,
     paths: Paths | None = None,
 ) -> Radiograph:
-    """A radiograph of a knee, of both knees, or of a scene of one's own.
+    """Simulate a radiograph of a knee, of both knees of a person, or of a scene.
 
-    knee     a Knee; what `build` made of one, where several protocols see it in one posture; right and left, for a
-             protocol that takes both (`apart_mm`); or a scene of one's own, which stands in the room as it is
-    seed     of the noise; the same seed gives the same bytes on any number of workers
-    keep     maps to hold in `kept`, of "path_mm", "primary", "scatter", "noise_free"; and "masks", for a knee's `truth`
-    engine   "embree" or "scanline"
-    workers  threads
-    paths    what `trace` gave for this scene, where several protocols see it from the same place
-    warns    KernelNotice for the kernel of scatter along the leg
-    raises   InputError for an unknown name in keep, an unknown engine or material, a scene that cannot be traced, paths
-             of another scene or view, a detector that a knee has no room before
+    Parameters
+    ----------
+    knee : Knee, BuiltKnee, (right, left) pair, BuiltPair or Scene
+        A knee; what `build` made of it, where several protocols share a posture; right and left knee for a protocol
+        that images both (`apart_mm`); or a scene, which is traced where it stands.
+    protocol : Protocol or str
+        Technique, geometry and detector; a name or path is loaded with `load_protocol`.
+    rng : int or numpy.random.Generator, default 0
+        Chance of the noise. The same integer gives the same bytes on any number of workers; a Generator draws the
+        integer, which the radiograph keeps as `seed`.
+    keep : collection of str
+        Maps to hold in `Radiograph.kept`: "path_mm", "primary", "scatter", "noise_free"; and "masks", for a knee's
+        `truth`.
+    engine : {"embree", "scanline"}
+        Ray caster; both agree to 1e-9 mm.
+    workers : int
+        Threads; they do not change the result.
+    paths : Paths, optional
+        From `trace` of this scene, where several protocols see it from the same place.
+
+    Returns
+    -------
+    Radiograph
+
+    Raises
+    ------
+    InputError
+        For an unknown name, a scene that cannot be traced, paths of another scene or view, or a detector that leaves no
+        room for the knee.
+
+    Warns
+    -----
+    KernelNotice
+        For the scatter kernel along the leg.
+
+    Examples
+    --------
+    >>> import dataclasses, pssf
+    >>> protocol = dataclasses.replace(pssf.load_protocol("reference"), rows=64, cols=64, pixel_mm=4.8)
+    >>> radiograph = pssf.simulate(pssf.Knee(), protocol, rng=7, engine="scanline")
+    >>> radiograph.pixels.shape, radiograph.truth.grade
+    ((64, 64), 0)
     """
-    _check(knee, protocol, seed, keep, engine, workers)
+    if isinstance(protocol, str | PathLike):
+        protocol = load_protocol(protocol)
+    seed = seed_of(rng)
+    _check(knee, protocol, keep, engine, workers)
     clock = Timer()
     subject = _built(knee, protocol, engine, workers)
     # What a radiograph keeps is the beam as it was, not how it was found.
     protocol = subject.aimed(protocol) if isinstance(subject, BuiltKnee) else protocol
     if protocol.scatter == "kernel" and protocol.projection == "axial":
-        warnings.warn(_ALONG_THE_LEG, KernelNotice, stacklevel=3)
+        warnings.warn(_ALONG_THE_LEG, KernelNotice, stacklevel=4)
     technique = technique_of(protocol)
     scene = subject if isinstance(subject, Scene) else subject.scene
     if not isinstance(subject, Scene):
@@ -95,10 +133,9 @@ def simulate(
     )
 
 
-def _check(knee: Subject, protocol: Protocol, seed: int, keep: Collection[str], engine: str, workers: int) -> None:
+def _check(knee: Subject, protocol: Protocol, keep: Collection[str], engine: str, workers: int) -> None:
     require_choice("engine", engine, ENGINES)
     require_workers(workers)
-    require_seed(seed)
     if isinstance(keep, str) or not isinstance(keep, Collection):
         raise InputError(f"keep = {keep!r}; allowed: a list of any of {', '.join(KEEP)}")
     for name in keep:

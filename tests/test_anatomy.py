@@ -63,7 +63,7 @@ def test_an_empty_solid_is_refused_with_its_status_and_volume():
 @given(seed=st.integers(0, 2**32), grade=st.sampled_from([0, 1, 2]))
 @settings(max_examples=8)
 def test_every_drawn_knee_builds_nested_and_shows_its_joint_spaces(seed, grade):
-    knee = pssf.draw_knee(grade=grade, rng=np.random.default_rng(seed))
+    knee = pssf.draw_knee(grade=grade, rng=np.random.default_rng(seed), grade_table="paper")
     built = pssf.build(knee)
     assert_allclose(built.measured_jsw_mm(REFERENCE), [knee.jsw_medial_mm, knee.jsw_lateral_mm], atol=0.01)
     for surface in built.scene.surfaces:

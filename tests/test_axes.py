@@ -34,21 +34,21 @@ def test_a_hip_moves_no_pixel():
     near = pssf.Knee()
     far = dataclasses.replace(near, mechanical_axis_deg=7.0)
     coarse = dataclasses.replace(pssf.load_protocol("fixed_flexion"), rows=60, cols=60, pixel_mm=2.0)
-    taken = [pssf.simulate(knee, coarse, seed=1) for knee in (near, far)]
+    taken = [pssf.simulate(knee, coarse, rng=1) for knee in (near, far)]
     assert np.array_equal(taken[0].pixels, taken[1].pixels)
     angles = [one.truth.readings["hip_knee_ankle_deg"] for one in taken]
     assert angles[1] - angles[0] == pytest.approx(1.6)
 
 
 def test_people_differ_in_hips_and_nothing_else_is_drawn_otherwise():
-    drawn = [pssf.draw_knee(grade=2, rng=np.random.default_rng(seed), table="people") for seed in range(200)]
+    drawn = [pssf.draw_knee(grade=2, rng=np.random.default_rng(seed), grade_table="population") for seed in range(200)]
     angles = np.array([knee.mechanical_axis_deg for knee in drawn])
     # Five standard errors; two deviations are the farthest, which leaves 0.768 of 0.8.
     assert angles.mean() == pytest.approx(5.4, abs=5 * 0.8 / np.sqrt(200))
     assert angles.std() == pytest.approx(0.768, rel=5 / np.sqrt(2 * 200))
     rng = np.random.default_rng(3)
-    assert pssf.draw_knee(grade=2, rng=rng, table="people", mechanical_axis_deg=5.0) == dataclasses.replace(
+    assert pssf.draw_knee(grade=2, rng=rng, grade_table="population", mechanical_axis_deg=5.0) == dataclasses.replace(
         drawn[3], mechanical_axis_deg=5.0
     )
-    right, left = pssf.draw_pair(grade=2, rng=np.random.default_rng(0), table="people")
+    right, left = pssf.draw_pair(grade=2, rng=np.random.default_rng(0), grade_table="population")
     assert right.mechanical_axis_deg == left.mechanical_axis_deg

@@ -211,7 +211,7 @@ def test_meshes_of_ones_own_are_simulated_from_a_file_that_names_them(tmp_path):
         (("--set", "side=left"), "allowed: one of both"),
         (("--masks",), "allowed: of a knee, or of both"),
         (("--grade", 3), "with grade = 3; allowed: one of both"),
-        (("--grades", "people"), "with grades = people; allowed: one of both"),
+        (("--grade-table", "population"), "with grades = people; allowed: one of both"),
     ):
         refused = run("simulate", "--scene", scene, *arguments, "--out", tmp_path / "p")
         assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
@@ -261,7 +261,7 @@ def test_a_warning_of_the_package_is_one_line(tmp_path):
 
 def test_a_cohort_of_ones_own_size_grades_and_protocols_has_its_masks(protocol_file, tmp_path):
     done = run(
-        *("cohort", "--knees", "0,0,1,1", "--grades", "people", "--protocols", protocol_file, "--masks"),
+        *("cohort", "--knees", "0,0,1,1", "--grade-table", "population", "--protocols", protocol_file, "--masks"),
         *("--workers", 1, "--out", tmp_path / "c"),
     )
     assert done.returncode == 0, done.stderr
@@ -295,7 +295,7 @@ def test_a_cohort_of_ones_own_size_grades_and_protocols_has_its_masks(protocol_f
         (("meshes", "--set", "mas=2"), "pssf: set = mas; allowed: fields of a knee"),
         (("cohort", "--knees", "1,x"), "pssf: knees = '1,x'; allowed: whole numbers with commas"),
         (("cohort", "--knees", "1,1,1", "--bilateral", "5"), "pssf: bilateral = 5 subjects; allowed: "),
-        (("cohort", "--grades", "mine"), "pssf: "),
+        (("cohort", "--grade-table", "mine"), "pssf: "),
         (("simulate", "--knee", "a.toml", "--grade", "2"), "pssf: knee = a.toml, with grade = 2; allowed: one of both"),
         (
             ("simulate", "--protocol", "bilateral", "--border", "marked"),

@@ -163,10 +163,10 @@ def test_presets_are_read_where_a_cohort_is_planned_and_by_nothing_that_makes_on
 
 
 def test_a_plan_and_so_the_claim_of_a_folder_has_all_that_a_preset_says_of_radiographs():
-    one = {"knees": [0, 2, 2], "bilateral": 0, "protocols": ["reference"], "grades": "paper"}
+    one = {"knees": [0, 2, 2], "bilateral": 0, "protocols": ["reference"], "grade_table": "paper"}
     others = {
-        "knees": [2, 0, 2], "bilateral": 1, "protocols": ["low_dose"], "grades": "people", "exposures": "drawn",
-        "doses": [0.5], "tilts_deg": [5.0], "numbered": "by chance",
+        "knees": [2, 0, 2], "bilateral": 1, "protocols": ["low_dose"], "grade_table": "population",
+        "exposures": "drawn", "doses": [0.5], "tilts_deg": [5.0],
     }  # fmt: skip
     assert set(Preset.__struct_fields__) - {"repeats", "retested"} == set(others)
     asked = cohort.plan_cohort("quick", seed=1, overrides=one).table()

@@ -116,7 +116,7 @@ def test_the_number_of_workers_changes_no_byte(protocols, whole_cohort, tmp_path
 def test_a_radiograph_can_be_made_again_from_its_row_alone(protocols, tmp_path):
     row = rows_of(cohort.make_cohort(tiny(protocols, knees=(0, 0, 1)), tmp_path / "c", workers=1))[1]
     kept = pssf.load(tmp_path / "c" / row["file"])
-    again = pssf.simulate(kept.knee, kept.protocol, seed=int(row["seed"]), engine=row["engine"])
+    again = pssf.simulate(kept.knee, kept.protocol, rng=int(row["seed"]), engine=row["engine"])
     assert (again.pixels == kept.pixels).all()
 
 

@@ -102,7 +102,8 @@ def test_a_knee_with_cysts_is_read_back_from_its_table():
 def test_drawn_cysts_are_of_advanced_grades_and_on_the_side_that_narrows():
     drawn = {
         grade: [
-            pssf.draw_knee(grade=grade, rng=np.random.default_rng((9, grade, k)), table="people") for k in range(300)
+            pssf.draw_knee(grade=grade, rng=np.random.default_rng((9, grade, k)), grade_table="population")
+            for k in range(300)
         ]
         for grade in (0, 2, 3, 4)
     }

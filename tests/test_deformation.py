@@ -76,16 +76,16 @@ def test_a_shape_that_is_none_is_refused(shape, line):
 
 
 def test_drawn_scores_are_standard_normal_and_of_a_stream_of_their_own():
-    knees = [pssf.draw_knee(grade=0, rng=np.random.default_rng(seed)) for seed in range(300)]
+    knees = [pssf.draw_knee(grade=0, rng=np.random.default_rng(seed), grade_table="paper") for seed in range(300)]
     scores = np.array([(*knee.shape, *(0.0,) * (MODES - len(knee.shape))) for knee in knees])
     assert np.abs(scores.mean(axis=0)).max() < 4 / np.sqrt(300)
     assert np.abs(scores.std(axis=0) - 1).max() < 0.2
-    held = pssf.draw_knee(grade=0, rng=np.random.default_rng(7), shape=())
+    held = pssf.draw_knee(grade=0, rng=np.random.default_rng(7), shape=(), grade_table="paper")
     assert dataclasses.replace(knees[7], shape=()) == held
 
 
 def test_a_small_osteophyte_on_a_rounded_margin_is_filled_within_its_bone():
     """Its feet stand out of the bone of this drawn knee: their filling was 0.005 mm3 outside, and refused."""
-    built = pssf.build(pssf.draw_knee(grade=2, rng=np.random.default_rng(8)))
+    built = pssf.build(pssf.draw_knee(grade=2, rng=np.random.default_rng(8), grade_table="paper"))
     femur = built.bones["femur"]
     assert (femur.inner - femur.outer).volume() < 1e-6

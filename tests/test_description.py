@@ -10,7 +10,7 @@ import pssf
 
 @pytest.fixture(scope="module")
 def radiograph(built, small):
-    return pssf.simulate(built, small, seed=7)
+    return pssf.simulate(built, small, rng=7)
 
 
 @pytest.mark.parametrize("suffix", [".tif", ".dcm"])
@@ -36,7 +36,7 @@ def test_a_flipped_bit_of_pixels_or_description_is_refused(radiograph, tmp_path,
 def test_a_radiograph_of_a_scene_says_of_which_when_it_is_read_back(small, tmp_path, suffix):
     ball = pssf.Surface(trimesh.creation.icosphere(radius=30), "cortical_bone", "air", "ball")
     scene = pssf.Scene([ball])
-    made = pssf.simulate(scene, small, seed=7)
+    made = pssf.simulate(scene, small, rng=7)
     assert made.scene == scene.table()
     read = pssf.load(pssf.save(made, tmp_path / f"r{suffix}"))
     assert read == made

@@ -59,7 +59,7 @@ def test_a_plan_takes_the_same_knees_at_every_step_each_with_noise_of_its_own():
     ],
 )
 def test_curves_are_of_the_widest_contrast_that_a_cohort_has(counts, knees, grades):
-    people = plan_cohort("people", seed=3, overrides={"knees": counts})
+    people = plan_cohort("population", seed=3, overrides={"knees": counts})
     plan = plan_curves(people, knees=knees, reference="fixed_flexion")
     assert sorted(case.knee.grade for case in plan.cases) == grades
     assert len({case.subject for case in plan.cases}) == knees

@@ -32,7 +32,7 @@ def complaints(path):
 
 @pytest.fixture(scope="module")
 def radiograph(built, small):
-    return pssf.simulate(built, small, seed=7, engine="scanline")
+    return pssf.simulate(built, small, rng=7, engine="scanline")
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +61,7 @@ def test_a_dicom_reads_back_into_the_same_objects(radiograph, tmp_path):
 
 def test_simulating_again_from_a_dicom_gives_the_same_pixels(radiograph, tmp_path):
     back = pssf.load(pssf.save(radiograph, tmp_path / "knee.dcm"))
-    again = pssf.simulate(back.knee, back.protocol, seed=back.seed, engine=back.engine)
+    again = pssf.simulate(back.knee, back.protocol, rng=back.seed, engine=back.engine)
     assert (again.pixels == radiograph.pixels).all()
 
 

@@ -77,7 +77,14 @@ def test_what_covers_bones_is_thicker_by_it_where_the_capsule_reaches_and_nowher
 
 def test_the_most_a_worn_knee_may_have_is_built_and_more_is_refused():
     build(
-        draw_knee(grade=4, rng=np.random.default_rng(5), table="people", effusion_mm=10.0, fat_mm=2.0, limb_ap_mm=90.0)
+        draw_knee(
+            grade=4,
+            rng=np.random.default_rng(5),
+            grade_table="population",
+            effusion_mm=10.0,
+            fat_mm=2.0,
+            limb_ap_mm=90.0,
+        )
     )
     with pytest.raises(InputError, match=r"effusion_mm = 10\.5"):
         Knee(effusion_mm=10.5)
@@ -87,7 +94,9 @@ def test_it_rises_with_the_grade_but_tells_no_grade_from_the_next():
     def swelling(grade, seed, **options):
         return draw_knee(grade=grade, rng=np.random.default_rng(seed), **options).effusion_mm
 
-    by_grade = [np.array([swelling(grade, seed, table="people") for seed in range(200)]) for grade in range(5)]
+    by_grade = [
+        np.array([swelling(grade, seed, grade_table="population") for seed in range(200)]) for grade in range(5)
+    ]
     assert np.all(np.diff([swollen.mean() for swollen in by_grade]) > 0)
     # Three standard errors of an AUC from so many knees.
     error = 3 * np.sqrt(1 / (6 * 200))

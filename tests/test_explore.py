@@ -76,7 +76,7 @@ def test_noise_alone_is_drawn_again_for_another_seed(warm):
     warm.exposed(Knee(), small(), 0)
     made = warm.exposed(Knee(), small(), 1)
     assert set(made.seconds) == {"anatomy", "rays", "quantum noise", "detector blur", "readout"}
-    assert (made.image.pixels == simulate(made.built, small(), seed=1, engine=ENGINE).pixels).all()
+    assert (made.image.pixels == simulate(made.built, small(), rng=1, engine=ENGINE).pixels).all()
 
 
 OTHER = {
@@ -95,7 +95,7 @@ FULL = {"grid_ratio": 8.0, "marker": "L", "dead_pixels": 0.005, "field_width_mm"
 
 @pytest.fixture(scope="module")
 def full_pixels():
-    return pssf.simulate(Knee(), small(**FULL), seed=3, engine=ENGINE).pixels
+    return pssf.simulate(Knee(), small(**FULL), rng=3, engine=ENGINE).pixels
 
 
 @pytest.mark.parametrize("name", [one.name for one in dataclasses.fields(pssf.Protocol) if one.name != "apart_mm"])
@@ -105,7 +105,7 @@ def test_whatever_field_changes_the_pixels_are_those_of_simulate(name, warm, ful
     after = dataclasses.replace(before, **{name: OTHER[name]})
     warm.exposed(Knee(), before, 3)
     made = warm.exposed(Knee(), after, 3)
-    assert (made.image.pixels == simulate(made.built, after, seed=3, engine=ENGINE).pixels).all()
+    assert (made.image.pixels == simulate(made.built, after, rng=3, engine=ENGINE).pixels).all()
     assert (warm.exposed(Knee(), before, 3).image.pixels == full_pixels).all()
 
 
@@ -113,7 +113,7 @@ def test_whatever_field_changes_the_pixels_are_those_of_simulate(name, warm, ful
 def test_another_seed_gives_the_pixels_of_simulate_with_every_kind_of_scatter(changes, warm):
     for seed in (1, 2, 1):
         made = warm.exposed(Knee(), small(**changes), seed)
-        assert (made.image.pixels == simulate(made.built, small(**changes), seed=seed, engine=ENGINE).pixels).all()
+        assert (made.image.pixels == simulate(made.built, small(**changes), rng=seed, engine=ENGINE).pixels).all()
 
 
 def test_what_is_given_up_stops_before_its_next_stage_and_leaves_nothing_wrong():
@@ -214,7 +214,7 @@ def test_a_file_holds_the_radiograph_with_all_its_pixels(kind, warm, tmp_path):
     path = tmp_path / header["name"]
     path.write_bytes(content)
     loaded = pssf.load(path)
-    assert loaded == pssf.simulate(Knee(), small(), seed=4, engine=ENGINE)
+    assert loaded == pssf.simulate(Knee(), small(), rng=4, engine=ENGINE)
 
 
 def test_tables_of_knee_and_protocol_give_them_back(warm, tmp_path):
@@ -320,7 +320,7 @@ def site():
 def test_pixels_of_the_server_are_those_of_simulate(site):
     header, pixels = site.shot(seed=7)
     assert header["whole"]
-    assert (pixels == pssf.simulate(Knee(), small(), seed=7, engine=ENGINE).pixels).all()
+    assert (pixels == pssf.simulate(Knee(), small(), rng=7, engine=ENGINE).pixels).all()
     coarse, _ = site.shot(side=32)
     assert (coarse["rows"], coarse["whole"], coarse["truth"]) == (32, False, None)
     assert site.shot(seed=8)[0]["rays_traced"] == 0
@@ -436,7 +436,7 @@ def test_a_killed_worker_comes_back(site):
     os.kill(before, signal.SIGKILL)
     header, pixels = site.shot(seed=9)
     assert header["rays_traced"] > 0
-    assert (pixels == pssf.simulate(Knee(), small(), seed=9, engine=ENGINE).pixels).all()
+    assert (pixels == pssf.simulate(Knee(), small(), rng=9, engine=ENGINE).pixels).all()
     assert header["process"] != before
 
 

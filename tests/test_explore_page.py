@@ -41,7 +41,7 @@ def fragment(**changes):
 
 def expected(knee=None, seed=0, **changes):
     protocol = dataclasses.replace(pssf.load_protocol("reference"), **{**SMALL, **changes})
-    return pssf.simulate(knee or pssf.Knee(), protocol, seed=seed, engine=ENGINE).pixels
+    return pssf.simulate(knee or pssf.Knee(), protocol, rng=seed, engine=ENGINE).pixels
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from pssf.io import atomic, images, meshes, records
 
 @pytest.fixture(scope="module")
 def radiograph(built, small):
-    return pssf.simulate(built, small, seed=7)
+    return pssf.simulate(built, small, rng=7)
 
 
 def test_a_tiff_reads_back_into_the_same_objects(radiograph, tmp_path):
@@ -30,7 +30,7 @@ def test_a_tiff_reads_back_into_the_same_objects(radiograph, tmp_path):
 
 def test_simulating_again_from_a_file_gives_the_same_pixels(radiograph, tmp_path):
     back = pssf.load(pssf.save(radiograph, tmp_path / "knee.tif"))
-    assert (pssf.simulate(back.knee, back.protocol, seed=back.seed).pixels == radiograph.pixels).all()
+    assert (pssf.simulate(back.knee, back.protocol, rng=back.seed).pixels == radiograph.pixels).all()
 
 
 def test_a_tiff_says_its_pixel_size_and_versions(radiograph, tmp_path):

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from scipy.stats import mannwhitneyu
+from msgspec import structs
+from scipy.stats import mannwhitneyu, spearmanr
 
 import pssf
 from pssf import InputError
 from pssf.cohort import plan_cohort
-from pssf.data.grades import grade_table, grade_tables
+from pssf.data.grade_tables import grade_table, grade_tables
 from pssf.data.landmarks import landmark_reference
 from pssf.model.severity import read_grade
 
@@ -19,7 +20,8 @@ MARGINS = ("medial_femur", "lateral_femur", "medial_tibia", "lateral_tibia")
 def people():
     return {
         grade: [
-            pssf.draw_knee(grade=grade, rng=np.random.default_rng((grade, k)), table="people") for k in range(COUNT)
+            pssf.draw_knee(grade=grade, rng=np.random.default_rng((grade, k)), grade_table="population")
+            for k in range(COUNT)
         ]
         for grade in range(5)
     }
@@ -30,9 +32,9 @@ def definite(knee):
 
 
 def test_tables_of_the_package_have_their_grades():
-    assert grade_tables() == ["paper", "people"]
+    assert grade_tables() == ["paper", "population"]
     assert grade_table("paper").grades == (0, 1, 2)
-    assert grade_table("people").grades == (0, 1, 2, 3, 4)
+    assert grade_table("population").grades == (0, 1, 2, 3, 4)
 
 
 def test_a_grade_is_what_kellgren_and_lawrence_say(people):
@@ -113,15 +115,18 @@ def test_a_reader_is_off_by_one_at_most_and_as_often_as_kappa_says(kappa):
 
 
 def test_a_table_changes_one_value_of_its_base_and_no_other_draw():
-    paper, people = grade_table("paper"), grade_table("people")
+    paper, people = grade_table("paper"), grade_table("population")
     assert list(people.body) == list(paper.body)
     assert {name for name in paper.body if paper.body[name] != people.body[name]} == {"tibial_slope_deg"}
 
 
 def test_bone_is_denser_and_bodies_heavier_with_grade_by_what_the_table_says():
-    rest = grade_table("people").rest
+    rest = grade_table("population").rest
     knees = [
-        [pssf.draw_knee(grade=grade, rng=np.random.default_rng(seed), table="people", sex="male") for seed in range(20)]
+        [
+            pssf.draw_knee(grade=grade, rng=np.random.default_rng(seed), grade_table="population", sex="male")
+            for seed in range(20)
+        ]
         for grade in (0, 3)
     ]
     more = [rest.density_more[3] - rest.density_more[0], rest.bmi_more[3] - rest.bmi_more[0]]
@@ -141,17 +146,19 @@ largest_osteophyte_mm = [0.0, 0.0]
 subchondral_plate = [1.0, 1.0]
 varus_deg = [0.0, 0.0]
 """)
-    knee = pssf.draw_knee(grade=0, rng=np.random.default_rng(1), table=str(own))
+    knee = pssf.draw_knee(grade=0, rng=np.random.default_rng(1), grade_table=str(own))
     assert 6.0 <= knee.jsw_medial_mm <= 6.5
-    usual = pssf.draw_knee(grade=0, rng=np.random.default_rng(1))
+    usual = pssf.draw_knee(grade=0, rng=np.random.default_rng(1), grade_table="paper")
     assert (knee.stature_mm, knee.shape, knee.texture_seed) == (usual.stature_mm, usual.shape, usual.texture_seed)
 
 
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ('base = "paper"\n', "missing required field"),
-        ('base = "nobody"\n', "grades = 'nobody'; allowed: paper, people"),
+        ('base = "paper"\n[grade.3]\njsw_medial_mm = [1.0, 2.0]\n', "missing required field"),
+        ('base = "nobody"\n', "grade_table must be paper, population, or the path"),
+        ('base = "own.toml"\n', "must not lead back to itself"),
+        ("base = 3\n", "must be the name or path of a table, got 3"),
         ("body = 3\n", "grades own.toml"),
     ],
 )
@@ -159,13 +166,61 @@ def test_what_is_no_table_of_grades_is_refused(tmp_path, text, said):
     own = tmp_path / "own.toml"
     own.write_text(text)
     with pytest.raises(InputError, match=said):
-        pssf.draw_knee(grade=0, rng=np.random.default_rng(1), table=str(own))
+        pssf.draw_knee(grade=0, rng=np.random.default_rng(1), grade_table=str(own))
 
 
 def test_a_grade_or_table_that_there_is_not_is_refused():
-    with pytest.raises(InputError, match="grade = 3; allowed: whole numbers from 0 to 2"):
-        pssf.draw_knee(grade=3, rng=np.random.default_rng(1))
-    with pytest.raises(InputError, match="grades = 'nobody'"):
-        pssf.draw_knee(grade=0, rng=np.random.default_rng(1), table="nobody")
-    with pytest.raises(InputError, match="grades"):
-        plan_cohort("quick", seed=1, overrides={"knees": [1, 1, 1, 1], "grades": "paper"})
+    with pytest.raises(InputError, match=r"grade must be one of 0, 1, 2 .* got 3: grade table population has it"):
+        pssf.draw_knee(grade=3, rng=np.random.default_rng(1), grade_table="paper")
+    with pytest.raises(InputError, match="grade_table must be paper, population"):
+        pssf.draw_knee(grade=0, rng=np.random.default_rng(1), grade_table="nobody")
+    with pytest.raises(InputError, match="got knees of grade 3: grade table population has grade 3"):
+        plan_cohort("quick", seed=1, overrides={"knees": [1, 1, 1, 1], "grade_table": "paper"})
+
+
+def test_the_default_table_has_all_grades_and_earlier_names_still_work():
+    assert pssf.draw_knee(grade=4, rng=1).grade_table == "population"
+    with pytest.warns(DeprecationWarning, match="table is now grade_table"):
+        earlier = pssf.draw_knee(grade=2, rng=1, table="paper")
+    assert earlier == pssf.draw_knee(grade=2, rng=1, grade_table="paper")
+    grade_table.cache_clear()
+    with pytest.warns(DeprecationWarning, match="'people' is now 'population'"):
+        earlier = pssf.draw_knee(grade=2, rng=1, grade_table="people")
+    assert earlier == pssf.draw_knee(grade=2, rng=1)
+    with pytest.warns(DeprecationWarning, match="preset 'people' is now 'population'"):
+        assert plan_cohort("people", seed=1, overrides={"knees": [1, 1]}).preset == "population"
+
+
+def test_a_table_with_a_base_gives_only_what_differs(tmp_path):
+    own = tmp_path / "own.toml"
+    own.write_text('base = "paper"\n[grade.0]\njsw_medial_mm = [6.0, 6.5]\n[pose]\nrotation_deg = [1.0, 1.0]\n')
+    table, paper = grade_table(str(own)), grade_table("paper")
+    assert table.grades == paper.grades
+    assert table.grade["0"].jsw_medial_mm == (6.0, 6.5)
+    assert table.grade["0"].jsw_lateral_mm == paper.grade["0"].jsw_lateral_mm
+    assert (table.grade["2"], table.body, table.pose["flexion_deg"]) == (
+        paper.grade["2"], paper.body, paper.pose["flexion_deg"],
+    )  # fmt: skip
+    assert pssf.draw_knee(grade=1, rng=3, grade_table=str(own)).rotation_deg == 1.0
+    more = tmp_path / "more.toml"
+    more.write_text('base = "own.toml"\n[grade.3]\n' + "\n".join(
+        f"{name} = {list(value)}" for name, value in structs.asdict(paper.grade["2"]).items()
+    ))  # fmt: skip
+    assert grade_table(str(more)).grades == (0, 1, 2, 3)
+    assert grade_table(str(more)).grade["0"] == table.grade["0"]
+    by_severity = tmp_path / "severity.toml"
+    by_severity.write_text('base = "population"\n[rest]\nwomen = [0.0, 0.0, 0.0, 0.0, 0.0]\n')
+    changed, population = grade_table(str(by_severity)), grade_table("population")
+    assert changed.rest.women == (0.0,) * 5
+    assert (changed.rest.plate, changed.spaces, changed.body) == (
+        population.rest.plate, population.spaces, population.body,
+    )  # fmt: skip
+
+
+def test_the_number_of_a_subject_predicts_no_grade():
+    for preset, count in (("quick", 24), ("paper", 180), ("population", 250)):
+        plan = plan_cohort(preset, seed=0)
+        numbers, grades = zip(*((case.subject, case.knee.grade) for case in plan.cases), strict=True)
+        assert sorted(set(numbers)) == list(range(count))
+        # The rank correlation of independent numbers has a standard deviation of 1 / sqrt(n - 1).
+        assert abs(spearmanr(numbers, grades).statistic) < 4 / np.sqrt(len(numbers) - 1)

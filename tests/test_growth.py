@@ -57,7 +57,7 @@ def test_growth_raises_the_eminence_and_lowers_the_notch_and_joint_spaces_stay()
 
 
 def test_a_narrow_joint_of_a_worn_knee_with_spikes_has_room_for_it():
-    knee = draw_knee(grade=4, rng=np.random.default_rng(5), table="people")
+    knee = draw_knee(grade=4, rng=np.random.default_rng(5), grade_table="population")
     build(dataclasses.replace(knee, notch_growth_mm=MOST_MM))
 
 
@@ -71,7 +71,9 @@ def grown_mm(grade, seed, **options):
 
 
 def test_it_grows_with_the_grade_but_tells_no_grade_from_the_next():
-    by_grade = [np.array([grown_mm(grade, seed, table="people") for seed in range(200)]) for grade in range(5)]
+    by_grade = [
+        np.array([grown_mm(grade, seed, grade_table="population") for seed in range(200)]) for grade in range(5)
+    ]
     assert np.all(np.diff([grown.mean() for grown in by_grade]) > 0)
     # Three standard errors of an AUC from so many knees.
     error = 3 * np.sqrt(1 / (6 * 200))

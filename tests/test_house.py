@@ -25,6 +25,7 @@ DOORS = {
     # Names become the records that formulas are given.
     "anatomy/joint.py": "defining_protocol",
     "model/draw.py": "draw_laws",
+    "model/kellgren_lawrence.py": "require_grade",
     "radiomics/tables.py": "radiomics_tables",
     "study/tables.py": "laws_of study_tables",
     "xray/technique.py": "technique_of",

@@ -73,7 +73,7 @@ def test_contours_go_on_where_a_run_broke_off_and_are_those_of_a_run_that_did_no
 
 def test_kept_contours_are_those_that_are_made_bit_for_bit(counted, tmp_path):
     protocol = pssf.load_protocol("reference")
-    knees = run.draw_knees(run.draw_laws("people"), 2, 4, side="right", jsw_as="read")
+    knees = run.draw_knees(run.draw_laws("population"), 2, 4, side="right", jsw_as="read")
     given = [(knee, protocol) for knee in knees], anatomy_tables(), run.defining_protocol(knees[0])
     kept = KeptRows(path=tmp_path / "knees.csv", code={"a": "b"})
     made, first, again = (contours.drawn_landmarks(*given, 1, where) for where in (None, kept, kept))

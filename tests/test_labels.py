@@ -23,15 +23,22 @@ OF_SPACES = [
     *("LJSW700", "LJSW725", "LJSW750", "LJSW775", "LJSW800", "LJSW825", "LJSW850", "LJSW875", "LJSW900"),
 ]
 OURS = [
-    *("jsw_medial_mm", "jsw_lateral_mm", "attrition_medial_mm", "attrition_lateral_mm"),
-    *("femorotibial_deg", "tibial_slope_deg", "insall_salvati", "jsw_least_lateral_mm", "inter_margin_mm"),
+    *(
+        "jsw_medial_mm",
+        "jsw_lateral_mm",
+        "nominal_jsw_medial_mm",
+        "nominal_jsw_lateral_mm",
+        "attrition_medial_mm",
+        "attrition_lateral_mm",
+    ),
+    *("femorotibial_deg", "tibial_slope_deg", "insall_salvati", "inter_margin_mm"),
 ]
 
 
 @pytest.fixture(scope="module")
 def made(small_protocols, tmp_path_factory):
     folder = tmp_path_factory.mktemp("made") / "cohort"
-    drawn = {"knees": [1, 1], "protocols": small_protocols[:1], "grades": "people"}
+    drawn = {"knees": [1, 1], "protocols": small_protocols[:1], "grade_table": "population"}
     make_cohort(plan_cohort("quick", seed=5, overrides=drawn), folder)
     return folder
 
@@ -58,7 +65,7 @@ def test_labels_of_a_cohort_are_read_back_as_the_field_reads_them(made, tmp_path
             assert seen == 2
         picture = tmp_path / "labels" / "images" / files[annotation["image_id"]]
         assert picture.parent.name == made_row["grade"]
-        assert made_row["grade_table"] == "people"
+        assert made_row["grade_table"] == "population"
         reading = rows[made_row["radiograph"]]
         assert reading["SIDE"] == {"right": "1", "left": "2"}[made_row["side"]]
         assert float(reading["attrition_medial_mm"]) == float(made_row["truth_attrition_medial_mm"])
@@ -69,7 +76,9 @@ def test_labels_of_a_cohort_are_read_back_as_the_field_reads_them(made, tmp_path
         assert float(reading["LJSW850"]) == pytest.approx(truth.jsw_at_mm[0.850], abs=1e-4)
         assert float(reading["jsw_medial_mm"]) == pytest.approx(truth.jsw_medial_mm, abs=1e-4)
         assert float(reading["jsw_lateral_mm"]) == pytest.approx(truth.jsw_lateral_mm, abs=1e-4)
-        assert float(reading["MCMJSW"]) == truth.readings["jsw_least_medial_mm"]
+        assert float(reading["MCMJSW"]) == float(made_row["jsw_medial_mm"]) == truth.jsw_medial_mm
+        assert float(reading["nominal_jsw_medial_mm"]) == float(made_row["nominal_jsw_medial_mm"])
+        assert annotation["attributes"]["jsw_medial_mm"] == truth.jsw_medial_mm
         assert float(reading["HKANGLE"]) == pytest.approx(180 - truth.readings["hip_knee_ankle_deg"], abs=1e-3)
         # The manifest and the radiograph itself tell them, too.
         assert float(made_row["grade_read"]) == truth.grade_read == float(reading["XRKL_READ"])

@@ -104,7 +104,7 @@ def test_a_crop_whose_patch_leaves_it_is_found():
 def simulated(built, small):
     """A knee's radiograph on 256 x 256 pixels, the same leg without bones, and the standard knee to look for."""
     soft = pssf.Scene([s for s in built.scene.surfaces if s.name in ("skin", "adipose", "muscle")])
-    whole, bare = (pssf.simulate(what, small, seed=1, engine="scanline") for what in (built, soft))
+    whole, bare = (pssf.simulate(what, small, rng=1, engine="scanline") for what in (built, soft))
     standard = pssf.simulate(pssf.Knee(), small, engine="scanline", keep=("noise_free",))
     row, col = standard.truth.medial_joint_line_px
     template = Template(pixels=standard.kept["noise_free"], row=row, col=col, pixel_mm=small.pixel_mm, plateau_mm=94.0)

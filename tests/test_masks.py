@@ -14,7 +14,7 @@ SUFFIXES = (".tif", ".dcm")
 
 @pytest.fixture(scope="module")
 def radiograph(built, small):
-    return pssf.simulate(built, small, seed=7, engine="scanline", keep=("masks",))
+    return pssf.simulate(built, small, rng=7, engine="scanline", keep=("masks",))
 
 
 @pytest.fixture(scope="module")

@@ -27,8 +27,8 @@ def regions() -> list[np.ndarray]:
     """(192, 192) about the medial joint line of three knees, one a grade, under three protocols."""
     found = []
     for grade, name in enumerate(("reference", "low_dose", "geometry_shift")):
-        knee = pssf.draw_knee(grade=grade, rng=np.random.default_rng(grade))
-        radiograph = pssf.simulate(knee, pssf.load_protocol(name), seed=grade, engine="scanline")
+        knee = pssf.draw_knee(grade=grade, rng=np.random.default_rng(grade), grade_table="paper")
+        radiograph = pssf.simulate(knee, pssf.load_protocol(name), rng=grade, engine="scanline")
         row, col = (round(at) - SIZE // 2 for at in radiograph.truth.medial_joint_line_px)
         found.append(radiograph.pixels[row : row + SIZE, col : col + SIZE])
     # Of one the edges of all bins are whole grey values, whatever chance gave its brightest pixel.

@@ -59,7 +59,7 @@ def test_labels_of_both_lie_where_their_masks_end(pair):
 
 
 def test_a_radiograph_of_both_comes_back_from_a_file(pair, tmp_path):
-    one = pssf.simulate(pair, SMALL, engine="scanline", seed=4)
+    one = pssf.simulate(pair, SMALL, engine="scanline", rng=4)
     assert one.knee is None
     assert one.truth is None
     assert [knee.side for knee in one.knees] == ["right", "left"]
@@ -104,7 +104,7 @@ def test_legs_that_overlap_are_refused_with_the_room_they_need(pair):
 
 
 def test_a_drawn_pair_is_of_one_body_and_each_knee_has_a_joint_of_its_own():
-    right, left = pssf.draw_pair(grade=3, rng=np.random.default_rng(5), table="people")
+    right, left = pssf.draw_pair(grade=3, rng=np.random.default_rng(5), grade_table="population")
     assert (right.side, left.side) == ("right", "left")
     assert right.grade == left.grade == 3
     for name in (
@@ -121,7 +121,7 @@ def test_a_drawn_pair_is_of_one_body_and_each_knee_has_a_joint_of_its_own():
         assert getattr(right, name) == getattr(left, name), name
     for name in ("jsw_medial_mm", "texture_seed", "flexion_deg", "osteophytes"):
         assert getattr(right, name) != getattr(left, name), name
-    assert pssf.draw_pair(grade=3, rng=np.random.default_rng(5), table="people") == (right, left)
-    held = pssf.draw_pair(grade=3, rng=np.random.default_rng(5), table="people", bmi=31.0)
+    assert pssf.draw_pair(grade=3, rng=np.random.default_rng(5), grade_table="population") == (right, left)
+    held = pssf.draw_pair(grade=3, rng=np.random.default_rng(5), grade_table="population", bmi=31.0)
     assert held[0].bmi == held[1].bmi == 31.0
     assert held[0].limb_ap_mm == held[1].limb_ap_mm != right.limb_ap_mm

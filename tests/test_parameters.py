@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from scipy.stats import spearmanr
 
-from pssf.data.grades import grade_table
+from pssf.data.grade_tables import grade_table
 from pssf.io.records import read_manifest
 from pssf.study.statistics.parameters import composition, follows, morphology, parameters_of, strongest
 from pssf.study.tables import laws_of
@@ -73,10 +73,14 @@ def test_ranges_are_of_the_table_that_the_manifest_names():
     laws = laws_of(told)
     assert laws.grades == grade_table("paper")
     assert morphology(parameters_of(told), laws.grades)["low"].notna().any()
-    for other in (manifest(), told.assign(grade_table="gone.toml"), told.assign(grade_table=["paper", "people"] * 12)):
+    for other in (
+        manifest(),
+        told.assign(grade_table="gone.toml"),
+        told.assign(grade_table=["paper", "population"] * 12),
+    ):
         assert laws_of(other) is None
     assert morphology(parameters_of(told), None)["low"].isna().all()
-    assert morphology(parameters_of(told), grade_table("people"))["low"].isna().all()
+    assert morphology(parameters_of(told), grade_table("population"))["low"].isna().all()
 
 
 @pytest.mark.filterwarnings("error")

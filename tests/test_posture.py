@@ -166,6 +166,6 @@ def test_what_is_no_protocol_is_refused():
 @pytest.mark.parametrize("flexion_deg", [10.0, 40.0])
 @pytest.mark.parametrize("seed", range(2))
 def test_drawn_knees_can_be_bent(flexion_deg, seed):
-    knee = pssf.draw_knee(grade=2, rng=np.random.default_rng(seed))
+    knee = pssf.draw_knee(grade=2, rng=np.random.default_rng(seed), grade_table="paper")
     protocol = dataclasses.replace(FIXED_FLEXION, flexion_deg=flexion_deg, **SMALL)
     assert pssf.build(knee, protocol).scene.surfaces

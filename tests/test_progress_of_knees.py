@@ -8,20 +8,27 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pssf
-from pssf import InputError, Knee
-from pssf.data.grades import grade_table
+from pssf import InputError, Knee, Osteophyte
+from pssf.data.grade_tables import grade_table
 from pssf.data.oarsi import oarsi_cuts
 from pssf.data.progress import progress_law
 from pssf.model.knee import knee_table
 
 GROWS = {"jsw_medial_mm": -1, "jsw_lateral_mm": -1, "subchondral_plate": 1, "age_years": 1, "osteophyte_count": 1,
-         "largest_osteophyte_mm": 1, "notch_growth_mm": 1, "effusion_mm": 1, "grade": 1}  # fmt: skip
+         "largest_osteophyte_mm": 1, "notch_growth_mm": 1, "effusion_mm": 1, "grade_change": 1}  # fmt: skip
 CHANGED = {"jsw_medial_mm", "jsw_lateral_mm", "subchondral_plate", "age_years", "varus_deg", "osteophytes",
            "notch_growth_mm", "effusion_mm", "grade", "grade_read"}  # fmt: skip
 
 
-def drawn(grade, seed, table="people"):
-    return pssf.draw_knee(grade=grade, rng=np.random.default_rng((grade, seed)), table=table)
+def drawn(grade, seed, grade_table="population"):
+    return pssf.draw_knee(grade=grade, rng=np.random.default_rng((grade, seed)), grade_table=grade_table)
+
+
+def of_grade(grade):
+    """A knee built by hand that a KL grade fits."""
+    beak = () if grade < 2 else (Osteophyte(site="medial_tibia", size_mm=2.0),)
+    space = dict(jsw_medial_mm=4.0 if grade < 3 else 2.0, jsw_lateral_mm=4.5)
+    return Knee(jsw_as="read", osteophytes=beak, grade=grade, **space)
 
 
 @given(grade=st.integers(0, 4), seed=st.integers(0, 2**20), years=st.floats(0, 30))
@@ -49,9 +56,9 @@ def test_a_knee_of_no_years_is_the_knee_and_a_course_is_one_course():
 @pytest.mark.parametrize("grade", range(5))
 def test_the_loss_of_a_year_is_that_of_its_grade_and_grades_rise_with_it(grade):
     law, count = progress_law(), 400
-    knee = dataclasses.replace(Knee(jsw_as="read", jsw_medial_mm=4.0, jsw_lateral_mm=4.5), grade=grade)
+    knee = of_grade(grade)
     later = [pssf.progress(knee, 1.0, np.random.default_rng(seed)) for seed in range(count)]
-    lost = [max(4.0 - one.jsw_medial_mm, 4.5 - one.jsw_lateral_mm) for one in later]
+    lost = [max(knee.jsw_medial_mm - one.jsw_medial_mm, knee.jsw_lateral_mm - one.jsw_lateral_mm) for one in later]
     mean, sd = law.loss_mm[grade]
     assert abs(np.mean(lost) - mean) < 4 * sd / np.sqrt(count)
     assert 0.06 <= mean <= 0.19
@@ -86,7 +93,7 @@ def test_no_drawn_knee_has_stepped_up_before_it_begins():
 
 
 def test_spaces_that_are_lost_are_lost_of_those_of_the_table_of_people():
-    laws, cuts = grade_table("people").spaces, oarsi_cuts()
+    laws, cuts = grade_table("population").spaces, oarsi_cuts()
     assert cuts.healthy_mm["read"] == tuple(mean for mean, _ in laws.medial["0"])
     assert cuts.men_more_mm["read"] == laws.men_more_mm
     narrows = ((laws.medial, cuts.healthy_mm["read"][0]), (laws.lateral, cuts.healthy_mm["read"][1]))
@@ -98,10 +105,10 @@ def test_spaces_that_are_lost_are_lost_of_those_of_the_table_of_people():
 @pytest.mark.parametrize("grade", range(5))
 def test_notch_and_swelling_grow_by_the_law_of_the_grade(grade):
     law, count = progress_law(), 400
-    later = [pssf.progress(Knee(grade=grade), 1.0, np.random.default_rng(seed)) for seed in range(count)]
+    later = [pssf.progress(of_grade(grade), 1.0, np.random.default_rng(seed)) for seed in range(count)]
     for name, (mean, sd) in (("notch_growth_mm", law.notch_mm[grade]), ("effusion_mm", law.swelling_mm[grade])):
         assert abs(np.mean([getattr(one, name) for one in later]) - mean) < 4 * sd / np.sqrt(count)
-    held = pssf.progress(dataclasses.replace(Knee(grade=grade), effusion_mm=9.5), 20.0, np.random.default_rng(0))
+    held = pssf.progress(dataclasses.replace(of_grade(grade), effusion_mm=9.5), 20.0, np.random.default_rng(0))
     assert held.effusion_mm == 9.5
 
 
@@ -115,7 +122,7 @@ def test_a_side_that_falls_in_leans_the_leg_to_it():
 def test_what_is_no_course_is_refused():
     for arguments, match in (
         ((Knee(), -1.0, np.random.default_rng(0)), "years = -1"),
-        ((Knee(), 1.0, 7), "rng = 7"),
+        ((Knee(), 1.0, "7"), "rng must be a whole number"),
         (("knee", 1.0, np.random.default_rng(0)), "knee = 'knee'"),
         ((Knee(age_years=95.0), 10.0, np.random.default_rng(0)), "age_years = 105"),
     ):

@@ -181,12 +181,12 @@ def test_bones_of_another_name_are_refused():
 
 
 def test_built_bones_are_closed_and_differ_by_what_is_drawn():
-    drawn = bones.drawn_bones(draw_laws("people"), anatomy_tables(), 2, seed=4)
+    drawn = bones.drawn_bones(draw_laws("population"), anatomy_tables(), 2, seed=4)
     for name, mesh in bones.built_bones(pssf.Knee(), anatomy_tables()).items():
         assert mesh.as_trimesh().is_watertight
         assert len(drawn[name]) == 2
         assert abs(np.ptp(drawn[name][0].vertices[:, 0]) - np.ptp(drawn[name][1].vertices[:, 0])) > 0.01
-    for name, mesh in bones.drawn_bones(draw_laws("people"), anatomy_tables(), 3, seed=4).items():
+    for name, mesh in bones.drawn_bones(draw_laws("population"), anatomy_tables(), 3, seed=4).items():
         assert_array_equal(mesh[1].vertices, drawn[name][1].vertices)
     tilted = bones.built_bones(dataclasses.replace(pssf.Knee(), tibial_slope_deg=9.0), anatomy_tables())["tibia"]
     plain = bones.built_bones(pssf.Knee(), anatomy_tables())["tibia"]

@@ -40,7 +40,7 @@ def archive(path, people):
 
 def measured(folder, out):
     done = pssf_command(
-        "realism", "--bones", folder, "--knees", "6", "--grades", "paper", "--workers", "1", "--out", out
+        "realism", "--bones", folder, "--knees", "6", "--grade-table", "paper", "--workers", "1", "--out", out
     )
     assert done.returncode == 0, done.stderr
     return done, pd.read_csv(out / "bones.csv").set_index(["bone", "what"])
@@ -118,7 +118,7 @@ def empty_kind(folder, people):
 def test_what_is_no_folder_of_bones_is_one_line_and_leaves_nothing(given, line, people, tmp_path):
     given(tmp_path / "given", people)
     done = pssf_command(
-        "realism", "--bones", tmp_path / "given", "--knees", "6", "--grades", "paper", "--out", tmp_path / "o"
+        "realism", "--bones", tmp_path / "given", "--knees", "6", "--grade-table", "paper", "--out", tmp_path / "o"
     )
     assert done.returncode == 2
     assert done.stderr.startswith("pssf: ")

@@ -122,7 +122,7 @@ def test_a_single_knee_or_an_unknown_grade_is_refused():
 
 
 def landmarks_of_drawn(count, seed, protocol):
-    knees = draw_knees(draw_laws("people"), count, seed, side="right", jsw_as="read")
+    knees = draw_knees(draw_laws("population"), count, seed, side="right", jsw_as="read")
     takings = [(knee, protocol) for knee in knees]
     return contours.drawn_landmarks(takings, anatomy_tables(), defining_protocol(knees[0]))
 
@@ -131,7 +131,7 @@ def test_drawn_landmarks_are_the_labels_of_the_knee_that_is_built():
     protocol = pssf.load_protocol("caudal_beam")
     sample = landmarks_of_drawn(1, 3, protocol)
     rng = np.random.default_rng(np.random.SeedSequence(3, spawn_key=(0,)))
-    knee = pssf.draw_knee(grade=0, rng=rng, table="people", side="left")
+    knee = pssf.draw_knee(grade=0, rng=rng, grade_table="population", side="left")
     labels = pssf.build(knee).truth(protocol).landmarks_px
     of_left = contours.film_mm(labels, "left", protocol.pixel_mm)
     assert_allclose(*(contours.plateau_frame(one[None])[0] for one in (of_left, sample.places_mm[0])), atol=1e-6)
@@ -210,7 +210,7 @@ def test_the_gap_alone_tells_grades_apart_as_it_does_people_and_nothing_is_said_
 
 @pytest.mark.slow  # 300 knees are posed: two minutes on two cores
 def test_joint_gaps_of_drawn_knees_are_peoples_grade_by_grade():
-    count, drawn = 60, draw_knees(draw_laws("people"), 300, 0, side="right", jsw_as="read")
+    count, drawn = 60, draw_knees(draw_laws("population"), 300, 0, side="right", jsw_as="read")
     protocol = pssf.load_protocol("fixed_flexion")
     takings = contours.takings_of(drawn, partial(pssf.draw_exposure, protocol, side="right"), 0)
     sample = contours.drawn_landmarks(takings, anatomy_tables(), defining_protocol(drawn[0]), 2)

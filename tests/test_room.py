@@ -41,7 +41,7 @@ def test_what_is_not_in_the_picture_needs_no_room(bent, too_near):
 
 
 def test_a_cohort_takes_people_whom_a_detector_is_too_near_and_tells_where_they_stood(too_near, tmp_path):
-    plan = cohort.plan_cohort("people", seed=1, overrides={"knees": [1, 0, 0, 0, 0]})
+    plan = cohort.plan_cohort("population", seed=1, overrides={"knees": [1, 0, 0, 0, 0]})
     (case,) = plan.cases
     near = tuple(replace(one, protocol=too_near) for one in case.exposures)
     manifest = cohort.make_cohort(replace(plan, cases=(replace(case, exposures=near),)), tmp_path / "c", workers=1)

@@ -23,7 +23,7 @@ def separability(table, **how):
 
 @pytest.fixture(scope="module")
 def people():
-    return separability("people", knees=600, seed=3).set_index(["grades", "known", "how"])
+    return separability("population", knees=600, seed=3).set_index(["grades", "known", "how"])
 
 
 def test_spaces_of_the_papers_table_tell_its_grades_and_those_of_people_do_not(people):
@@ -46,8 +46,8 @@ def test_all_parameters_tell_more_than_spaces_alone_and_later_grades_more_than_e
 @pytest.mark.slow
 def test_twice_as_many_knees_tell_no_more_than_the_interval_says_and_ends_of_laws_are_part_of_what_is_told():
     """Of the grades that are told worst; knees of the others are not drawn. Of 1,000 knees in all it fails."""
-    pair = 2 * learn.KNEES // len(draw_laws("people").grades.grades)
-    worse, rng, laws = np.arange(2 * pair) % 2 == 1, np.random.default_rng(7), draw_laws("people")
+    pair = 2 * learn.KNEES // len(draw_laws("population").grades.grades)
+    worse, rng, laws = np.arange(2 * pair) % 2 == 1, np.random.default_rng(7), draw_laws("population")
     table = parameter_table([drawn_knee(laws, grade=int(one), rng=rng) for one in worse], MODES)
     half, whole = (told(table[:count], worse[:count]) for count in (pair, 2 * pair))
     assert half["low"] <= whole["auc"] <= half["high"]
@@ -85,11 +85,11 @@ def test_no_grade_nor_texture_is_among_what_is_known():
 
 def test_too_few_knees_are_refused():
     with pytest.raises(InputError, match="knees = 20"):
-        separability("people", knees=20)
+        separability("population", knees=20)
 
 
 def test_the_command_prints_a_table_and_writes_it(tmp_path):
-    asked = ["grades", "--table", "paper", "--knees", "60", "--out", str(tmp_path)]
+    asked = ["grades", "--grade-table", "paper", "--knees", "60", "--out", str(tmp_path)]
     result = CliRunner().invoke(app, asked)
     assert result.exit_code == 0, result.output
     assert "all parameters" in result.output

@@ -75,9 +75,9 @@ def test_paths_through_folds_add_up_and_none_is_negative():
 
 
 def test_people_have_them_by_their_weight_and_the_paper_none():
-    def drawn(bmi, table="people"):
+    def drawn(bmi, grade_table="population"):
         streams = (np.random.default_rng(seed) for seed in range(40))
-        return np.array([draw_knee(grade=1, rng=rng, table=table, bmi=bmi).skin_folds for rng in streams])
+        return np.array([draw_knee(grade=1, rng=rng, grade_table=grade_table, bmi=bmi).skin_folds for rng in streams])
 
     assert not drawn(21.0).any()
     assert not drawn(38.0, "paper").any()

@@ -41,7 +41,7 @@ def path_at(paths: pssf.Paths, material: str, place_mm: tuple[float, float, floa
 )
 def test_fat_between_muscles_keeps_off_all_else_and_takes_no_way_from_any(side, bmi, flexion_deg, score):
     scores = tuple(score * sign for sign in (1, -1, 1, 1, -1, 1, -1, -1, 1, 1, -1, 1, -1))
-    knee = pssf.draw_knee(grade=0, rng=np.random.default_rng(4), side=side, bmi=bmi, shape=scores)
+    knee = pssf.draw_knee(grade=0, rng=np.random.default_rng(4), side=side, bmi=bmi, shape=scores, grade_table="paper")
     protocol = dataclasses.replace(FIXED_FLEXION, flexion_deg=flexion_deg)
     scene = pssf.build(knee, protocol).scene
     solids = solids_of(scene)

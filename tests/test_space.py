@@ -13,7 +13,7 @@ from pssf.study import space
 from pssf.study.report.sections import meaning_section
 from pssf.study.statistics import space as statistics
 
-PLAN = plan_cohort("people", seed=3, overrides={"knees": [3, 3, 3]})
+PLAN = plan_cohort("population", seed=3, overrides={"knees": [3, 3, 3]})
 REFERENCE = "fixed_flexion"
 BOUNDS = space.bounds_of(PLAN, REFERENCE)
 

@@ -52,9 +52,9 @@ def test_strips_hold_what_trace_gives(built, engine):
 def test_a_radiograph_from_strips_has_the_bytes_of_one_from_whole_maps(built, changes):
     taken = protocol(**changes)
     whole = pssf.simulate(
-        built, taken, seed=3, engine="scanline", paths=pssf.trace(built.scene, taken, engine="scanline")
+        built, taken, rng=3, engine="scanline", paths=pssf.trace(built.scene, taken, engine="scanline")
     )
-    assert (pssf.simulate(built, taken, seed=3, engine="scanline").pixels == whole.pixels).all()
+    assert (pssf.simulate(built, taken, rng=3, engine="scanline").pixels == whole.pixels).all()
 
 
 def test_a_map_in_strips_reads_as_the_array_that_was_written():
@@ -92,9 +92,9 @@ def test_an_exposed_image_holds_what_is_kept_alone(built, keep):
 
 def test_a_large_detector_needs_few_maps_at_a_time(built):
     taken = protocol(rows=1536, cols=1536, pixel_mm=0.2)
-    pssf.simulate(built, taken, seed=1)  # what is computed once is not the detector's
+    pssf.simulate(built, taken, rng=1)  # what is computed once is not the detector's
     tracemalloc.start()
-    pssf.simulate(built, taken, seed=1)
+    pssf.simulate(built, taken, rng=1)
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     # Maps of float32. With all path lengths whole they were 17.

@@ -75,7 +75,8 @@ def test_it_is_bounded_and_drawn_where_the_medial_side_of_an_advanced_knee_narro
         Knee(subluxation_mm=7.0)
     for grade in range(5):
         knees = [
-            pssf.draw_knee(grade=grade, rng=np.random.default_rng((3, grade, k)), table="people") for k in range(200)
+            pssf.draw_knee(grade=grade, rng=np.random.default_rng((3, grade, k)), grade_table="population")
+            for k in range(200)
         ]
         slipped = np.array([knee.subluxation_mm for knee in knees])
         narrow = np.array([knee.jsw_medial_mm < knee.jsw_lateral_mm for knee in knees])

@@ -20,7 +20,7 @@ def test_a_piece_that_bones_alone_bound_stays_with_the_solid_it_lies_within():
 def test_cartilage_in_a_tight_crease_does_not_cross_itself():
     """Of 2,000 knees (`pssf accuracy --tables builds`) the one whose layer had a path below 0: 0.037 mm of one ray."""
     rng = np.random.default_rng(np.random.SeedSequence(1533, spawn_key=(1,)))
-    built = pssf.build(pssf.draw_knee(grade=3, rng=rng, table="people"), pssf.load_protocol("fixed_flexion"))
+    built = pssf.build(pssf.draw_knee(grade=3, rng=rng, grade_table="population"), pssf.load_protocol("fixed_flexion"))
     layers = [
         pssf.Surface(surface.arrays, inside="cartilage", outside="air", name=surface.name)
         for surface in built.scene.surfaces

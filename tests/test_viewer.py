@@ -38,7 +38,7 @@ FLAGS = [
 
 @pytest.fixture(scope="module")
 def radiograph(built, small):
-    return pssf.simulate(built, small, seed=7)
+    return pssf.simulate(built, small, rng=7)
 
 
 @pytest.fixture(scope="module")

@@ -158,10 +158,10 @@ def test_a_beam_along_the_plateau_brings_its_margins_together_and_a_degree_apart
 
 def test_a_radiograph_keeps_the_beam_that_was_fitted_and_is_made_again_by_it(schuss):
     protocol = smaller(LYON)
-    one = pssf.simulate(schuss, protocol, engine="scanline", seed=2)
+    one = pssf.simulate(schuss, protocol, engine="scanline", rng=2)
     assert one.protocol.beam_along == "horizontal"
     assert one.protocol == schuss.aimed(protocol)
-    again = pssf.simulate(schuss, one.protocol, engine="scanline", seed=2)
+    again = pssf.simulate(schuss, one.protocol, engine="scanline", rng=2)
     assert np.array_equal(one.pixels, again.pixels)
     assert one.truth == schuss.truth(protocol)
 
@@ -220,7 +220,7 @@ def test_a_limb_that_would_fold_behind_the_knee_is_refused_with_the_reason():
 
 @pytest.mark.parametrize("seed", [1])
 def test_a_drawn_knee_bends_to_60_degrees_with_its_patella_on_the_femur_and_its_tendon_as_long(seed):
-    knee = pssf.draw_knee(grade=1, rng=np.random.default_rng(seed), table="people")
+    knee = pssf.draw_knee(grade=1, rng=np.random.default_rng(seed), grade_table="population")
     lengths = []
     for flexion_deg in (0.0, 60.0):
         protocol = dataclasses.replace(pssf.load_protocol("rosenberg"), flexion_deg=flexion_deg)

@@ -42,7 +42,7 @@ def test_bone_on_bone_is_built_without_overlap_and_with_its_spaces(built, jsw_me
 @pytest.mark.parametrize("number", [559, 1039])
 def test_spaces_are_as_wanted_over_a_plateau_that_wears(number):
     rng = np.random.default_rng(np.random.SeedSequence(number, spawn_key=(1,)))
-    knee = pssf.draw_knee(grade=4, rng=rng, table="people")
+    knee = pssf.draw_knee(grade=4, rng=rng, grade_table="population")
     built = pssf.build(knee, FIXED_FLEXION)
     assert built.truth(FIXED_FLEXION).attrition_mm["medial"] > 0
     wanted = (knee.jsw_medial_mm, knee.jsw_lateral_mm)

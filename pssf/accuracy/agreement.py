@@ -23,7 +23,7 @@ def agreement_rows(knees: int, workers: int, side: int = 2048) -> list[Row]:
     rows, rays = [], 0
     for number in range(knees):
         rng = np.random.default_rng(np.random.SeedSequence(2601, spawn_key=(number,)))
-        knee = draw_knee(grade=number % 3, rng=rng)
+        knee = draw_knee(grade=number % 3, rng=rng, grade_table="paper")
         scene = _turned(build(knee).scene, trimesh.transformations.random_rotation_matrix(rng.uniform(size=3)))
         protocol = load_protocol("reference")
         sod_mm = rng.uniform(700.0, 1000.0)

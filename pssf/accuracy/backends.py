@@ -43,8 +43,8 @@ def backend_rows() -> list[Row]:
 def _region(grade: int, name: str) -> NDArray[np.uint16]:
     """(512, 512) DN, about the medial joint line of a drawn knee"""
     protocol = load_protocol(name)
-    knee = draw_knee(grade=grade, rng=np.random.default_rng(grade))
-    radiograph = simulate(knee, protocol, seed=grade, engine="scanline")
+    knee = draw_knee(grade=grade, rng=np.random.default_rng(grade), grade_table="paper")
+    radiograph = simulate(knee, protocol, rng=grade, engine="scanline")
     assert radiograph.truth is not None
     return cut_region(radiograph.pixels, *radiograph.truth.medial_joint_line_px, _REGION_PX).astype(np.uint16)
 

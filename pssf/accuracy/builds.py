@@ -10,7 +10,7 @@ from ..anatomy import build
 from ..anatomy.joint import defining_protocol
 from ..core.checks import InputError
 from ..core.parallel import ordered_map
-from ..data.grades import grade_table
+from ..data.grade_tables import grade_table
 from ..data.shapes import shape_table
 from ..geometry.scene import Scene
 from ..model.draw import draw_knee
@@ -43,7 +43,7 @@ _RANGES = {
     "fabella_mm": (4.0, 14.0),
 }
 # Of the first half: tables of grades, of which each grade has its turn.
-_TABLES = ("paper", "people")
+_TABLES = ("paper", "population")
 # Standard deviations at which every mode of the shape stands, to either side.
 _SHAPE_SD = 3.0
 
@@ -97,7 +97,7 @@ def _counted(count: int, say: Callable[[str], None]) -> Callable[[int, Row], Non
 def _built(number: int, drawn: tuple[tuple[str, int], ...], modes: int) -> Row:
     rng = np.random.default_rng(np.random.SeedSequence(number, spawn_key=(1,)))
     table, grade = drawn[number // 2 % len(drawn)]
-    knee = draw_knee(grade=grade, rng=rng, table=table) if number % 2 else wide_knee(rng, modes)
+    knee = draw_knee(grade=grade, rng=rng, grade_table=table) if number % 2 else wide_knee(rng, modes)
     protocol = defining_protocol(knee)
     start = perf_counter()
     try:

@@ -30,7 +30,7 @@ _VIEWS, _BONES = ("ap_standing", "rosenberg", "lateral", "skyline"), ("femur", "
 
 def criterion_rows(count: int, workers: int) -> list[Row]:
     """One row a criterion: view, what is asked, what is measured: mean, standard deviation, least and most."""
-    knees = [draw_knee(grade=k % 3, rng=np.random.default_rng(k), table="people") for k in range(count)]
+    knees = [draw_knee(grade=k % 3, rng=np.random.default_rng(k), grade_table="population") for k in range(count)]
     measured = ordered_map(in_views, knees, shared={}, workers=workers)
     rows: list[Row] = []
     for name, criterion in references().criteria.items():

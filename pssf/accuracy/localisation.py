@@ -138,16 +138,16 @@ def _of_knee(number: int, *, templates: "tuple[Template, ...]", modes: int, tabl
     """Every case of one knee; nothing where it cannot be built."""
     rng = np.random.default_rng(np.random.SeedSequence(number, spawn_key=(2,)))
     kind = "adult" if number % 4 == 3 else "study"
-    knee = wide_knee(rng, modes) if kind == "adult" else draw_knee(grade=number % 3, rng=rng)
+    knee = wide_knee(rng, modes) if kind == "adult" else draw_knee(grade=number % 3, rng=rng, grade_table="paper")
     names = OTHERS if kind == "adult" else STUDY
     protocol = on_fewer_pixels(load_protocol(names[(number // 4 + number) % len(names)]))
     try:
         built = build(knee)
     except InputError:
         return []
-    whole = simulate(built, protocol, seed=number, engine="scanline", workers=1)
+    whole = simulate(built, protocol, rng=number, engine="scanline", workers=1)
     soft = Scene([surface for surface in built.scene.surfaces if surface.name in _SOFT])
-    bare = simulate(soft, protocol, seed=number, engine="scanline", workers=1)
+    bare = simulate(soft, protocol, rng=number, engine="scanline", workers=1)
     assert whole.truth is not None
     rows = []
     for case in _CASES:

@@ -26,7 +26,7 @@ def knee_rows(count: int, workers: int) -> list[Row]:
     off_sd  mean minus reference over the reference's standard deviation
     people  the size of people's bones by the same measure, at the reference's width of the plateau, mm
     """
-    knees = [draw_knee(grade=k % 3, rng=np.random.default_rng(k)) for k in range(count)]
+    knees = [draw_knee(grade=k % 3, rng=np.random.default_rng(k), grade_table="paper") for k in range(count)]
     sizes = ordered_map(measured, knees, shared={}, workers=workers)
     rows: list[Row] = [
         {"quantity": name, "value": float(f"{max(abs(one[name]) for one in sizes):.2g}"), "knees": count}

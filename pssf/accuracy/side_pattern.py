@@ -77,7 +77,7 @@ def _of_knee(
     rng = np.random.default_rng(np.random.SeedSequence(number, spawn_key=(3,)))
     knee, protocol = _drawn(number, rng, modes)
     try:
-        radiograph = simulate(knee, protocol, seed=number, engine="scanline", workers=1)
+        radiograph = simulate(knee, protocol, rng=number, engine="scanline", workers=1)
     except InputError:
         return None
     step = max(1, int(LINEAR_MM / protocol.pixel_mm))
@@ -90,11 +90,13 @@ def _of_knee(
 def _drawn(number: int, rng: np.random.Generator, modes: int) -> tuple[Knee, Protocol]:
     turn, kind = divmod(number, 5)
     if kind < 3:
-        knee = draw_knee(grade=turn % 5, rng=rng, table="people")
+        knee = draw_knee(grade=turn % 5, rng=rng, grade_table="population")
         protocol = load_protocol("fixed_flexion" if kind < 2 else "ap_standing")
         return knee, on_fewer_pixels(draw_exposure(protocol, rng=rng, side=knee.side))
     if kind == 3:
-        return draw_knee(grade=turn % 3, rng=rng), on_fewer_pixels(load_protocol(STUDY[turn % len(STUDY)]))
+        return draw_knee(grade=turn % 3, rng=rng, grade_table="paper"), on_fewer_pixels(
+            load_protocol(STUDY[turn % len(STUDY)])
+        )
     return wide_knee(rng, modes), on_fewer_pixels(load_protocol(OTHERS[turn % len(OTHERS)]))
 
 

@@ -90,7 +90,7 @@ def _timed_runs(engine: str, workers: int, runs: tuple[str, ...]) -> list[Row]:
     protocol, rows = load_protocol("reference"), []
     for run in runs:
         start = perf_counter()
-        radiograph = simulate(Knee(), protocol, seed=1, engine=engine, workers=workers)
+        radiograph = simulate(Knee(), protocol, rng=1, engine=engine, workers=workers)
         total = perf_counter() - start
         stages = {name: round(seconds, 3) for name, seconds in radiograph.seconds.items()}
         rows.append({"engine": engine, "run": run, "seconds": round(total, 3), "peak_mb": peak_mb(), **stages})

@@ -123,7 +123,7 @@ class _Timed:
 
 def spread_rows(count: int, workers: int) -> list[Row]:
     """One row a quantity: texture below the medial plateau on `reference` radiographs of grade 0, and of real films."""
-    knees = [draw_knee(grade=0, rng=np.random.default_rng(k)) for k in range(count)]
+    knees = [draw_knee(grade=0, rng=np.random.default_rng(k), grade_table="paper") for k in range(count)]
     textures = ordered_map(_texture_of, knees, shared={}, workers=workers)
     rows: list[Row] = []
     for name, known in references().texture.items():
@@ -140,7 +140,7 @@ def spread_rows(count: int, workers: int) -> list[Row]:
 
 def _texture_of(knee: Knee) -> dict[str, float]:
     protocol = load_protocol("reference")
-    radiograph = simulate(knee, protocol, seed=1, engine="scanline", workers=1)
+    radiograph = simulate(knee, protocol, rng=1, engine="scanline", workers=1)
     assert radiograph.truth is not None
     row, col = radiograph.truth.medial_joint_line_px
     col += (1 - _MEDIAL) * (radiograph.truth.landmarks_px["joint_centre"][1] - col)

@@ -1,7 +1,7 @@
 """What beams and turns do to films, measured on drawn knees as it was on people's or on a model.
 
 Knees are those of the table `people`, KL 0 to 2, each taken once (`draw_exposure`). The mean slope of plateaus was
-chosen so that fixed flexion has people's margins (`grades/people.toml`); nothing else is fitted to the references.
+chosen so that fixed flexion has people's margins (`grades/population.toml`); nothing else is fitted to the references.
 """
 
 from dataclasses import replace
@@ -52,7 +52,7 @@ def view_rows(count: int, workers: int) -> list[Row]:
 
     off  of the mean from the reference, or from the nearer end of its range
     """
-    knees = [draw_knee(grade=k % 3, rng=np.random.default_rng(k), table="people") for k in range(count)]
+    knees = [draw_knee(grade=k % 3, rng=np.random.default_rng(k), grade_table="population") for k in range(count)]
     shared = {"tables": anatomy_tables(), "range_deg": beam_range_deg()}
     measured = ordered_map(on_films, list(enumerate(knees)), shared=shared, workers=workers)
     values = {name: np.array([one[name] for one in measured]) for name in measured[0]}

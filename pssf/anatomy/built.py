@@ -77,7 +77,7 @@ class BuiltKnee:
             readings = {**readings, **truth.readings, "inter_margin_mm": round(self._inter_margin_mm(view), 4)}
         else:
             truth = turned_labels(self.knee, self.assembly, self.bones, view)
-        return replace(truth, attrition_mm=self._worn_mm, readings=readings)
+        return replace(truth, grade=int(readings["XRKL"]), attrition_mm=self._worn_mm, readings=readings)
 
     @cached_property
     def _readings(self) -> dict[str, float]:

@@ -12,8 +12,9 @@ from ..geometry.view import View, magnification, project
 
 # Fractions of the tibial half width between which the joint space is measured: clear of the spines and of the margins.
 COMPARTMENT = (0.36, 0.85)
-# In which a compartment is looked at, at the least.
+# Columns of a compartment that are sampled, at the least; and how far apart they are at most, mm on the detector.
 _LEAST_COLUMNS = 3
+_STEP_MM = 0.15
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,12 @@ class Gap:
     def narrowest(self) -> int:
         """Index of the narrowest column."""
         return int((self.tibia_px - self.femur_px).argmin())
+
+    def narrowest_px(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Return (row, column) of the femur's and of the tibia's contour where the gap is smallest."""
+        at = self.narrowest
+        col = float(self.columns_px[at])
+        return (float(self.femur_px[at]), col), (float(self.tibia_px[at]), col)
 
     def middle_px(self) -> tuple[float, float]:
         """(row, column) of the middle of the space, half way across the compartment."""
@@ -80,8 +87,8 @@ def measure_gap(
     """
     ends = np.array([[side_x * f * half_ml_mm, 0.0, 0.0] for f in between])
     first, last = np.sort(project(ends, view)[:, 1])
-    # A detector whose pixels are as wide as the compartment is looked at between its columns.
-    finer = 1 if last - first >= _LEAST_COLUMNS else int(np.ceil(_LEAST_COLUMNS / (last - first)))
+    # The gap is that of the contours, whatever the pixel: a coarse detector is sampled between its columns.
+    finer = max(1, int(np.ceil(view.pixel_mm / _STEP_MM)), int(np.ceil(_LEAST_COLUMNS / (last - first))))
     steps = np.arange(np.ceil(first * finer), np.floor(last * finer) + 1)
     columns = steps / finer
 

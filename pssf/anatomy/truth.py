@@ -9,7 +9,7 @@ from ..core.checks import Array
 from ..data.records import Pair
 from ..geometry.mesh import Mesh
 from ..geometry.scene import Scene
-from ..geometry.view import View, project, view_of
+from ..geometry.view import View, project
 from ..model.knee import Knee
 from ..model.radiograph import Truth
 from .contours import COMPARTMENT, Gap, measure_gap, turned_px
@@ -28,30 +28,27 @@ _ASKED = (0.2, 1.0)
 _CONDYLES, _EPICONDYLES, _PLATEAU = (1.0, 12.0), (22.0, 42.0), (-9.0, 1.0)
 # Farther out than this from the bare bone is osteophyte.
 _OUT_MM = 0.05
-_SIDES = ("medial", "lateral")
+# Landmarks of the joint space: its middle in each compartment and between both, and the ends of its minimum.
+_OF_JOINT = (
+    "medial_joint_line", "lateral_joint_line", "joint_centre",
+    "medial_jsw_femur", "medial_jsw_tibia", "lateral_jsw_femur", "lateral_jsw_tibia",
+)  # fmt: skip
 
 
 def labels(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> Truth:
-    """Spaces and landmarks on the radiograph of a knee in a view.
+    """Measure joint spaces and landmarks on the radiograph of a knee in a view.
 
     assembly  how it stands
     scene     as it is built
     """
-    defined = assembly.defined_under
-    # A knee that a posture bends has other spaces along its width: they are told as this view shows them.
-    seen_by = view_of(defined) if assembly.posture == defined.posture else view
-    least, asked = _gaps(knee, assembly, scene, seen_by, (COMPARTMENT, _ASKED))
-    gaps = least if view == seen_by else _gaps(knee, assembly, scene, view)[0]
+    (medial, lateral), wide = _gaps(knee, assembly, scene, view, (COMPARTMENT, _ASKED))
     spots = _widest(knee, assembly, view)
-    edges = spots if view == seen_by else _widest(knee, assembly, seen_by)
     return Truth(
-        jsw_medial_mm=knee.jsw_medial_mm,
-        jsw_lateral_mm=knee.jsw_lateral_mm,
-        jsw_at_mm=_jsw_at_mm(edges, asked, seen_by, _lean_deg(knee, assembly)),
-        grade=knee.grade,
+        jsw_medial_mm=round(medial.jsw_mm, 4),
+        jsw_lateral_mm=round(lateral.jsw_mm, 4),
+        jsw_at_mm=_jsw_at_mm(spots, wide, view, _lean_deg(knee, assembly)),
         grade_read=knee.grade_read,
-        readings={f"jsw_least_{side}_mm": round(gap.jsw_mm, 4) for side, gap in zip(_SIDES, least, strict=True)},
-        landmarks_px=_joint_lines(gaps, view, _lean_deg(knee, assembly))
+        landmarks_px=_joint_lines((medial, lateral), view, _lean_deg(knee, assembly))
         | spots
         | _on_contours(knee, assembly, scene, view),
     )
@@ -142,8 +139,9 @@ def _on_contours(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -
 
 def _joint_lines(gaps: tuple[Gap, Gap], view: View, lean_deg: float) -> dict[str, tuple[float, float]]:
     lines = turned_px(np.array([gap.middle_px() for gap in gaps]), view, lean_deg)
-    names = ("medial_joint_line", "lateral_joint_line", "joint_centre")
-    return {name: _place(place) for name, place in zip(names, (*lines, lines.mean(axis=0)), strict=True)}
+    narrowest = turned_px(np.array([place for gap in gaps for place in gap.narrowest_px()]), view, lean_deg)
+    places = (*lines, lines.mean(axis=0), *narrowest)
+    return {name: _place(place) for name, place in zip(_OF_JOINT, places, strict=True)}
 
 
 def _jsw_at_mm(

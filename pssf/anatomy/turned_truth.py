@@ -43,9 +43,8 @@ def turned_labels(knee: Knee, assembly: KneeAssembly, bones: dict[str, Bone], vi
     if assembly.posture.projection == "axial":
         spots |= trochlea_px(assembly, outer["femur"], view)
     return Truth(
-        jsw_medial_mm=knee.jsw_medial_mm,
-        jsw_lateral_mm=knee.jsw_lateral_mm,
-        grade=knee.grade,
+        jsw_medial_mm=None,
+        jsw_lateral_mm=None,
         grade_read=knee.grade_read,
         landmarks_px=spots,
     )

@@ -33,6 +33,8 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 _PYTHONS = warnings.formatwarning
+# Earlier name of an option -> its name.
+_EARLIER = {"--grades": "--grade-table", "--table": "--grade-table"}
 _COMMANDS = (
     *(make.simulate, make.meshes, benchmark, study, read),
     *(measure.accuracy, measure.quality, measure.realism, measure.grades, measure.protocols, measure.knees),
@@ -62,6 +64,7 @@ def main() -> None:
     """Run the command line; bad input ends in one line and exit code 2."""
     warnings.formatwarning = _as_a_line
     try:
+        sys.argv[1:] = _named_now(sys.argv[1:])
         _require_once(sys.argv[1:])
         sys.exit(app(standalone_mode=False))
     except (typer.Abort, KeyboardInterrupt):  # the parser makes the one of the other
@@ -69,6 +72,18 @@ def main() -> None:
         sys.exit(130)
     except Exception as error:
         sys.exit(_refused(error))
+
+
+def _named_now(arguments: list[str]) -> list[str]:
+    """The arguments with options by earlier names under their names of now, and a line that says so."""
+    named = []
+    for word in arguments:
+        name, equals, value = word.partition("=")
+        now = _EARLIER.get(name, name)
+        if now != name:
+            print(f"pssf: {name} is now {now}; the earlier name will be removed", file=sys.stderr)
+        named.append(now + equals + value)
+    return named
 
 
 def _as_a_line(message: Warning | str, category: type[Warning], filename: str, lineno: int, line: Any = None) -> str:

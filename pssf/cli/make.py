@@ -11,7 +11,7 @@ from .options import (
     CohortGrades,
     Engine,
     Grade,
-    Grades,
+    GradeTable,
     KneeChoice,
     KneeCounts,
     KneeFile,
@@ -38,7 +38,7 @@ def simulate(
     *,
     out: Out,
     grade: Grade = 0,
-    grades: Grades = "paper",
+    grade_table: GradeTable = "population",
     protocol: ProtocolName = "reference",
     seed: Seed = 0,
     knee: KneeFile = None,
@@ -79,7 +79,7 @@ def simulate(
 
     of_knee, of_protocol = changes(settings or ())
     meant, wanted = load_protocol(protocol), kinds.split(",")
-    choice = KneeChoice(knee, grade, seed, grades, of_knee, scene)
+    choice = KneeChoice(knee, grade, seed, grade_table, of_knee, scene)
     subject, name = subject_of(choice, with_changes(meant, of_protocol))
     technique = with_changes(taken_as(exposure, meant, subject, seed), of_protocol)
     require_workers(workers)
@@ -102,7 +102,7 @@ def simulate(
             _tell_noted(subject, technique)
         folder(out)
         keep = ("masks",) if masks else ()
-        radiograph = run(subject, technique, seed=seed, keep=keep, engine=engine, workers=workers)
+        radiograph = run(subject, technique, rng=seed, keep=keep, engine=engine, workers=workers)
     stem = out / f"{name}_{technique.name}_seed{seed}"
     paths = save_kinds(radiograph, stem, wanted, border=border, look=look)
     if masks:
@@ -135,7 +135,7 @@ def meshes(
     *,
     out: Out,
     grade: Grade = 0,
-    grades: Grades = "paper",
+    grade_table: GradeTable = "population",
     seed: Seed = 0,
     knee: KneeFile = None,
     kinds: Annotated[
@@ -154,7 +154,7 @@ def meshes(
     of_knee, of_protocol = changes(settings or ())
     if of_protocol:
         raise InputError(f"set = {', '.join(of_protocol)}; allowed: fields of a knee, since no radiograph is made")
-    subject, name = knee_of(KneeChoice(knee, grade, seed, grades, of_knee))
+    subject, name = knee_of(KneeChoice(knee, grade, seed, grade_table, of_knee))
     formats = tuple(kinds.split(","))
     require_export(formats, tolerance_mm)
     folder(out)
@@ -178,7 +178,7 @@ def cohort(
     knees: KneeCounts = "",
     bilateral: Bilateral = -1,
     protocols: Annotated[str, typer.Option(help="Names or TOML files, with commas, instead of the preset's.")] = "",
-    grades: CohortGrades = "",
+    grade_table: CohortGrades = "",
     exposures: Annotated[
         str, typer.Option(help="fixed, or drawn: each taking a little other; instead of the preset's.")
     ] = "",
@@ -186,7 +186,7 @@ def cohort(
     scheduler: Scheduler = None,
     engine: Engine = "scanline",
 ) -> None:
-    """Radiographs of a whole cohort and their manifest; one's own by --knees, --protocols and --grades.
+    """Radiographs of a whole cohort and their manifest; one's own by --knees, --protocols and --grade-table.
 
     Goes on where an earlier run stopped or was killed, and ends with the same bytes: what stands is checked and kept.
     A folder that holds another cohort is refused, with the first difference.
@@ -200,7 +200,7 @@ def cohort(
 
     if out is None:
         raise InputError("out = none; allowed: a folder for the cohort (--out)")
-    overrides = cohort_overrides(knees, bilateral, protocols, grades, exposures)
+    overrides = cohort_overrides(knees, bilateral, protocols, grade_table, exposures)
     plan = plan_cohort(preset, seed=seed, overrides=overrides, masks="tif" if masks else "none")
     total = sum(len(case.exposures) for case in plan.cases)
     with Execution(bar=bar).stage("radiographs", "radiographs", total) as stage:
@@ -208,8 +208,8 @@ def cohort(
             plan, out, workers=workers, scheduler=scheduler, engine=engine, progress=stage.advance, kept=stage.keep
         )
     print(f"manifest  {manifest}")
-    table = plan.cases[0].grades
-    print(f"grades    {table}; how well they can be told at best: pssf grades --table {table}")
+    table = plan.cases[0].grade_table
+    print(f"grades    {table}; how well they can be separated at best: pssf grades --grade-table {table}")
 
 
 @cohort_app.command()

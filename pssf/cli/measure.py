@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from .options import Grades, Out, Processes, ProtocolName, Readme, Seed, Workers
+from .options import GradeTable, Out, Processes, ProtocolName, Readme, Seed, Workers
 
 
 def accuracy(
@@ -76,7 +76,7 @@ def realism(
     ] = None,
     protocol: ProtocolName = "reference",
     knees: Annotated[int, typer.Option(help="Knees that are drawn, the grades alike.")] = 200,
-    grades: Grades = "people",
+    grade_table: GradeTable = "population",
     seed: Seed = 0,
     readme: Readme = None,
 ) -> None:
@@ -93,7 +93,7 @@ def realism(
 
     require_extra()
     given = {"contours": True, "bones": bones is not None, "films": films is not None}
-    shown = shown_as([name for part, names in SHOWN.items() if given[part] for name in names], grades)
+    shown = shown_as([name for part, names in SHOWN.items() if given[part] for name in names], grade_table)
     checkout = open_checkout(readme, shown, protocol=protocol, knees=knees, sample=_sample(cohort, protocol, knees))
     execution = Execution(workers=workers, bar=bar)
     measured = measure(
@@ -104,10 +104,10 @@ def realism(
         cohort=cohort,
         protocol=protocol,
         knees=knees,
-        grades=grades,
+        grade_table=grade_table,
         seed=seed,
     )
-    pictures = measured.paths if grades == PICTURED else []
+    pictures = measured.paths if grade_table == PICTURED else []
     checkout.take({place: measured.rows.get(name, []) for place, name in shown.items()}, pictures)
     for line in measured.lines:
         print(line)
@@ -123,7 +123,7 @@ def _sample(cohort: Path | None, protocol: str, knees: int) -> str:
 def grades(
     *,
     out: Out,
-    table: Annotated[str, typer.Option(help="Table of grades: paper, people, or the path of a .toml file.")] = "people",
+    grade_table: GradeTable = "population",
     knees: Annotated[int, typer.Option(help="Knees that are drawn, the grades alike; fewer tell less.")] = 30_000,
     seed: Seed = 0,
 ) -> None:
@@ -146,7 +146,7 @@ def grades(
     from ..study.learn.separability import separability
 
     with waiting("drawing and fitting"):
-        measured = separability(draw_laws(table), landmark_reference().gap_alone_auc, knees=knees, seed=seed)
+        measured = separability(draw_laws(grade_table), landmark_reference().gap_alone_auc, knees=knees, seed=seed)
     shown = Table("grades", "known", "how", "knees", "AUC", "95 %", "smaller gap on people's films")
     for row in measured.to_dict("records"):
         people = "" if row["people"] != row["people"] else f"{row['people']:.2f}"

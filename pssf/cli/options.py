@@ -20,7 +20,9 @@ def _cores() -> int:
 
 Out = Annotated[Path, typer.Option("--out", help="Folder for what is made; made if need be.")]
 Seed = Annotated[int, typer.Option(help="Seed of all chance; the same seed gives the same bytes.")]
-Grade = Annotated[int, typer.Option(help="KL grade of the drawn knee: 0 to 2 by the table paper, 0 to 4 by people.")]
+Grade = Annotated[
+    int, typer.Option(help="KL grade of the sampled knee: 0 to 4 in the grade table population, 0 to 2 in paper.")
+]
 KneeFile = Annotated[
     Path | None, typer.Option("--knee", help="TOML file with the parameters of a knee, instead of a draw.")
 ]
@@ -51,15 +53,16 @@ Readme = Annotated[
 Preset = Annotated[
     str,
     typer.Option(
-        help="Cohort: quick (24 subjects, 0.7 GB on disk), paper (180 subjects, 7 GB), people (250, KL 0 to 4), or "
+        help="Cohort: quick (24 subjects, 0.7 GB on disk), paper (180 subjects, 7 GB), population (250, KL 0 to 4), or "
         "benchmark-1 (1,000 people; see pssf benchmark)."
     ),
 ]
-Grades = Annotated[
+GradeTable = Annotated[
     str,
     typer.Option(
-        help="Table of grades that knees are drawn by: paper (grades 0 to 2 by joint space), people (KL 0 to 4 that "
-        "overlap), or the path of a .toml file."
+        "--grade-table",
+        help="Table of grades that knees are sampled from: population (KL 0 to 4, which overlap as in patients), paper "
+        "(grades 0 to 2 by joint space), or the path of a .toml file.",
     ),
 ]
 
@@ -80,11 +83,13 @@ Bilateral = Annotated[
     int, typer.Option(help="Subjects who give both knees; -1: as the preset has it, or none with --knees.")
 ]
 CohortGrades = Annotated[
-    str, typer.Option("--grades", help="Table of grades, as for simulate, instead of the preset's.")
+    str, typer.Option("--grade-table", help="Table of grades, as for simulate, instead of the preset's.")
 ]
 
 
-def cohort_overrides(knees: str, bilateral: int, protocols: str, grades: str, exposures: str = "") -> "dict[str, Any]":
+def cohort_overrides(
+    knees: str, bilateral: int, protocols: str, grade_table: str, exposures: str = ""
+) -> "dict[str, Any]":
     """Entries that replace a preset's, as `plan_cohort` takes them; those that are not given are left out.
 
     raises  InputError for counts that are none
@@ -101,8 +106,8 @@ def cohort_overrides(knees: str, bilateral: int, protocols: str, grades: str, ex
         given["bilateral"] = bilateral
     if protocols:
         given["protocols"] = tuple(name.strip() for name in protocols.split(","))
-    if grades:
-        given["grades"] = grades
+    if grade_table:
+        given["grade_table"] = grade_table
     if exposures:
         given["exposures"] = exposures
     return given
@@ -128,14 +133,13 @@ class KneeChoice:
     path: Path | None
     grade: int
     seed: int
-    table: str = "paper"
+    grade_table: str = "population"
     changed: "dict[str, Any]" = field(default_factory=dict)
     scene: Path | None = None
 
 
 def knee_of(choice: KneeChoice) -> "tuple[Knee, str]":
     """A knee, and a name for its files."""
-    import numpy as np
 
     from ..core.checks import require_seed
     from ..data.tables import read_toml
@@ -148,7 +152,7 @@ def knee_of(choice: KneeChoice) -> "tuple[Knee, str]":
         _require_not_drawn(choice, f"knee = {choice.path}")
         read = knee_from(read_toml(choice.path), f"knee {choice.path.name}")
         return with_changes(read, choice.changed), choice.path.stem
-    drawn = draw_knee(grade=choice.grade, rng=np.random.default_rng(choice.seed), table=choice.table)
+    drawn = draw_knee(grade=choice.grade, rng=choice.seed, grade_table=choice.grade_table)
     return with_changes(drawn, choice.changed), f"knee_grade{choice.grade}"
 
 
@@ -156,14 +160,16 @@ def _require_not_drawn(choice: KneeChoice, given: str) -> None:
     """Refuse what a knee would be drawn by, where it is given."""
     from ..core.checks import InputError
 
-    for name, value, default in (("grade", choice.grade, 0), ("grades", choice.table, KneeChoice.table)):
+    for name, value, default in (
+        ("grade", choice.grade, 0),
+        ("grade_table", choice.grade_table, KneeChoice.grade_table),
+    ):
         if value != default:
             raise InputError(f"{given}, with {name} = {value}; allowed: one of both")
 
 
 def subject_of(choice: KneeChoice, protocol: "Protocol") -> "tuple[Knee | tuple[Knee, Knee] | Scene, str]":
     """What a protocol takes, and a name for its files: a knee, or both of a person; or a scene of one's own."""
-    import numpy as np
 
     from ..core.checks import InputError, require_seed
     from ..model.draw import draw_pair
@@ -184,7 +190,7 @@ def subject_of(choice: KneeChoice, protocol: "Protocol") -> "tuple[Knee | tuple[
             f"knee = {choice.path}, protocol = {protocol.name}, which takes both knees; allowed: a protocol of one"
         )
     require_seed(choice.seed)
-    drawn = draw_pair(grade=choice.grade, rng=np.random.default_rng(choice.seed), table=choice.table)
+    drawn = draw_pair(grade=choice.grade, rng=choice.seed, grade_table=choice.grade_table)
     right, left = (with_changes(one, choice.changed) for one in drawn)
     return (right, left), f"knees_grade{choice.grade}"
 

@@ -32,7 +32,7 @@ def study(
     seed: Seed = 0,
     knees: KneeCounts = "",
     bilateral: Bilateral = -1,
-    grades: CohortGrades = "",
+    grade_table: CohortGrades = "",
     scheduler: Scheduler = None,
     engine: Engine = "scanline",
     protocols: Annotated[
@@ -108,7 +108,7 @@ def study(
     settings: dict[str, Any] = {name: tuple(listed.split(",")) for name, listed in wanted.items() if listed}
     settings |= {"backend": backend} if backend else {}
     settings |= {"difference": difference, "strengths": numbers_of("strengths", strengths)}
-    overrides = cohort_overrides(knees, bilateral, protocols, grades)
+    overrides = cohort_overrides(knees, bilateral, protocols, grade_table)
     own = _own_films(films, films_protocol, films_pixel_mm, films_region_mm)
     made = make_experiment(
         out,

@@ -19,7 +19,7 @@ from ..model.radiograph import Truth
 
 _SIDE = {"right": 1, "left": 2}
 # Told by the Initiative's name and way to count.
-_RENAMED = ("jsw_least_medial_mm", "hip_knee_ankle_deg")
+_RENAMED = ("hip_knee_ankle_deg",)
 
 
 def write_labels(cohort: str | Path, out: str | Path) -> list[Path]:
@@ -29,11 +29,11 @@ def write_labels(cohort: str | Path, out: str | Path) -> list[Path]:
                        and leg radiographs (there with a visit before them, V00MCMJSW): ID, SIDE (1 right, 2 left), XRKL
                        and the OARSI grades (`oarsi`), HKANGLE (hip, knee and ankle, deg; varus is negative), MCMJSW
                        (least medial space), JSW150 to JSW300 (medial) and LJSW700 to LJSW900 (lateral), mm. By names of
-                       our own: XRKL_READ, where a reader is drawn; joint spaces as knees are drawn with them, whatever
-                       the taking (jsw_medial_mm, jsw_lateral_mm); the least lateral space (jsw_least_lateral_mm), how
-                       far the front margin of the medial plateau stands over its back one (inter_margin_mm; its TPCFDS,
-                       from plateau to rim, has no sign), depths of attrition (mm), femorotibial angle, slope and
-                       patellar height (`axes`)
+                       our own: XRKL_READ, where a reader is sampled; the minimum joint spaces of this radiograph
+                       (jsw_medial_mm, which is MCMJSW, and jsw_lateral_mm) and those that the knee was specified with
+                       (nominal_jsw_medial_mm, nominal_jsw_lateral_mm); how far the front margin of the medial plateau
+                       is above its back one (inter_margin_mm; its TPCFDS, from plateau to rim, has no sign), depths of
+                       attrition (mm), femorotibial angle, slope and patellar height (`axes`)
     landmarks/*.pts    the sixteen contour landmarks
     coco.json          the same as COCO keypoints
     images/GRADE/*.png 8 bit, for eyes, as torchvision's ImageFolder and others read them
@@ -69,7 +69,8 @@ def write_labels(cohort: str | Path, out: str | Path) -> list[Path]:
             folder((out / "images" / picture).parent) / f"{made['radiograph']}.png",
         )
         size = radiograph.pixels.shape
-        images.append(LabelledImage(file=picture, rows=size[0], cols=size[1], places=places, grade=truth.grade))
+        known = {"kl": truth.grade, "jsw_medial_mm": truth.jsw_medial_mm, "jsw_lateral_mm": truth.jsw_lateral_mm}
+        images.append(LabelledImage(file=picture, rows=size[0], cols=size[1], places=places, attributes=known))
     write_csv(out / "readings.csv", rows)
     return [out / "readings.csv", write_coco(out / "coco.json", images), out / "landmarks", out / "images"]
 
@@ -83,6 +84,10 @@ def _require_contours(cohort: Path, file: str) -> None:
         raise InputError(f"file {file}: projection = {seen!r}; allowed: AP or PA, which show the contours")
 
 
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 4)
+
+
 def _reading(name: str, subject: str, knee: Knee, truth: Truth) -> dict[str, Any]:
     spaces = {f"{'JSW' if at < 0.5 else 'LJSW'}{round(1000 * at)}": round(mm, 4) for at, mm in truth.jsw_at_mm.items()}
     return {
@@ -92,10 +97,12 @@ def _reading(name: str, subject: str, knee: Knee, truth: Truth) -> dict[str, Any
         **({} if truth.grade_read is None else {"XRKL_READ": truth.grade_read}),
         **{name: value for name, value in truth.readings.items() if name.startswith("XR")},
         "HKANGLE": round(STRAIGHT_DEG - truth.readings["hip_knee_ankle_deg"], 4),
-        "MCMJSW": truth.readings["jsw_least_medial_mm"],
+        "MCMJSW": _rounded(truth.jsw_medial_mm),
         **spaces,
-        "jsw_medial_mm": round(truth.jsw_medial_mm, 4),
-        "jsw_lateral_mm": round(truth.jsw_lateral_mm, 4),
+        "jsw_medial_mm": _rounded(truth.jsw_medial_mm),
+        "jsw_lateral_mm": _rounded(truth.jsw_lateral_mm),
+        "nominal_jsw_medial_mm": round(knee.jsw_medial_mm, 4),
+        "nominal_jsw_lateral_mm": round(knee.jsw_lateral_mm, 4),
         **{f"attrition_{side}_mm": depth for side, depth in truth.attrition_mm.items()},
         **{name: value for name, value in truth.readings.items() if not name.startswith("XR") and name not in _RENAMED},
     }

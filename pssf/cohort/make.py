@@ -114,7 +114,7 @@ def make_case(case: Case, site: Site, engine: str, threads: int, masks: str = "n
     for exposure in case.exposures:
         if built.assembly.posture != exposure.protocol.posture:
             built, paths = build(case.knee, exposure.protocol), None
-        how: dict[str, Any] = {"seed": exposure.seed, "engine": engine, "workers": threads}
+        how: dict[str, Any] = {"rng": exposure.seed, "engine": engine, "workers": threads}
         how["keep"] = () if masks == "none" else ("masks",)
         protocol = with_room(built.scene, built.aimed(exposure.protocol))
         # Radiographs of one geometry, such as reference and low dose, have the same paths.
@@ -162,8 +162,8 @@ def _row(case: Case, exposure: Exposure, radiograph: Radiograph, file: Path, dig
         "knee": case.index,
         "side": knee.pop("side"),
         "sex": knee.pop("sex"),
-        "grade": knee.pop("grade"),
-        "grade_table": case.grades,
+        "grade": truth.grade,
+        "grade_table": case.grade_table,
         "protocol": protocol.pop("name"),
         "seed": exposure.seed,
         "engine": radiograph.engine,
@@ -174,6 +174,11 @@ def _row(case: Case, exposure: Exposure, radiograph: Radiograph, file: Path, dig
         row |= {"kind": exposure.kind, "turn": exposure.turn, "of_knee": exposure.of_knee}
     # A knee has a flexion and a rotation of its own, which a posture adds to.
     stands = {f"posture_{name}": protocol.pop(name) for name in asdict(exposure.protocol.posture)}
+    # The plain name is of this radiograph; what the knee was specified with says so.
+    nominal = {f"nominal_{name}": knee.pop(name) for name in ("jsw_medial_mm", "jsw_lateral_mm")}
+    row |= {"jsw_medial_mm": truth.jsw_medial_mm, "jsw_lateral_mm": truth.jsw_lateral_mm} | nominal
+    for name in ("grade", "grade_table"):
+        knee.pop(name)
     row |= {**knee, **{name: json.dumps(knee[name]) for name in ("shape", "osteophytes", "cysts")}} | protocol | stands
     row |= {f"truth_{name}": value for name, value in _truth_columns(truth).items()}
     return row | {f"audit_{name}": count for name, count in radiograph.audit.items()}

@@ -1,5 +1,6 @@
 """Who is in a cohort and how each knee is taken; drawn from a seed, made later."""
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -9,6 +10,7 @@ import numpy as np
 from msgspec import structs
 
 from ..core.checks import InputError, require_choice, require_seed, require_whole
+from ..data.grade_tables import tables_with
 from ..data.presets import Preset, presets
 from ..model.draw import DrawLaws, draw_body, draw_laws, drawn_knee
 from ..model.exposure import draw_exposure
@@ -18,6 +20,8 @@ from ..model.protocol import Protocol, load_protocol, protocol_table
 # Keys of the streams under a cohort's seed. A knee's index stands first, so the order of making changes nothing.
 # 4 is that of `retest`, 6 that of the study's curves.
 _SHAPE, _NOISE, _TAKING, _BODY, _NUMBERS, _SOME = 0, 3, 5, 2**31, 2**31 + 1, 2**31 + 2
+# Earlier name of a preset -> its name.
+_EARLIER = {"people": "population"}
 
 
 @dataclass(frozen=True)
@@ -42,14 +46,14 @@ class Exposure:
 class Case:
     """One knee of a subject, and the radiographs to be made of it.
 
-    grades  name or path of the table that it was drawn by
+    grade_table  name or path of the table that it was sampled from
     """
 
     subject: int
     index: int
     knee: Knee
     exposures: tuple[Exposure, ...]
-    grades: str
+    grade_table: str
 
 
 @dataclass(frozen=True)
@@ -82,7 +86,7 @@ class Plan:
 
 def _asked(case: Case) -> dict[str, Any]:
     names = [exposure.name for exposure in case.exposures]
-    asked = {"subject": case.subject, "index": case.index, "grades": case.grades, "radiographs": names}
+    asked = {"subject": case.subject, "index": case.index, "radiographs": names}
     return {**asked, **knee_table(case.knee)}
 
 
@@ -100,19 +104,22 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
     ranges that are drawn from do not say by how much, and a number of our own is not put in their place.
 
     preset     a name of `data/presets.toml`
+    Subjects and knees are numbered at random under the seed, so that no number and no file name predicts a grade.
+
     overrides  entries that replace the preset's, such as {"knees": [2, 2, 2]} or {"protocols": ["reference"]}
     masks      "tif" to have the masks of every radiograph written as well, or "none"
     raises     InputError for an unknown preset, entry or protocol, or counts that do not fit
     """
+    preset = _named_now(preset)
     require_choice("preset", preset, preset_names())
     require_choice("masks", masks, ("none", "tif"))
     require_seed(seed)
     known = presets()[preset]
-    for name in overrides or {}:
+    given = _entries_now(overrides or {})
+    for name in given:
         require_choice("preset entry", name, known.__struct_fields__)
-    chosen = structs.replace(known, **(overrides or {}))
+    chosen = structs.replace(known, **given)
     require_choice("exposures", chosen.exposures, ("fixed", "drawn"))
-    require_choice("numbered", chosen.numbered, ("by grade", "by chance"))
     protocols = [taken for name in chosen.protocols for taken in _variants(load_protocol(name), chosen)]
     names = [protocol.name for protocol in protocols]
     if len(set(names)) < len(names) or not names:
@@ -121,21 +128,48 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
         if protocol.apart_mm:
             raise InputError(f"protocols = {protocol.name}, of two knees at once; allowed: those of one knee")
     cases = []
-    laws = draw_laws(chosen.grades)
-    most = max(laws.grades.grades)
-    require_whole("knees: grades", len(chosen.knees), 1, most + 1, "")
+    laws = draw_laws(chosen.grade_table)
+    _require_grades(chosen, laws, {grade: tables_with(grade) for grade in range(len(chosen.knees))})
     for index, (subject, grade, side) in enumerate(_people(chosen.knees, chosen.bilateral)):
         cases.append(_case(_Place(seed, index, subject, grade, side), protocols, chosen, laws))
-    if chosen.numbered == "by chance":
-        cases = _renumbered(cases, seed)
+    cases = _renumbered(cases, seed)
     require_whole("retested", chosen.retested, 0, 100_000, "knees")
     return Plan(
         preset=preset, seed=seed, repeats=chosen.repeats, cases=tuple(cases), retested=chosen.retested, masks=masks
     )
 
 
+def _named_now(preset: str) -> str:
+    if preset not in _EARLIER:
+        return preset
+    said = f"preset {preset!r} is now {_EARLIER[preset]!r}; the earlier name will be removed"
+    warnings.warn(said, DeprecationWarning, stacklevel=3)
+    return _EARLIER[preset]
+
+
+def _entries_now(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Entries of a preset under their names of now."""
+    if "grades" not in given:
+        return dict(given)
+    warnings.warn("preset entry grades is now grade_table; the earlier name will be removed", DeprecationWarning, 3)
+    return {"grade_table" if name == "grades" else name: value for name, value in given.items()}
+
+
+def _require_grades(chosen: Preset, laws: DrawLaws, having: Mapping[int, Sequence[str]]) -> None:
+    """Refuse counts of grades that the table lacks; having: grade -> tables of the package that have it."""
+    beyond = [grade for grade, count in enumerate(chosen.knees) if count and grade not in laws.grades.grades]
+    if not beyond:
+        return
+    others = ", ".join(having[beyond[0]])
+    hint = f": grade table {others} has grade {beyond[0]}" if others else ""
+    allowed = ", ".join(map(str, laws.grades.grades))
+    raise InputError(
+        f"knees must be of grades {allowed} with grade table {laws.table}, got knees of grade {beyond[0]}{hint}"
+    )
+
+
 def _renumbered(cases: Sequence[Case], seed: int) -> list[Case]:
-    """The same knees and images under subjects' numbers that tell nothing, in the order of these."""
+    """Number the subjects at random: the same knees and images, in the order of the new numbers."""
     subjects = list(dict.fromkeys(case.subject for case in cases))
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_NUMBERS,)))
     number = dict(zip(subjects, rng.permutation(len(subjects)).tolist(), strict=True))
@@ -233,7 +267,7 @@ def _case(place: _Place, protocols: list[Protocol], preset: Preset, laws: DrawLa
             taking = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, _TAKING, turn)))
             protocol = draw_exposure(protocol, rng=taking, side=knee.side)
         exposures.append(Exposure(name, protocol, int(state[0] >> np.uint64(1))))
-    return Case(subject=subject, index=number, knee=knee, exposures=tuple(exposures), grades=preset.grades)
+    return Case(subject=subject, index=number, knee=knee, exposures=tuple(exposures), grade_table=preset.grade_table)
 
 
 @lru_cache(maxsize=1)  # the other knee of a subject comes next

@@ -72,13 +72,44 @@ def require_seed(seed: int) -> None:
     require_whole("seed", seed, 0, 2**63 - 1, "")
 
 
-def require_generator(rng: np.random.Generator) -> None:
-    """Refuse anything but a numpy Generator.
+Chance = int | np.random.Generator
 
-    raises  InputError
+
+def generator_of(rng: Chance) -> np.random.Generator:
+    """Return a numpy Generator from a seed, or the one that is given (Scientific Python's SPEC 7).
+
+    Parameters
+    ----------
+    rng : int or numpy.random.Generator
+        A seed from 0 to 2**63 - 1, or the generator itself, whose state then moves on.
+
+    Raises
+    ------
+    InputError
+        For anything else, None included: chance is always named, so that a result can be made again.
     """
-    if not isinstance(rng, np.random.Generator):
-        raise InputError(f"rng = {rng!r}; allowed: a numpy Generator, such as np.random.default_rng(7)")
+    return rng if isinstance(rng, np.random.Generator) else np.random.default_rng(seed_of(rng))
+
+
+def seed_of(rng: Chance) -> int:
+    """Return a seed as it is, or one that a numpy Generator draws.
+
+    Raises
+    ------
+    InputError
+        For anything but a whole number from 0 to 2**63 - 1 or a Generator.
+    """
+    if isinstance(rng, np.random.Generator):
+        return int(rng.integers(2**63))
+    if not isinstance(rng, Integral) or isinstance(rng, bool) or not 0 <= rng < 2**63:
+        raise InputError(f"rng must be a whole number from 0 to 2**63 - 1 or a numpy Generator, got {_shown(rng)}")
+    return int(rng)
+
+
+def _shown(value: Any, most: int = 80) -> str:
+    """A value as text, cut where it is long."""
+    text = repr(value)
+    return text if len(text) <= most else f"{text[:most]}..."
 
 
 def require_choice(name: str, value: Any, allowed: Collection[Any]) -> None:
@@ -87,7 +118,7 @@ def require_choice(name: str, value: Any, allowed: Collection[Any]) -> None:
     raises  InputError
     """
     if not any(_same(value, one) for one in allowed):
-        raise InputError(f"{name} = {value!r}; allowed: {', '.join(map(str, allowed))}{_hint(value, allowed)}")
+        raise InputError(f"{name} = {value!r}; allowed: {', '.join(map(str, allowed))}{hint(value, allowed)}")
 
 
 def _same(value: Any, one: Any) -> bool:
@@ -107,7 +138,7 @@ def from_table(kind: type[T], table: Mapping[str, Any], what: str) -> T:
     known = {f.name: f for f in fields(kind)}
     for name in table:
         if name not in known:
-            raise InputError(f"{what}: unknown field {name!r}{_hint(name, known)}; allowed: {', '.join(known)}")
+            raise InputError(f"{what}: unknown field {name!r}{hint(name, known)}; allowed: {', '.join(known)}")
     for name, field in known.items():
         if name not in table and field.default is MISSING and field.default_factory is MISSING:
             raise InputError(f"{what}: field {name!r} is missing; required: {', '.join(_required(kind))}")
@@ -121,6 +152,18 @@ def _required(kind: Any) -> list[str]:
     return [f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING]
 
 
-def _hint(value: Any, allowed: Collection[Any]) -> str:
-    near = get_close_matches(value, [a for a in allowed if isinstance(a, str)], n=1) if isinstance(value, str) else []
+def hint(value: Any, allowed: Collection[Any]) -> str:
+    """Return " (did you mean ...?)" with the name nearest to a text; "" where none is near.
+
+    A name is near that is spelt alike, or has the text among its words: `kv` is near `tube_kv`.
+    """
+    if not isinstance(value, str) or not value:
+        return ""
+    names = [name for name in allowed if isinstance(name, str)]
+    word = value.lower()
+    near = [
+        *(name for name in names if word in name.lower().split("_")),
+        *get_close_matches(value, names, n=1),
+        *(name for name in names if len(word) > 2 and word in name.lower()),
+    ]
     return f" (did you mean {near[0]!r}?)" if near else ""

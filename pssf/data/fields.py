@@ -18,6 +18,7 @@ class FieldLaw(Record, frozen=True):
     whole     bounds of a whole number
     choices   words
     pattern   of a name, in words
+    text      most characters of a text
     optional  whether None is allowed
     source    of usual values
     """
@@ -28,6 +29,7 @@ class FieldLaw(Record, frozen=True):
     whole: tuple[int, int] | None = None
     choices: tuple[str | int, ...] | None = None
     pattern: str | None = None
+    text: int | None = None
     optional: bool = False
     source: str = ""
 
@@ -40,6 +42,8 @@ class FieldLaw(Record, frozen=True):
             return
         if self.pattern is not None and not (isinstance(value, str) and re.fullmatch(r"[\w-]{1,64}", value)):
             raise InputError(f"{name} = {value!r}; allowed: {self.pattern}")
+        if self.text is not None and not (isinstance(value, str) and 1 <= len(value) <= self.text):
+            raise InputError(f"{name} must be {self.allowed}, got {value!r}")
         if self.range is not None:
             require(name, value, *self.range, self.unit)
         if self.whole is not None:
@@ -58,6 +62,8 @@ class FieldLaw(Record, frozen=True):
         bounds = self.range or self.whole
         if bounds:
             return f"{bounds[0]:g} to {bounds[1]:g}"
+        if self.text:
+            return f"text of 1 to {self.text} characters"
         return self.pattern or ", ".join(map(str, self.choices or ()))
 
 

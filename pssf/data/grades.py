@@ -1,14 +1,7 @@
-"""GradeTable: what a drawn knee of a grade may be, as `data/grades/*.toml` or a user's own file has it."""
+"""Records of a table of grades: what a sampled knee of a grade may be. `data.grade_tables` reads them."""
 
-from collections.abc import Sized
-from functools import cache
-from pathlib import Path
+from .records import Numbers, Pair, Record, Rows
 
-from ..core.checks import InputError, require_path
-from .records import Numbers, Pair, Record, Rows, record
-from .tables import read_toml
-
-_FOLDER = Path(__file__).resolve().parent / "grades"
 Laws = tuple[Pair, ...]
 
 
@@ -163,7 +156,7 @@ class Reader(Record, frozen=True):
     kappa: float
 
 
-class _Shared(Record, frozen=True):
+class SharedGrades(Record, frozen=True):
     """Drawn alike in every grade.
 
     body   field of a knee -> mean and standard deviation, of both sexes or of each
@@ -177,7 +170,7 @@ class _Shared(Record, frozen=True):
     fabella: Fabellae
 
 
-class RangeGrades(_Shared, frozen=True):
+class RangeGrades(SharedGrades, frozen=True):
     """Grades by ranges of each parameter: grade -> its ranges."""
 
     grade: dict[str, GradeRanges]
@@ -188,7 +181,7 @@ class RangeGrades(_Shared, frozen=True):
         return tuple(sorted(int(name) for name in self.grade))
 
 
-class SeverityGrades(_Shared, frozen=True):
+class SeverityGrades(SharedGrades, frozen=True):
     """Grades by a latent severity, which spaces, osteophytes, plate, alignment, growth and slip follow in part."""
 
     side: Side
@@ -208,70 +201,3 @@ class SeverityGrades(_Shared, frozen=True):
     def grades(self) -> tuple[int, ...]:
         """All grades, rising."""
         return tuple(range(len(self.rest.wider)))
-
-
-def grade_tables() -> list[str]:
-    """Names of the tables that come with the package."""
-    return sorted(path.stem for path in _FOLDER.glob("*.toml"))
-
-
-@cache
-def grade_table(name_or_path: str = "paper") -> RangeGrades | SeverityGrades:
-    """A table of grades by name, or from a TOML file.
-
-    raises  InputError for an unknown name, a file that is not readable TOML, or one that is no table of grades
-    """
-    path = _path(name_or_path)
-    table = read_toml(path)
-    base = table.pop("base", None)
-    if base is not None:
-        shared = read_toml(_path(base))
-        # In the base's order, by which values are drawn.
-        of_base = {name: shared[name] for name in ("body", "pose", "form", "fabella") if name in shared}
-        table |= {name: {**part, **table.get(name, {})} for name, part in of_base.items()}
-    kind: type[RangeGrades] | type[SeverityGrades] = RangeGrades if "grade" in table else SeverityGrades
-    try:
-        made = record(kind, table, f"grades {path.name}")
-    except ValueError as error:
-        raise InputError(str(error)) from None
-    if isinstance(made, SeverityGrades):
-        _require_every_grade(made, path.name)
-    return made
-
-
-def _path(name_or_path: str) -> Path:
-    require_path(name_or_path, "grades")
-    if Path(name_or_path).suffix == ".toml":
-        return Path(name_or_path)
-    if str(name_or_path) not in grade_tables():
-        allowed = ", ".join(grade_tables())
-        raise InputError(f"grades = {str(name_or_path)!r}; allowed: {allowed}, or the path of a .toml file")
-    return _FOLDER / f"{name_or_path}.toml"
-
-
-def _require_every_grade(table: SeverityGrades, name: str) -> None:
-    grades = [str(grade) for grade in table.grades]
-    lists: dict[str, Sized] = {
-        "osteophytes.level": table.osteophytes.level,
-        "osteophytes.spine": table.osteophytes.spine,
-        "rest.plate": table.rest.plate,
-        "rest.varus_deg": table.rest.varus_deg,
-        "rest.age_years": table.rest.age_years,
-        "rest.women": table.rest.women,
-        "rest.bmi_more": table.rest.bmi_more,
-        "rest.density_more": table.rest.density_more,
-    }
-    if table.central is not None:
-        lists["central.share"] = table.central.share
-    if table.cysts is not None:
-        lists["cysts.share"] = table.cysts.share
-    if table.subluxation is not None:
-        lists["subluxation.lateral_mm"] = table.subluxation.lateral_mm
-    if table.notch is not None:
-        lists["notch.growth_mm"] = table.notch.growth_mm
-    for entry, values in lists.items():
-        if len(values) != len(grades):
-            raise InputError(f"grades {name}: {entry} has {len(values)} entries; allowed: {len(grades)}, as rest.wider")
-    for entry, laws in (("spaces.medial", table.spaces.medial), ("spaces.lateral", table.spaces.lateral)):
-        if sorted(laws) != grades:
-            raise InputError(f"grades {name}: {entry} has {', '.join(sorted(laws))}; allowed: {', '.join(grades)}")

@@ -6,6 +6,19 @@ from .records import Pair, Record, Triple, record
 from .tables import data
 
 
+class KellgrenLawrence(Record, frozen=True):
+    """What a KL grade is derived by.
+
+    doubtful_mm  size above which an osteophyte is doubtful, and
+    definite_mm  size from which an osteophyte is definite
+    lost         fractions of a healthy joint space whose loss is definite (KL 3) and severe (KL 4)
+    """
+
+    doubtful_mm: float
+    definite_mm: float
+    lost: Pair
+
+
 class OarsiCuts(Record, frozen=True):
     """All of `data/oarsi.toml`.
 
@@ -19,6 +32,7 @@ class OarsiCuts(Record, frozen=True):
     men_more_mm: dict[str, float]
     plate: Triple
     attrition_mm: Triple
+    kellgren_lawrence: KellgrenLawrence
 
     def healthy(self, side: str, *, sex: str, jsw_as: str) -> float:
         """A healthy joint space, mm, by the measure that `Knee.jsw_as` names."""

@@ -15,11 +15,9 @@ class Preset(Record, frozen=True):
     repeats    random splits by subject
     retested   knees taken again
     exposures  fixed: each protocol as it is; drawn: as takings vary, see `draw_exposure`
-    grades     table that knees are drawn by, see `draw_knee`
+    grade_table  that knees are sampled from, see `draw_knee`
     doses      factors of a protocol's mAs, and
     tilts_deg  degrees more of its beam angle: each protocol is taken at every one of both
-    numbered   subjects and knees: by grade, one after the other, or by chance, so that no name tells a grade; of the
-               same images
     """
 
     knees: tuple[int, ...]
@@ -28,10 +26,9 @@ class Preset(Record, frozen=True):
     repeats: int
     retested: int
     exposures: str = "fixed"
-    grades: str = "paper"
+    grade_table: str = "population"
     doses: tuple[float, ...] = (1.0,)
     tilts_deg: tuple[float, ...] = (0.0,)
-    numbered: str = "by grade"
 
 
 @cache

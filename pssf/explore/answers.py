@@ -152,7 +152,7 @@ def file(warm: Warm, wanted: Wanted) -> Answer:
     if not kind:
         raise InputError("kind = ''; allowed: a kind of file")
     built = warm.built(knee, protocol)
-    done = simulate(built, protocol, seed=wanted.seed, engine=ENGINE, paths=warm.known(knee, protocol))
+    done = simulate(built, protocol, rng=wanted.seed, engine=ENGINE, paths=warm.known(knee, protocol))
     return {"name": f"{stem}.{kind}"}, radiograph_bytes(done, kind)
 
 

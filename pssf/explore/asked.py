@@ -7,8 +7,10 @@ import msgspec
 
 from ..core.checks import InputError, require_choice, require_seed, require_whole
 from ..data.fields import field_laws
+from ..data.oarsi import OarsiCuts, oarsi_cuts
 from ..data.records import TYPES_LOCK, Record
 from ..model.draw import draw_knee
+from ..model.kellgren_lawrence import allowed_grades
 from ..model.knee import Knee, knee_from
 from ..model.protocol import Protocol, protocol_from
 from .listing import MOST_PIXELS, page_knee
@@ -44,10 +46,10 @@ class State(Record, frozen=True):
 
 
 class Draw(Record, frozen=True):
-    """A knee that is to be drawn, as `draw_knee` has it."""
+    """Ask for a sampled knee, with the arguments of `draw_knee`."""
 
     grade: int
-    table: str
+    grade_table: str
     seed: int
 
 
@@ -91,7 +93,7 @@ def resolve(state: State) -> Wanted:
     for name in ("rows", "cols"):
         require_whole(f"{name} of the page", getattr(protocol, name), 1, MOST_PIXELS, "pixels")
     return Wanted(
-        knee=knee_from(knee),
+        knee=_of_page(knee, oarsi_cuts()),
         protocol=coarser(protocol, state.side),
         whole=protocol,
         seed=seed,
@@ -99,6 +101,16 @@ def resolve(state: State) -> Wanted:
         kind=state.kind,
         place=(state.row, state.col),
     )
+
+
+def _of_page(fields: dict[str, Any], cuts: OarsiCuts) -> Knee:
+    """The knee that the page shows: where a slider has moved its anatomy beyond its grade, the grade is derived."""
+    anatomy = knee_from({**fields, "grade": None, "grade_table": None})
+    low, high = allowed_grades(anatomy, cuts)
+    grade = fields.get("grade")
+    if isinstance(grade, int) and not low <= grade <= high:
+        return anatomy
+    return knee_from(fields)
 
 
 def coarser(protocol: Protocol, side: int) -> Protocol:
@@ -120,15 +132,13 @@ def drawn(body: bytes) -> dict[str, Any]:
 
     raises  InputError for an unknown grade or table
     """
-    import numpy as np
-
-    from ..data.grades import grade_tables
+    from ..data.grade_tables import grade_tables
 
     asked = _decoded(body, Draw)
     # A path would be read from the disk.
-    require_choice("table", asked.table, grade_tables())
+    require_choice("grade_table", asked.grade_table, grade_tables())
     require_seed(asked.seed)
-    return page_knee(draw_knee(grade=asked.grade, rng=np.random.default_rng(asked.seed), table=asked.table))
+    return page_knee(draw_knee(grade=asked.grade, rng=asked.seed, grade_table=asked.grade_table))
 
 
 def _decoded(body: bytes, kind: type[Kind]) -> Kind:

@@ -7,7 +7,7 @@ from typing import Any
 
 from ..data.explore import Explored, Group, explored
 from ..data.fields import FieldLaw, field_laws
-from ..data.grades import grade_table, grade_tables
+from ..data.grade_tables import grade_table, grade_tables
 from ..data.shapes import shape_table
 from ..data.tables import protocol_names
 from ..model.knee import MOST_CYSTS, MOST_SD, Cyst, Knee, Osteophyte, knee_from, knee_table

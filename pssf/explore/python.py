@@ -15,7 +15,7 @@ def python_lines(knee: Knee, protocol: Protocol, seed: int) -> str:
     return (
         "import pssf\n"
         f"knee, protocol = {_call(knee)}, {_call(protocol)}\n"
-        f"radiograph = pssf.simulate(knee, protocol, seed={seed}, engine={ENGINE!r})\n"
+        f"radiograph = pssf.simulate(knee, protocol, rng={seed}, engine={ENGINE!r})\n"
     )
 
 

@@ -3,6 +3,7 @@ pixels, so that a bit that was flipped is seen."""
 
 import hashlib
 import json
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,15 @@ from ..model.protocol import protocol_from, protocol_table
 from ..model.radiograph import Radiograph, Truth
 
 
+class LabelWarning(UserWarning):
+    """Labels that a file holds are not those of its radiograph and are left out."""
+
+
 class _Truth(Record, frozen=True):
     """`model.radiograph.Truth`, but for its masks, as JSON has it."""
 
-    jsw_medial_mm: float
-    jsw_lateral_mm: float
+    jsw_medial_mm: float | None
+    jsw_lateral_mm: float | None
     jsw_at_mm: dict[str, float]
     grade: int | None
     grade_read: int | None
@@ -69,10 +74,10 @@ def parameters(text: str, path: Path) -> dict[str, Any]:
         "protocol": protocol_from(described.protocol, where),
         "seed": described.seed,
         "knees": tuple(knee_from(table, where) for table in described.knees),
-        "truths": tuple(map(_truth, described.truths)),
+        "truths": tuple(_truth(one, path) for one in described.truths),
         "scene": described.scene,
         "knee": None if described.knee is None else knee_from(described.knee, where),
-        "truth": None if described.truth is None else _truth(described.truth),
+        "truth": None if described.truth is None else _truth(described.truth, path),
         "engine": described.engine,
         "audit": described.audit,
         "versions": described.versions,
@@ -131,9 +136,19 @@ def _truth_table(truth: Truth) -> dict[str, Any]:
     }
 
 
-def _truth(entry: _Truth) -> Truth:
-    spaces = {float(fraction): space for fraction, space in entry.jsw_at_mm.items()}
-    return Truth(**{**msgspec.structs.asdict(entry), "jsw_at_mm": spaces})
+def _truth(entry: _Truth, path: Path) -> Truth:
+    fields = msgspec.structs.asdict(entry)
+    fields["jsw_at_mm"] = {float(fraction): space for fraction, space in entry.jsw_at_mm.items()}
+    if entry.jsw_medial_mm is not None and "medial_jsw_femur" not in entry.landmarks_px:
+        warnings.warn(
+            f"file {path} was written by an earlier version, whose joint space labels are those of another view; they "
+            "are left out; simulate the knee again to get them",
+            LabelWarning,
+            stacklevel=2,
+        )
+        readings = {name: value for name, value in entry.readings.items() if not name.startswith("jsw_least_")}
+        fields |= {"jsw_medial_mm": None, "jsw_lateral_mm": None, "jsw_at_mm": {}, "readings": readings}
+    return Truth(**fields)
 
 
 def _dumped(fields: dict[str, Any], indent: int | None = None) -> str:

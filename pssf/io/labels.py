@@ -19,14 +19,14 @@ class LabelledImage:
     file       name within the folder of pictures
     rows, cols of pixels
     places     landmark -> (row, column)
-    grade      KL grade, or None
+    attributes name -> what else is known of it, such as its KL grade; None is left out
     """
 
     file: str
     rows: int
     cols: int
     places: Places
-    grade: int | None
+    attributes: Mapping[str, float | None]
 
 
 def write_pts(path: Path, places: Places) -> Path:
@@ -69,7 +69,7 @@ def write_coco(path: Path, images: Sequence[LabelledImage]) -> Path:
         points = [(col, row) for row, col in image.places.values()]
         left, top = (min(point[axis] for point in points) for axis in (0, 1))
         right, bottom = (max(point[axis] for point in points) for axis in (0, 1))
-        annotations.append(_annotation(number, points, (left, top, right - left, bottom - top), image.grade))
+        annotations.append(_annotation(number, points, (left, top, right - left, bottom - top), image.attributes))
     write_json(path, {
         "info": {"description": "Knee radiographs simulated by pssf; landmarks are true by construction."},
         "images": [
@@ -85,14 +85,18 @@ def write_coco(path: Path, images: Sequence[LabelledImage]) -> Path:
 
 
 def _annotation(
-    number: int, points: list[tuple[float, float]], box: tuple[float, float, float, float], grade: int | None
+    number: int,
+    points: list[tuple[float, float]],
+    box: tuple[float, float, float, float],
+    attributes: Mapping[str, float | None],
 ) -> dict[str, Any]:
     """2 is COCO's word for a landmark that is labelled and visible."""
     flat = [value for x, y in points for value in (round(x, 4), round(y, 4), 2)]
     annotation: dict[str, Any] = {"id": number, "image_id": number, "category_id": 1, "iscrowd": 0}
     annotation |= {"keypoints": flat, "num_keypoints": len(points)}
     annotation |= {"bbox": [round(value, 4) for value in box], "area": round(box[2] * box[3], 4)}
-    return annotation | ({} if grade is None else {"attributes": {"kl": grade}})
+    known = {name: round(value, 4) for name, value in attributes.items() if value is not None}
+    return annotation | ({"attributes": known} if known else {})
 
 
 def _skeleton(names: Sequence[str]) -> list[list[int]]:

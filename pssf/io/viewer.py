@@ -200,5 +200,7 @@ def _facts(radiograph: Radiograph) -> str:
         return "Own meshes"
     facts = [f"{knee.side} knee, {knee.sex}".capitalize()]
     facts += [] if knee.grade is None else [f"KL-like grade {knee.grade}"]
-    facts.append(f"joint space {knee.jsw_medial_mm:.1f} mm medial, {knee.jsw_lateral_mm:.1f} mm lateral")
+    truth = radiograph.truth
+    if truth is not None and truth.jsw_medial_mm is not None and truth.jsw_lateral_mm is not None:
+        facts.append(f"joint space {truth.jsw_medial_mm:.1f} mm medial, {truth.jsw_lateral_mm:.1f} mm lateral")
     return " · ".join(facts)

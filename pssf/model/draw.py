@@ -1,13 +1,18 @@
 """draw_knee, draw_pair: a grade and chance -> a knee, or both of a person, by a table of grades."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Integral
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..core.checks import from_table, require_choice, require_generator, require_whole
+from ..core.checks import Chance, InputError, from_table, generator_of, require_choice
+from ..core.keywords import keywords
 from ..data.fields import FieldLaw, field_laws
-from ..data.grades import RangeGrades, SeverityGrades, grade_table
+from ..data.grade_tables import grade_table, grade_table_name, tables_with
+from ..data.grades import RangeGrades, SeverityGrades
 from ..data.limbs import Limbs, limbs
 from ..data.records import Pair
 from ..data.shapes import shape_table
@@ -15,6 +20,8 @@ from ..data.spongy import trabecular_bone
 from .knee import BORDER_SITES, MOST_SD, Knee, Osteophyte
 from .severity import severity_fields
 
+# Table of grades that knees are sampled from where none is named.
+DEFAULT_TABLE = "population"
 # No value of a normal law is farther from its mean.
 _FARTHEST_SD = 2.0
 # What the two knees of a person share.
@@ -28,6 +35,7 @@ _BODY_FIELDS = (
 class DrawLaws:
     """What knees are drawn by.
 
+    table    name of the table of grades, or the file name of one's own
     grades   table of grades
     modes    of the bones' shape, how many
     limbs    what BMI gives a limb
@@ -35,6 +43,7 @@ class DrawLaws:
     density  mean and deviation of `Knee.bone_density`
     """
 
+    table: str
     grades: RangeGrades | SeverityGrades
     modes: int
     limbs: Limbs
@@ -43,12 +52,15 @@ class DrawLaws:
 
 
 def draw_laws(table: str) -> DrawLaws:
-    """The laws of a table of grades, by its name or path, and of what is drawn alike in all.
+    """Resolve the laws of a table of grades, by its name or path, and of what is sampled alike in all.
 
     raises  InputError for an unknown table
     """
+    grades = grade_table(table)
+    own = Path(table).suffix == ".toml"
     return DrawLaws(
-        grades=grade_table(table),
+        table=Path(table).name if own else grade_table_name(str(table)),
+        grades=grades,
         modes=len(shape_table().modes),
         limbs=limbs(),
         bmi=field_laws("knee")["bmi"],
@@ -56,28 +68,67 @@ def draw_laws(table: str) -> DrawLaws:
     )
 
 
-def draw_knee(*, grade: int, rng: np.random.Generator, table: str = "paper", **fixed: Any) -> Knee:
-    """A knee of a KL grade with parameters drawn by a table of grades.
+@keywords(table="grade_table")
+def draw_knee(*, grade: int, rng: Chance, grade_table: str = DEFAULT_TABLE, **fixed: Any) -> Knee:
+    """Sample a knee of a KL grade from a table of grades.
 
-    rng    the only source of chance; size and pose are drawn from it, texture's seed, shape and BMI from children
-    table  "paper", whose ranges make grades 0 to 2 a function of the joint space, "people", whose grades 0 to 4 overlap
-           as people's do and whose joint spaces are those that readers take, or the path of a TOML file
-    fixed  fields of `Knee` to hold at a value; the draw of the others does not depend on them, but for sizes that go
-           with sex, and for limb and fat, which go with BMI
-    raises InputError for an unknown grade, table or field, or a rng that is none
+    Parameters
+    ----------
+    grade : int
+        KL grade, 0 to 4 in the table `population`, 0 to 2 in `paper`.
+    rng : int or numpy.random.Generator
+        The only source of chance. Size and pose are sampled from it; texture seed, shape and BMI from its children.
+    grade_table : str, default "population"
+        `population`, in which the grades overlap as in patients and joint spaces are those that readers measure;
+        `paper`, in which the joint space alone separates grades 0 to 2; or the path of a TOML file.
+    **fixed
+        Fields of `Knee` to hold at a value. The other fields do not depend on them, except sizes, which depend on sex,
+        and limb and fat, which depend on BMI.
+
+    Returns
+    -------
+    Knee
+
+    Raises
+    ------
+    InputError
+        For an unknown grade, table or field, or an `rng` that is neither an integer nor a Generator.
+
+    Examples
+    --------
+    >>> import pssf
+    >>> knee = pssf.draw_knee(grade=2, rng=7)
+    >>> knee.grade, knee.grade_table
+    (2, 'population')
     """
-    return drawn_knee(draw_laws(table), grade=grade, rng=rng, **fixed)
+    laws = draw_laws(grade_table)
+    _require_grade(laws, grade, tables_with(grade))
+    return drawn_knee(laws, grade=grade, rng=generator_of(rng), **fixed)
+
+
+def _require_grade(laws: DrawLaws, grade: int, others: Sequence[str] = ()) -> None:
+    """Refuse a grade that a table lacks; others: tables of the package that have it."""
+    whole = isinstance(grade, Integral) and not isinstance(grade, bool)
+    if whole and grade in laws.grades.grades:
+        return
+    hint = f": grade table {', '.join(others)} has it" if whole and others else ""
+    allowed = ", ".join(map(str, laws.grades.grades))
+    raise InputError(f"grade must be one of {allowed} in grade table {laws.table}, got {grade!r}{hint}")
 
 
 def drawn_knee(laws: DrawLaws, *, grade: int, rng: np.random.Generator, **fixed: Any) -> Knee:
-    """`draw_knee` by laws that are known."""
+    """Sample a knee as `draw_knee` does, by laws that are resolved."""
     law = laws.grades
-    require_whole("grade", grade, min(law.grades), max(law.grades), "")
-    require_generator(rng)
+    _require_grade(laws, grade)
     men = 0.5 if isinstance(law, RangeGrades) else 1 - law.rest.women[grade]
     sex = fixed.get("sex", "male" if rng.random() < men else "female")
     require_choice("sex", sex, ("male", "female"))
-    drawn: dict[str, Any] = {"sex": sex, "grade": int(grade), "side": "right" if rng.random() < 0.5 else "left"}
+    drawn: dict[str, Any] = {
+        "sex": sex,
+        "grade": int(grade),
+        "grade_table": laws.table,
+        "side": "right" if rng.random() < 0.5 else "left",
+    }
     for name, shared in law.body.items():
         drawn[name] = _normal(rng, shared, sex)
     ranges = law.grade[str(int(grade))] if isinstance(law, RangeGrades) else None
@@ -103,13 +154,20 @@ def drawn_knee(laws: DrawLaws, *, grade: int, rng: np.random.Generator, **fixed:
     laws.bmi.check("bmi", bmi)
     drawn |= _limb(bmi, sex, drawn, laws.limbs)
     drawn["bone_density"] = round(_normal(rng.spawn(1)[0], laws.density, sex) + denser, 4)
-    if isinstance(law, SeverityGrades) and law.skin_folds is not None:
-        most = np.interp(bmi, *np.array(law.skin_folds.most).T)
-        drawn["skin_folds"] = round(float(most) * rng.spawn(1)[0].random(), 4)
-    if isinstance(law, SeverityGrades) and law.hip is not None:
-        angle_deg = _normal(rng.spawn(1)[0], law.hip.mechanical_axis_deg, sex)
-        drawn["mechanical_axis_deg"] = float(np.clip(angle_deg, 1.0, 9.0))
+    if isinstance(law, SeverityGrades):
+        drawn |= _skin_and_hip(law, bmi, sex, rng)
     return from_table(Knee, {**drawn, **fixed}, "draw_knee")
+
+
+def _skin_and_hip(law: SeverityGrades, bmi: float, sex: str, rng: np.random.Generator) -> dict[str, float]:
+    sampled = {}
+    if law.skin_folds is not None:
+        most = np.interp(bmi, *np.array(law.skin_folds.most).T)
+        sampled["skin_folds"] = round(float(most) * rng.spawn(1)[0].random(), 4)
+    if law.hip is not None:
+        angle_deg = _normal(rng.spawn(1)[0], law.hip.mechanical_axis_deg, sex)
+        sampled["mechanical_axis_deg"] = float(np.clip(angle_deg, 1.0, 9.0))
+    return sampled
 
 
 def draw_knees(laws: DrawLaws, count: int, seed: int, **fixed: Any) -> list[Knee]:
@@ -125,14 +183,34 @@ def draw_knees(laws: DrawLaws, count: int, seed: int, **fixed: Any) -> list[Knee
     ]
 
 
-def draw_pair(*, grade: int, rng: np.random.Generator, table: str = "paper", **fixed: Any) -> tuple[Knee, Knee]:
-    """Right and left knee of a person, both of a KL grade: of one body, each with a joint of its own.
+@keywords(table="grade_table")
+def draw_pair(*, grade: int, rng: Chance, grade_table: str = DEFAULT_TABLE, **fixed: Any) -> tuple[Knee, Knee]:
+    """Sample the right and the left knee of a person, both of a KL grade: one body, two joints.
 
-    Arguments as in `draw_knee`, but for the side.
+    Parameters
+    ----------
+    grade, rng, grade_table, **fixed
+        As in `draw_knee`, except the side.
+
+    Returns
+    -------
+    right, left : Knee
+
+    Raises
+    ------
+    InputError
+        As `draw_knee`.
+
+    Examples
+    --------
+    >>> import pssf
+    >>> right, left = pssf.draw_pair(grade=3, rng=7)
+    >>> right.side, left.side, right.stature_mm == left.stature_mm
+    ('right', 'left', True)
     """
-    require_generator(rng)
-    laws = draw_laws(table)
-    of_body, *of_knees = rng.spawn(3)
+    laws = draw_laws(grade_table)
+    _require_grade(laws, grade, tables_with(grade))
+    of_body, *of_knees = generator_of(rng).spawn(3)
     shared = fixed | draw_body(laws, grade=grade, rng=of_body, **fixed)
     right, left = (
         drawn_knee(laws, grade=grade, rng=of_knee, **shared, side=side)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.checks import InputError, require_choice, require_generator
+from ..core.checks import Chance, InputError, generator_of, require_choice
 from ..data.exposures import exposures
 from ..data.fields import FieldLaw, field_laws
 from .knee import Knee
@@ -25,19 +25,41 @@ _TAKEN = (
 MARKERS = {"right": "R", "left": "L"}
 
 
-def draw_exposure(protocol: Protocol, *, rng: np.random.Generator, side: str | None = None) -> Protocol:
-    """A taking: centring, tilt and rotation of the leg, flexion, beam, distance, kV, mAs, field and marker vary.
+def draw_exposure(protocol: Protocol, *, rng: Chance, side: str | None = None) -> Protocol:
+    """Sample the acquisition variability of a protocol: positioning, beam, technique, field and marker.
 
-    By how much is in `data/exposures.toml`, with its sources; where the result would leave a field's range it is that
-    range's end. All that was drawn is in the protocol, which a radiograph keeps.
+    Centring, tilt, rotation and flexion of the leg, beam angle, distance, kV, mAs, field and marker vary by
+    `data/exposures.toml`, which names its sources. A value that would leave its range is set to the range's end.
 
-    protocol  the view as it is meant
-    side      of the knee, whose letter the marker then is; None for no marker
-    raises    InputError for what is no protocol, generator or side
+    Parameters
+    ----------
+    protocol : Protocol
+        The view as it is meant.
+    rng : int or numpy.random.Generator
+        The only source of chance.
+    side : {"right", "left"}, optional
+        Side of the knee, whose letter the marker shows; without it there is no marker.
+
+    Returns
+    -------
+    Protocol
+        With all that was sampled; a radiograph keeps it.
+
+    Raises
+    ------
+    InputError
+        For anything but a Protocol, an unknown side, or an `rng` that is neither an integer nor a Generator.
+
+    Examples
+    --------
+    >>> import pssf
+    >>> varied = pssf.draw_exposure(pssf.load_protocol("fixed_flexion"), rng=7)
+    >>> varied.name
+    'fixed_flexion'
     """
     if not isinstance(protocol, Protocol):
         raise InputError(f"protocol = {protocol!r}; allowed: a Protocol, as load_protocol gives it")
-    require_generator(rng)
+    rng = generator_of(rng)
     require_choice("side", side, (*MARKERS, None))
     table, laws = exposures(), field_laws("protocol")
     # All are drawn, so that one more field of use leaves the others as they were.

@@ -6,9 +6,11 @@ from itertools import pairwise
 from typing import Any, cast
 
 from ..core.checks import InputError, from_table, require, require_whole
+from ..core.keywords import keywords
 from ..data.fields import check_fields
 from ..data.limbs import limbs
 from ..data.shapes import Mode, shape_table
+from .kellgren_lawrence import require_grade
 
 # No score of a shape is farther from the mean.
 MOST_SD = 3.0
@@ -32,6 +34,7 @@ def other_compartment(side: str) -> str:
     return "lateral" if side == "medial" else "medial"
 
 
+@keywords()
 @dataclass(frozen=True, kw_only=True)
 class Osteophyte:
     """A bony lip at a joint margin, a spike on a tibial spine, or a mound in the middle of a joint surface.
@@ -77,6 +80,7 @@ class Osteophyte:
         return BONE_OF[self.site.split("_")[1]]
 
 
+@keywords()
 @dataclass(frozen=True, kw_only=True)
 class Cyst:
     """A subchondral cyst: a ball as soft as marrow in a wall of compact bone, in spongy bone, by the plate.
@@ -96,6 +100,7 @@ class Cyst:
         check_fields("cyst", self)
 
 
+@keywords()
 @dataclass(frozen=True, kw_only=True)
 class Knee:
     """Parameters of one knee (defaults: a healthy average man, right side).
@@ -134,9 +139,11 @@ class Knee:
     bone_density       of the spongy bone over the mean of that age and sex
     texture_seed       of the trabeculae, of how uneven the cortex is and of how rough the bone, which a knee changed in
                        another field keeps
-    grade              KL grade that it was drawn for, or None
-    grade_read         what a reader calls it, who may be off by one; None where no reader is drawn
-    raises             InputError for a value out of range, or two osteophytes or cysts at one place
+    grade              KL grade that the knee was sampled for; None: `Truth.grade` is derived from the anatomy
+    grade_table        table of grades that it was sampled from; None for a knee built by hand
+    grade_read         KL grade that a reader gives, who may be off by one; None where no reader is sampled
+    raises             InputError for a value out of range, two osteophytes or cysts at one place, or a grade that
+                       contradicts the anatomy (`kellgren_lawrence.allowed_grades`)
     """
 
     side: str = "right"
@@ -169,6 +176,7 @@ class Knee:
     bone_density: float = 1.0
     texture_seed: int = 0
     grade: int | None = None
+    grade_table: str | None = None
     grade_read: int | None = None
     cysts: tuple[Cyst, ...] = ()
     subluxation_mm: float = 0.0
@@ -190,6 +198,7 @@ class Knee:
             _require_apart(name, given)
         require_whole("number of cysts", len(self.cysts), 0, MOST_CYSTS, "")
         object.__setattr__(self, "shape", require_scores(self.shape, shape_table().modes))
+        require_grade(self)
 
     @property
     def sclerotic_side(self) -> str:

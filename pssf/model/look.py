@@ -3,24 +3,41 @@
 import msgspec
 import numpy as np
 
-from ..core.checks import require_generator
+from ..core.checks import Chance, generator_of
 from ..data.looks import Looks, Processed, looks
 
 _CUT_SD = 2.0
 
 
-def draw_look(*, rng: np.random.Generator) -> Processed:
-    """Parameters of `present(look=...)` as they vary from site to site: latitude, sharpness, dark and bright ends.
+def draw_look(*, rng: Chance) -> Processed:
+    """Sample the display processing of a site: latitude, sharpness, dark and bright ends.
 
-    By how much is in `data/looks.toml`, with its source.
-    raises  InputError for what is no generator
+    Parameters
+    ----------
+    rng : int or numpy.random.Generator
+        The only source of chance; by how much the parameters vary is in `data/looks.toml`, with its source.
+
+    Returns
+    -------
+    Processed
+        Parameters that `present(look=...)` takes.
+
+    Raises
+    ------
+    InputError
+        For an `rng` that is neither an integer nor a Generator.
+
+    Examples
+    --------
+    >>> import pssf
+    >>> pssf.draw_look(rng=7) == pssf.draw_look(rng=7)
+    True
     """
-    return drawn_look(looks(), rng=rng)
+    return drawn_look(looks(), rng=generator_of(rng))
 
 
 def drawn_look(known: Looks, *, rng: np.random.Generator) -> Processed:
-    """`draw_look` by a table that is known."""
-    require_generator(rng)
+    """Sample display processing as `draw_look` does, by a table that is resolved."""
     spread = known.spread
     scores = np.clip(rng.standard_normal(5), -_CUT_SD, _CUT_SD)
     gains = (spread.latitude_gain, spread.edge_gain)

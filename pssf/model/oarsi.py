@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from ..data.oarsi import OarsiCuts
 from ..data.records import Triple
 from ..data.spongy import TrabecularBone
+from .kellgren_lawrence import kl_grade
 from .knee import Knee
 
 _BONES, _SIDES = {"femur": "F", "tibia": "T"}, {"medial": "M", "lateral": "L"}
@@ -18,9 +19,10 @@ def oarsi(knee: Knee, attrition_mm: Mapping[str, float], cuts: OarsiCuts, spongy
     spongy        how much of the plate's sclerosis each bone and side has
 
     Grades are of what the knee is built with, not of what can be seen of it under a protocol; their cuts are in
-    `data/oarsi.toml` (Altman and Gold 2007; judgement). XRKL is the KL grade that it was drawn for, if any.
+    `data/oarsi.toml` (Altman and Gold 2007; judgement). XRKL is the KL grade that the knee was sampled for, or the one
+    derived from its anatomy (`kellgren_lawrence`).
     """
-    grades = {} if knee.grade is None else {"XRKL": knee.grade}
+    grades = {"XRKL": kl_grade(knee, cuts)}
     for bone, letter in _BONES.items():
         for side, of_side in _SIDES.items():
             sizes = [one.size_mm for one in knee.osteophytes if one.site == f"{side}_{bone}"]

@@ -5,51 +5,73 @@ from typing import Any
 
 import numpy as np
 
-from ..core.checks import Array, InputError, require, require_generator
+from ..core.checks import Array, Chance, InputError, generator_of, require
 from ..data.fields import FieldLaw, field_laws
 from ..data.oarsi import OarsiCuts, oarsi_cuts
 from ..data.progress import Progress, Step, progress_law
 from ..data.records import Pair
+from .kellgren_lawrence import MARGINS, MOST_GRADE, SIDES, allowed_grades, largest_osteophyte_mm, narrowed
 from .knee import Knee, Osteophyte, other_compartment
 
-_SIDES = ("medial", "lateral")
-_MARGINS = ("medial_tibia", "medial_femur", "lateral_tibia", "lateral_femur")
-_MOST_GRADE, _MOST_YEARS = 4, 40
+_MOST_YEARS = 40
 # Fields whose change is a number.
 _CHANGED = (
     "jsw_medial_mm", "jsw_lateral_mm", "subchondral_plate", "varus_deg", "notch_growth_mm", "effusion_mm", "age_years",
 )  # fmt: skip
 
 
-def progress(knee: Knee, years: float, rng: np.random.Generator) -> Knee:
-    """The same person's knee after some years: older, its spaces no wider, what has grown or swollen no smaller.
+def progress(knee: Knee, years: float, rng: Chance) -> Knee:
+    """Age a knee: the same person's knee after some years, with no joint space wider and no osteophyte smaller.
 
-    Shape, size, posture, limb, cysts and the seed of its texture are kept. Its rates are drawn before the years are
-    looked at: with generators of one seed a knee has one course, of which each time is a visit.
+    Shape, size, posture, limb, cysts and the seed of its texture are kept. Its rates are sampled before the years are
+    looked at: with the same seed a knee has one course, of which each time is a visit.
 
-    years   0 to 40
-    rng     the only source of chance
-    raises  InputError for years out of range or beyond the oldest age, what is no knee, or a rng that is none
+    Parameters
+    ----------
+    knee : Knee
+        At the first visit.
+    years : float
+        0 to 40.
+    rng : int or numpy.random.Generator
+        The only source of chance.
+
+    Returns
+    -------
+    Knee
+
+    Raises
+    ------
+    InputError
+        For anything but a Knee, years out of range or beyond the oldest age, or an `rng` that is neither an integer
+        nor a Generator.
+
+    Examples
+    --------
+    >>> import pssf
+    >>> first = pssf.draw_knee(grade=2, rng=7)
+    >>> pssf.progress(first, 2.0, rng=1).jsw_medial_mm <= first.jsw_medial_mm
+    True
     """
     if not isinstance(knee, Knee):
         raise InputError(f"knee = {knee!r}; allowed: a Knee")
-    require_generator(rng)
+    rng = generator_of(rng)
     require("years", years, 0, _MOST_YEARS, "years")
     law, cuts, of_varus = progress_law(), oarsi_cuts(), field_laws("knee")["varus_deg"]
-    definite_mm = law.step.definite_mm[_MOST_GRADE if knee.grade is None else knee.grade]
+    definite_mm = law.step.definite_mm[MOST_GRADE if knee.grade is None else knee.grade]
     stage = _stage(knee, law.step, cuts, definite_mm)
-    lost_already = {side: _lost(knee, side, cuts) for side in _SIDES}
+    lost_already = {side: narrowed(knee, side, cuts) for side in SIDES}
     course = _draw_course(law, knee, stage if knee.grade is None else knee.grade, lost_already, rng)
     other = other_compartment(course.narrows)
     lost = {course.narrows: years * course.loss_mm, other: years * course.loss_mm * law.other}
     spaces: dict[str, Any] = {
         f"jsw_{side}_mm": round(max(0.0, _space_mm(knee, side) - mm), 4) for side, mm in lost.items()
     }
-    fell = {side: _space_mm(knee, side) - spaces[f"jsw_{side}_mm"] for side in _SIDES}
+    fell = {side: _space_mm(knee, side) - spaces[f"jsw_{side}_mm"] for side in SIDES}
     varus_deg = knee.varus_deg + law.varus_deg_per_mm * (fell["medial"] - fell["lateral"])
     later = replace(
         knee,
         **spaces,
+        grade=None,
         osteophytes=_grown(knee, years, course, law),
         subchondral_plate=_risen(knee.subchondral_plate, years * course.plate, law.most_plate),
         notch_growth_mm=_risen(knee.notch_growth_mm, years * course.notch_mm, law.most_notch_mm),
@@ -59,16 +81,40 @@ def progress(knee: Knee, years: float, rng: np.random.Generator) -> Knee:
     )
     if knee.grade is None:
         return later
-    steps = _stage(later, law.step, cuts, definite_mm) - stage
-    read = None if knee.grade_read is None else min(_MOST_GRADE, knee.grade_read + steps)
-    return replace(later, grade=min(_MOST_GRADE, knee.grade + steps), grade_read=read)
+    low, high = allowed_grades(later, cuts)
+    stepped = knee.grade + _stage(later, law.step, cuts, definite_mm) - stage
+    # No lower than before: nothing heals.
+    grade = min(MOST_GRADE, max(knee.grade, low, min(stepped, high)))
+    read = None if knee.grade_read is None else min(MOST_GRADE, knee.grade_read + grade - knee.grade)
+    return replace(later, grade=grade, grade_read=read)
 
 
 def true_change(before: Knee, after: Knee) -> dict[str, float]:
-    """Field -> by how much it has grown (less than 0: shrunk), of spaces, plate, varus, growth into the notch, effusion
-    and age; the largest osteophyte and how many there are; and the KL grade, where both have one.
+    """Compare two visits of a knee: the change of every field that `progress` changes.
 
-    raises  InputError for what is no knee
+    Parameters
+    ----------
+    before, after : Knee
+        The same knee at two visits.
+
+    Returns
+    -------
+    dict of str to float
+        Field -> value after less value before, of joint spaces, subchondral bone plate, varus, growth into the notch,
+        effusion and age; `largest_osteophyte_mm` and `osteophyte_count`; and `grade_change`, the steps of KL grade,
+        where both knees have a grade.
+
+    Raises
+    ------
+    InputError
+        For anything but two knees.
+
+    Examples
+    --------
+    >>> import pssf
+    >>> first = pssf.draw_knee(grade=2, rng=7)
+    >>> pssf.true_change(first, pssf.progress(first, 2.0, rng=1))["age_years"]
+    2.0
     """
     for called, knee in (("before", before), ("after", after)):
         if not isinstance(knee, Knee):
@@ -78,7 +124,7 @@ def true_change(before: Knee, after: Knee) -> dict[str, float]:
     change["largest_osteophyte_mm"] = round(max(sizes[1], default=0.0) - max(sizes[0], default=0.0), 4)
     change["osteophyte_count"] = len(sizes[1]) - len(sizes[0])
     if before.grade is not None and after.grade is not None:
-        change["grade"] = after.grade - before.grade
+        change["grade_change"] = after.grade - before.grade
     return change
 
 
@@ -104,15 +150,15 @@ class _Course:
 def _draw_course(law: Progress, knee: Knee, grade: int, lost: dict[str, float], rng: np.random.Generator) -> _Course:
     """lost: side -> share of a healthy space that it has lost already."""
     drawn = "medial" if rng.random() < law.medial else "lateral"
-    narrower = max(_SIDES, key=lambda side: lost[side])
+    narrower = max(SIDES, key=lambda side: lost[side])
     loss, growth, plate = (_gamma(of[grade], rng) for of in (law.loss_mm, law.osteophyte_mm, law.plate))
     return _Course(
         narrows=narrower if grade >= law.side_is_told else drawn,
         loss_mm=loss,
         growth_mm=growth,
         plate=plate,
-        arises_years=rng.exponential(1 / law.new_a_year[grade], len(_MARGINS)),
-        factors=rng.uniform(*law.of_each, len(knee.osteophytes) + len(_MARGINS)),
+        arises_years=rng.exponential(1 / law.new_a_year[grade], len(MARGINS)),
+        factors=rng.uniform(*law.of_each, len(knee.osteophytes) + len(MARGINS)),
         notch_mm=_gamma(law.notch_mm[grade], rng),
         swelling_mm=_gamma(law.swelling_mm[grade], rng),
     )
@@ -130,7 +176,7 @@ def _grown(knee: Knee, years: float, course: _Course, law: Progress) -> tuple[Os
         size_mm = min(law.most_mm, one.tallest_mm, one.size_mm + years * course.growth_mm * factor)
         grown.append(replace(one, size_mm=round(max(one.size_mm, float(size_mm)), 4)))
     bare = course.factors[len(knee.osteophytes) :]
-    for site, arises, factor in zip(_MARGINS, course.arises_years, bare, strict=True):
+    for site, arises, factor in zip(MARGINS, course.arises_years, bare, strict=True):
         size_mm = min(law.most_mm, (years - arises) * course.growth_mm * factor)
         if size_mm >= law.least_mm and all(one.site != site for one in knee.osteophytes):
             grown.append(Osteophyte(site=site, size_mm=round(float(size_mm), 4)))
@@ -144,16 +190,11 @@ def _risen(value: float, rise: float, most: float) -> float:
 
 def _stage(knee: Knee, step: Step, cuts: OarsiCuts, definite_mm: float) -> int:
     """The KL grade of what a knee is built with, where an osteophyte of such a size is definite."""
-    largest = max((one.size_mm for one in knee.osteophytes if one.site in _MARGINS), default=0.0)
+    largest = largest_osteophyte_mm(knee)
     if largest < definite_mm:
         return int(largest >= step.doubtful_mm)
-    lost = max(_lost(knee, side, cuts) for side in _SIDES)
+    lost = max(narrowed(knee, side, cuts) for side in SIDES)
     return 2 + sum(lost >= cut for cut in step.lost)
-
-
-def _lost(knee: Knee, side: str, cuts: OarsiCuts) -> float:
-    """Share of a healthy space that a compartment has lost."""
-    return 1 - _space_mm(knee, side) / cuts.healthy(side, sex=knee.sex, jsw_as=knee.jsw_as)
 
 
 def _space_mm(knee: Knee, side: str) -> float:

@@ -5,6 +5,7 @@ from os import PathLike
 from typing import Any
 
 from ..core.checks import InputError, from_table
+from ..core.keywords import keywords
 from ..data.fields import check_fields
 from ..data.tables import read_protocol
 
@@ -38,6 +39,7 @@ class Posture:
         return self.turn == _TURNS["AP"]
 
 
+@keywords()
 @dataclass(frozen=True, kw_only=True)
 class Protocol:
     """A technique. The central ray passes the origin of the knee frame, or where `centre_*` say; `geometry.view_of`.

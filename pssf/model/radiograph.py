@@ -17,29 +17,33 @@ class Truth:
     """Labels that are true by construction. Landmarks are (row, column) on this radiograph, in pixels.
 
     jsw_medial_mm, jsw_lateral_mm
-                       joint space as `Knee.jsw_as` defines it, joint plane, whatever this radiograph's protocol
-    jsw_at_mm          vertical gap of the projected contours under the protocol that defines it, or under this one if
-                       its posture is another, at fractions of the femur's width from its medial epicondyle (JSW(x))
-    landmarks_px       name -> (row, column): joint_centre; medial_ and lateral_ joint_line; where bones are widest,
+                       minimum joint space of this radiograph, measured on its projected contours as `Knee.jsw_as`
+                       defines it and scaled to the joint plane; negative where the contours overlap, None where the
+                       view does not show it (lateral, axial). The specified joint space is `Knee.jsw_medial_mm`
+    jsw_at_mm          joint space of this radiograph at fractions of the femur's width from its medial epicondyle
+                       (JSW(x))
+    landmarks_px       name -> (row, column): joint_centre; medial_ and lateral_ joint_line; medial_ and lateral_
+    jsw_femur
+                       and jsw_tibia, the ends of the minimum joint space; where bones are widest,
                        osteophytes aside: medial_ and lateral_ condyle_edge, epicondyle, plateau_edge; and the sixteen
                        contour landmarks of `anatomy.landmarks`, osteophytes and all (notch is notch_top). Seen from the
                        side or along the leg none of these is told, nor jsw_at_mm, but places that have a place in every
                        view, as `anatomy.turned_truth` lists them
     attrition_mm       medial and lateral -> greatest depth worn off the plateau in the posture that joint spaces are
                        defined under, whatever this radiograph's; 0 where bones do not meet
-    grade              KL grade that the knee was drawn for; grade_read the one that a reader gives, where one is drawn
+    grade              KL grade that the knee was sampled for, or the one derived from its anatomy; grade_read the one
+                       that a reader gives, where one is sampled
     readings           OARSI grades by the names of the Osteoarthritis Initiative (`model.oarsi`), angles and
-                       ratios (`model.axes`); seen from the front also jsw_least_medial_mm and jsw_least_lateral_mm, the
-                       least gaps as jsw_at_mm is told, and inter_margin_mm, how far the front margin of the medial
-                       plateau stands over its back one on this radiograph, scaled to the joint plane
+                       ratios (`model.axes`); seen from the front also inter_margin_mm, how far the front margin of the
+                       medial plateau is above its back one on this radiograph, scaled to the joint plane
     taking             how it was taken (`model.exposure.taking_of`): pose, beam, dose, field, marker
     masks              if asked for: name -> (rows, cols) bool, where a bone or an osteophyte is seen
     """
 
-    jsw_medial_mm: float
-    jsw_lateral_mm: float
-    grade: int | None
+    jsw_medial_mm: float | None
+    jsw_lateral_mm: float | None
     landmarks_px: Mapping[str, tuple[float, float]]
+    grade: int | None = None
     jsw_at_mm: Mapping[float, float] = field(default_factory=dict)
     attrition_mm: Mapping[str, float] = field(default_factory=dict)
     grade_read: int | None = None

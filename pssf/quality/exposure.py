@@ -40,7 +40,7 @@ def exposure_quantities(technique: Technique) -> tuple[dict[str, float], Array]:
     joint = (slice(row - half, row + half + 1), slice(col - half, col + half + 1))
     bone = (slice(row + below - half, row + below + half + 1), joint[1])
     offset = technique.detector.offset_dn
-    noisy = simulate(built, replace(protocol, dead_pixels=0.0), engine="scanline", seed=1).pixels[bone]
+    noisy = simulate(built, replace(protocol, dead_pixels=0.0), engine="scanline", rng=1).pixels[bone]
     quiet = radiograph.pixels[bone].astype(np.float64)
     step = cell_px(protocol)
     spr = block_mean(scatter, step) / np.maximum(block_mean(primary, step), 1e-30)

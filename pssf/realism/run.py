@@ -44,7 +44,7 @@ SHOWN = {
 }
 # The table of grades whose knees these are of, and the pictures; of knees by another one some are shown, under names of
 # their own.
-PICTURED = "people"
+PICTURED = "population"
 SHOWN_BESIDE = {"paper": ("films_domains", "films_transfer", "films_effects")}
 _FILMS_FOLDER = "simulated"
 # Read as text wherever films are listed.
@@ -96,7 +96,7 @@ def measure(
     cohort: Path | None = None,
     protocol: str = "reference",
     knees: int = 200,
-    grades: str = "people",
+    grade_table: str = "population",
     seed: int = 0,
 ) -> Realism:
     """Measure simulated knees beside what is given, into a folder; goes on where an earlier run stopped, see `kept`.
@@ -107,10 +107,10 @@ def measure(
                   are of, or without films of drawn knees
     protocol      that simulated knees are seen under, by name or path; films are takings of it (`draw_exposure`)
     knees         that are drawn, the grades alike
-    grades        table that they are drawn by; see `draw_knee`
+    grade_table   that they are sampled from; see `draw_knee`
     raises        InputError for a folder that holds none, a number out of range, a disk that cannot be written
     """
-    laws, tables = draw_laws(grades), anatomy_tables()
+    laws, tables = draw_laws(grade_table), anatomy_tables()
     count = len(laws.grades.grades)
     require_whole("knees", knees, 2 * count, 100_000, "")
     seen_under = load_protocol(protocol)
@@ -122,7 +122,7 @@ def measure(
     # First, since a folder that holds another cohort is refused then, and not after minutes.
     of_films = []
     if sources:
-        plan = films_plan(protocol, knees, grades, count, seed)
+        plan = films_plan(protocol, knees, grade_table, count, seed)
         of_films = [_films(out, sources, plan, FilmTables(localisation(), looks()), execution)]
         cohort = cohort or out / _FILMS_FOLDER
     with execution.timer.stage("contours", "knees", knees):
@@ -139,7 +139,7 @@ def measure(
     if given is not None:
         sections.append(_bones(out, given, laws, tables, min(knees, _MOST_BONES), seed, execution))
     sections += of_films
-    facts: dict[str, Any] = {"protocol": seen_under.name, "knees": knees, "grades": grades, "seed": seed}
+    facts: dict[str, Any] = {"protocol": seen_under.name, "knees": knees, "grade table": grade_table, "seed": seed}
     facts |= {} if cohort is None else {"cohort of the contours": cohort.name, "its radiographs": len(sample.grades)}
     facts |= {f"films of {source.name}": len(source.films) for source in sources}
     return _write(out, sections, facts)

@@ -19,10 +19,10 @@ from .films_section import SIMULATED
 _LOOKS, _PITCHES = 301, 302
 
 
-def films_plan(protocol: str, knees: int, grades: str, count: int, seed: int) -> Plan:
+def films_plan(protocol: str, knees: int, grade_table: str, count: int, seed: int) -> Plan:
     """Of drawn knees, so many grades alike: takings of a protocol, as people's films are."""
     each = [knees // count + (index < knees % count) for index in range(count)]
-    asked = {"knees": each, "protocols": [protocol], "exposures": "drawn", "grades": grades}
+    asked = {"knees": each, "protocols": [protocol], "exposures": "drawn", "grade_table": grade_table}
     return plan_cohort("quick", seed=seed, overrides=asked)
 
 

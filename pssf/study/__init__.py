@@ -133,7 +133,7 @@ def run(
 
     manifest     one row a radiograph: radiograph, subject, knee, side, grade, protocol, file, sha256, pixel_mm, sdd_mm,
                  sod_mm, truth_medial_row_px, truth_medial_col_px; for the baselines also sex, age_years, stature_mm,
-                 jsw_medial_mm, without which they are left out
+                 nominal_jsw_medial_mm, without which they are left out
     load_pixels  entry of the column `file` -> (rows, cols) uint16, linear; picklable for more than one worker
     templates    radiographs of standard knees that differ in their joint space, the widest first
     retest       some knees taken again under the reference protocol: the manifest's columns, with the knee that each is

@@ -51,10 +51,15 @@ class Parameter:
     changed: Callable[[Taken, float], Taken]
 
 
+def _other(knee: Knee, **fields: Any) -> Knee:
+    """A knee with other anatomy, whose grade is no longer the one that it was sampled for."""
+    return replace(knee, **fields, grade=None, grade_table=None, grade_read=None)
+
+
 def _of_knee(group: str, label: str, name: str) -> Parameter:
     def changed(taken: Taken, value: float) -> Taken:
         field: dict[str, Any] = {name: round(value, 4)}
-        return taken._replace(knee=replace(taken.knee, **field))
+        return taken._replace(knee=_other(taken.knee, **field))
 
     return Parameter(group, label, lambda taken: float(getattr(taken.knee, name)), changed)
 
@@ -77,7 +82,7 @@ def _grown(taken: Taken, size_mm: float) -> Taken:
     before = taken.knee.osteophytes or tuple(Osteophyte(site=site, size_mm=1.0) for site in _SITES)
     sizes = [(one, min(one.tallest_mm, one.size_mm * size_mm / (largest or 1.0))) for one in before]
     grown = tuple(replace(one, size_mm=round(mm, 4)) for one, mm in sizes if mm >= _SMALLEST_MM)
-    return taken._replace(knee=replace(taken.knee, osteophytes=grown))
+    return taken._replace(knee=_other(taken.knee, osteophytes=grown))
 
 
 def _other_chance(taken: Taken, value: float) -> Taken:
@@ -86,8 +91,8 @@ def _other_chance(taken: Taken, value: float) -> Taken:
 
 
 SPACE = {
-    "jsw_medial_mm": _of_knee("joint space", "JSW medial, mm", "jsw_medial_mm"),
-    "jsw_lateral_mm": _of_knee("joint space", "JSW lateral, mm", "jsw_lateral_mm"),
+    "nominal_jsw_medial_mm": _of_knee("joint space", "nominal JSW medial, mm", "jsw_medial_mm"),
+    "nominal_jsw_lateral_mm": _of_knee("joint space", "nominal JSW lateral, mm", "jsw_lateral_mm"),
     "largest_osteophyte_mm": Parameter("osteophytes", "largest osteophyte, mm", _largest_mm, _grown),
     "subchondral_plate": _of_knee("plate and cortex", "subchondral plate, relative", "subchondral_plate"),
     "cortex_scale": _of_knee("plate and cortex", "cortex scale", "cortex_scale"),

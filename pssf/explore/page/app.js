@@ -193,7 +193,7 @@ function wire(listing) {
   find("#draw").onclick = async () => {
     const seed = Math.floor(Math.random() * 2 ** 32);
     try {
-      const wanted = { table: find("#draw-table").value, grade: +find("#draw-grade").value, seed };
+      const wanted = { grade_table: find("#draw-table").value, grade: +find("#draw-grade").value, seed };
       const knee = await server.draw(wanted);
       film.anew = true;
       store.change({ knee }, true);

@@ -20,11 +20,12 @@ export function drawOverlay(film, truth) {
     if (film.zoom >= 2) make(svg, "text", { x: x + 6, y: y - 4 }, words(name));
   }
   if (find("#show-spaces").checked) for (const side of ["medial", "lateral"]) {
-    const place = spots[`${side}_joint_line`];
-    if (!place) continue;
-    const mm = truth[`jsw_${side}_mm`], half = mm / truth.joint_mm_per_px / 2, [row, col] = place;
-    const [[x, top], [, bottom]] = [at([row - half, col]), at([row + half, col])];
-    make(svg, "path", { class: "space", d: `M${x - 8} ${top}h16M${x} ${top}V${bottom}M${x - 8} ${bottom}h16`,
+    const mm = truth?.[`jsw_${side}_mm`];
+    if (mm === null || mm === undefined) continue;
+    // From contour to contour where the joint space is smallest.
+    const femur = spots[`${side}_jsw_femur`], col = femur[1];
+    const [[x, top], [foot, bottom]] = [at(femur), at(spots[`${side}_jsw_tibia`])];
+    make(svg, "path", { class: "space", d: `M${x - 8} ${top}h16M${x} ${top}L${foot} ${bottom}M${foot - 8} ${bottom}h16`,
       "data-space": side });
     // Beside the joint, each on its own side.
     const left = col < spots.joint_centre[1];

@@ -40,8 +40,8 @@ export function showFigures({ header }, roundTripS) {
     ["from request to picture", roundTripS.toFixed(3)],
   ]);
   if (truth) table(box, "Truth", [
-    ["medial joint space, mm", number(truth.jsw_medial_mm, 2)],
-    ["lateral joint space, mm", number(truth.jsw_lateral_mm, 2)],
+    ["minimum medial joint space, mm", number(truth.jsw_medial_mm, 2)],
+    ["minimum lateral joint space, mm", number(truth.jsw_lateral_mm, 2)],
     ["grade", truth.grade === null ? "none" : String(truth.grade)],
     ...Object.entries(truth.attrition_mm).map(([side, mm]) => [`attrition ${side}, mm`, number(mm, 2)]),
   ]);

@@ -1,14 +1,14 @@
 """What a model of the image must do better than: chance, who the subject is, and the joint space width alone.
 
-The joint space width is the one the knee was built with. A reader would measure it with an error, and it is part of
-what defines a grade here; so it is an upper reference and no fair competitor.
+The joint space width is the nominal one, which the knee was specified with. A reader would measure it with an error,
+and it is part of what defines a grade here. It is therefore an upper reference and no fair competitor.
 """
 
 import pandas as pd
 
 # Columns of the manifest that a baseline may use; a manifest that lacks them goes without it.
-SOURCES = ("sex", "age_years", "stature_mm", "jsw_medial_mm")
-_MEASURES = {"body": ("age_years", "female", "stature_mm"), "jsw": ("jsw_medial_mm",)}
+SOURCES = ("sex", "age_years", "stature_mm", "nominal_jsw_medial_mm")
+_MEASURES = {"body": ("age_years", "female", "stature_mm"), "jsw": ("nominal_jsw_medial_mm",)}
 
 
 def baselines_of(table: pd.DataFrame, features: list[str]) -> dict[str, tuple[str, list[str]]]:

@@ -43,6 +43,7 @@ RUNGS = {
 # 1359; 174 knees radiographed twice): positioning is in it.
 READING_SD_MM = 0.32
 _SPACES = ("medial", "lateral", "least")
+_NOMINAL = ("nominal_jsw_medial_mm", "nominal_jsw_lateral_mm")
 _TRUE, _MEASURED = (tuple(f"{kind}_{name}_mm" for name in _SPACES) for kind in ("true", "measured"))
 _READING, _THINNING = 2**31 + 5, 2  # keys of streams under a seed and under a split's
 _COLUMNS = ["grades", "rung", "repeat", "trained", *TESTED, "auc"]
@@ -108,8 +109,8 @@ def known_of(usable: pd.DataFrame, names: list[str], parameters: pd.DataFrame, s
     part = usable[usable["protocol"] == settings.reference][["knee", "subject", "grade", *names]]
     columns = [name for name in PARAMETERS if name in parameters]
     known = part.merge(parameters[["knee", *columns]], on="knee", how="left")
-    if {"jsw_medial_mm", "jsw_lateral_mm"} <= set(known):
-        true = known[["jsw_medial_mm", "jsw_lateral_mm"]].to_numpy(np.float64)
+    if set(_NOMINAL) <= set(known):
+        true = known[list(_NOMINAL)].to_numpy(np.float64)
         rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(_READING,)))
         # Of all knees in their order, so that a refused radiograph changes no other knee's reading.
         places = np.searchsorted(np.sort(parameters["knee"].to_numpy()), known["knee"].to_numpy())

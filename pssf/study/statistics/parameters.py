@@ -12,8 +12,8 @@ from .degenerate import is_degenerate
 
 # Column -> what it is; the first six are those that a KL-like grade is drawn by.
 GRADED = {
-    "jsw_medial_mm": "JSW medial, mm",
-    "jsw_lateral_mm": "JSW lateral, mm",
+    "nominal_jsw_medial_mm": "nominal JSW medial, mm",
+    "nominal_jsw_lateral_mm": "nominal JSW lateral, mm",
     "largest_osteophyte_mm": "largest osteophyte, mm",
     "osteophyte_count": "osteophyte count",
     "subchondral_plate": "subchondral plate, relative",
@@ -74,7 +74,7 @@ def morphology(parameters: pd.DataFrame, table: RangeGrades | SeverityGrades | N
         if name not in parameters:
             continue
         for grade, part in parameters.groupby("grade"):
-            low, high = getattr(ranges.get(str(grade)), name, (np.nan, np.nan))
+            low, high = getattr(ranges.get(str(grade)), name.removeprefix("nominal_"), (np.nan, np.nan))
             drawn = {"least": part[name].min(), "mean": part[name].mean(), "most": part[name].max()}
             rows.append({"parameter": label, "grade": int(grade), "low": low, "high": high, **drawn})
     columns = ["parameter", "grade", "low", "high", "least", "mean", "most"]
