@@ -1,10 +1,13 @@
+import dataclasses
 import warnings
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import trimesh
+from numpy.testing import assert_allclose
 
+import pssf
 from pssf import InputError, MeshNotice, PlaneWaves, Scene, Surface, check, trace
 from pssf.geometry.scene import require_traceable, scene_of
 from pssf.geometry.view import View
@@ -16,9 +19,21 @@ def alone(mesh, **options):
     return Scene([Surface(mesh, inside="water", outside="air", name="thing")], **options)
 
 
-def test_a_scene_needs_a_surface():
-    with pytest.raises(InputError, match="0 surfaces"):
-        Scene([])
+@pytest.mark.parametrize("engine", ["embree", "scanline"])
+@pytest.mark.parametrize("scatter", ["kernel", "none", "monte_carlo"])
+def test_a_scene_without_surfaces_is_a_flat_field(engine, scatter, small):
+    protocol = dataclasses.replace(small, rows=32, cols=32, pixel_mm=9.6, noise="none", scatter=scatter)
+    scene = Scene([])
+    assert pssf.check(scene, protocol).ok
+    radiograph = pssf.simulate(scene, protocol, engine=engine, keep=("primary", "path_mm"))
+    assert radiograph.kept["path_mm"] == {}
+    # Far from an edge of the blur the signal falls off as the inverse square of the distance alone, within rounding.
+    column = np.arange(32) - 15.5
+    away_mm = np.hypot(*np.meshgrid(column, column)) * 9.6
+    fall = (1 + (away_mm / protocol.sdd_mm) ** 2) ** -1.5
+    primary = radiograph.kept["primary"]
+    assert_allclose(primary / primary.max(), fall / fall.max(), rtol=2e-5)
+    assert pssf.simulate(scene, protocol, engine="scanline").pixels.min() > 0
 
 
 def test_materials_are_listed_once_ambient_first():

@@ -108,7 +108,8 @@ class Scene:
     """Surfaces in `ambient`. Each surface's `outside` is the material that immediately surrounds it.
 
     size_mm  least and greatest extent; outside of it the unit is doubted. (0, inf) allows any
-    raises   InputError for no surfaces or wrong types; meshes and size are judged by `check` and `trace`
+             Without surfaces its radiograph is a flat field
+    raises   InputError for wrong types; meshes and size are judged by `check` and `trace`
 
     Two scenes are equal if they are one.
     """
@@ -125,8 +126,6 @@ class Scene:
         object.__setattr__(self, "surfaces", tuple(surfaces))
         object.__setattr__(self, "ambient", ambient)
         object.__setattr__(self, "size_mm", _span_of(size_mm))
-        if not self.surfaces:
-            raise InputError("scene: surfaces = () has 0 surfaces; allowed: 1 or more")
         for surface in self.surfaces:
             if not isinstance(surface, Surface):
                 raise InputError(f"scene: {reprlib.repr(surface)} among the surfaces; allowed: Surface")
@@ -151,6 +150,8 @@ class Scene:
 
         raises  InputError for a mesh that bounds no solid
         """
+        if not self.surfaces:
+            return np.zeros((2, 3))
         for surface in self.surfaces:
             require_sound(surface.solid)
         corners = np.array([surface.bounds_mm for surface in self.surfaces])
@@ -160,7 +161,7 @@ class Scene:
     def faults(self) -> tuple[Fault, ...]:
         """What is wrong with the meshes, in the order of the surfaces, and then with the size of it all."""
         faults = [fault for surface in self.surfaces for fault in surface.solid.faults]
-        if any(fault.outcome == "refused" for fault in faults):
+        if not self.surfaces or any(fault.outcome == "refused" for fault in faults):
             return tuple(faults)
         low, high = max(self.size_mm[0], _EXTREME_MM[0]), min(self.size_mm[1], _EXTREME_MM[1])
         # Halves, so that what spans all of float64 does not overflow.

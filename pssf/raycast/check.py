@@ -52,7 +52,7 @@ def check(scene: Scene | HasScene, protocol: Protocol | View | None = None) -> R
     scene = scene_of(scene)
     view = None if protocol is None else view_of(protocol)
     faults = list(scene.faults)
-    if not any(fault.outcome == "refused" for fault in faults):
+    if scene.surfaces and not any(fault.outcome == "refused" for fault in faults):
         sample = _sample_view(scene.bounds_mm)
         for surface in scene.surfaces:
             faults += _crowded_edges(surface)

@@ -77,6 +77,7 @@ from ..core.parallel import require_scheduler
 from ..radiomics.backends import BACKENDS, default_backend
 from .design import Designed
 from .films import FilmSet
+from .libraries import XGBOOST
 from .result import StudyResult
 from .settings import StudySettings
 
@@ -89,7 +90,7 @@ __all__ = ["Designed", "FilmSet", "StudyResult", "StudySettings", "measure", "re
 
 _NEEDED = {
     "sklearn": "scikit-learn",
-    "xgboost": "xgboost-cpu",
+    "xgboost": XGBOOST,
     "feature_engine": "feature-engine",
     "pandas": "pandas",
     "matplotlib": "matplotlib",

@@ -17,6 +17,7 @@ from .films import FilmSet
 from .learn.modelfile import SUFFIX, pack
 from .learn.refit import refitted
 from .learn.training import train
+from .libraries import XGBOOST
 from .measuring import Run, check_manifest, measured
 from .predictions import Outcome, joined
 from .questions import ask
@@ -43,7 +44,7 @@ from .tables import laws_of
 from .tasks import class_names
 
 _PACKAGES = (
-    *("pssf", "scikit-learn", "xgboost-cpu", "feature-engine", "scikit-image", "skops"),
+    *("pssf", "scikit-learn", XGBOOST, "feature-engine", "scikit-image", "skops"),
     *("scipy", "numpy", "pandas"),
 )
 _COUNTED = {"subjects": "subject", "knees": "knee", "protocols": "protocol", "radiographs": "radiograph"}

@@ -23,6 +23,7 @@ from ...data.code import code_digest, differing
 from ...data.records import Record
 from ...radiomics.backends import BACKENDS, backend_for
 from ...radiomics.patches import Template
+from ..libraries import XGBOOST
 from .refit import Kept
 from .saving import dumps, loads, unzipped, zipped
 
@@ -31,7 +32,7 @@ _FORMAT = "pssf model 1"
 _CARD = "pssf/model.json"
 # What the probabilities of a film depend on.
 _CODE = ("core", "data", "detector", "io", "radiomics", "study")
-_LIBRARIES = ("pssf", "numpy", "scikit-image", "scikit-learn", "scipy", "skops", "xgboost-cpu")
+_LIBRARIES = ("pssf", "numpy", "scikit-image", "scikit-learn", "scipy", "skops", XGBOOST)
 
 
 class TrainedOn(Record, frozen=True):

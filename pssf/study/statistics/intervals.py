@@ -2,8 +2,8 @@
 
 A split trains anew and tests others, so the splits' scores include the variation of the training set and of the test
 set; but their parts overlap, and their mean varies more than that of independent splits. Nadeau and Bengio 2003
-(Machine Learning 52, 239) put the variance of the mean of R splits at s^2 (1/R + tested/trained subjects); the quantile is of t
-with R - 1 degrees of freedom. Scores, which end at 1, have their interval on the logit scale (Pepe 2003):
+(Machine Learning 52, 239) put the variance of the mean of R splits at s^2 (1/R + tested/trained subjects); the quantile
+is of t with R - 1 degrees of freedom. Scores, which end at 1, have their interval on the logit scale (Pepe 2003):
 where a small cohort happens to be told apart well its splits hardly vary, and a plain one would lie above the truth.
 """
 
