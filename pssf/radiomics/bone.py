@@ -11,7 +11,8 @@ from ..core.checks import Array
 
 _SMOOTH_MM = 0.3  # standard deviation of the Gaussian before thresholds, which sees past noise and trabeculae
 _EDGE_MM = 0.45  # the same before the gradient: about the blur of a bone's edge by focal spot and detector
-_SPACE_MM = 8.0  # wider than nearly every joint space, lower than any femur or tibia
+_SPACE_MM = 8.0  # height that a dip of density has if it is surely joint space
+_WIDEST_MM = 14.0  # height of the widest joint space at the detector, and of its mouth beside the notch
 _BAND_MM = 8.0  # from Otsu's outline inwards: soft tissue or bone, which the gradient decides
 _SEAM_MM = 2.0  # beside the joint space and outside Otsu's outline: the same
 _HEIGHT_MM = 16.0  # of the joint space, with the notch, about the middle row
@@ -56,17 +57,23 @@ def _markers(density: Array, pixel_mm: float) -> NDArray[np.int32]:
     """Mark what is surely soft tissue and what is surely bone; 0 between them."""
     dense = density >= threshold_otsu(density)
     deep = _away(dense) > _BAND_MM / pixel_mm
-    rows = np.abs(np.arange(density.shape[0]) - density.shape[0] // 2) < _HEIGHT_MM / pixel_mm
-    dip = grey_closing(density, size=(_odd(_SPACE_MM / pixel_mm), 1)) - density
-    about_joint = dip[deep & rows[:, None]]
+    near_joint = np.abs(np.arange(density.shape[0]) - density.shape[0] // 2)[:, None] < _HEIGHT_MM / pixel_mm
+    dip, wide_dip = (_dip(density, height_mm / pixel_mm) for height_mm in (_SPACE_MM, _WIDEST_MM))
+    about_joint = dip[deep & near_joint]
     least = max(_LEAST_DIP, threshold_otsu(about_joint)) if about_joint.size and np.ptp(about_joint) > 0 else np.inf
-    space = dense & rows[:, None] & (dip > least)
+    space = dense & near_joint & (dip > least)
     space = _without_small(space, _LEAST_SPACE * density.size)
     markers = np.zeros(density.shape, np.int32)
     seam = _SEAM_MM / pixel_mm
     markers[space | (~dense & (_away(~dense) > seam))] = _SOFT
-    markers[deep & (dip < least / 2) & (_away(~space) > seam)] = _BONE
+    may_be_space = near_joint & (wide_dip > least)
+    markers[deep & (dip < least / 2) & ~may_be_space & (_away(~space) > seam)] = _BONE
     return markers
+
+
+def _dip(density: Array, height_px: float) -> Array:
+    """How far each pixel is below what lies above and below it within a height: the black top-hat of columns."""
+    return np.asarray(grey_closing(density, size=(2 * int(height_px / 2) + 1, 1)) - density)
 
 
 def _away(inside: NDArray[np.bool_]) -> Array:
@@ -78,7 +85,3 @@ def _without_small(mask: NDArray[np.bool_], least_px: float) -> NDArray[np.bool_
     """Leave out connected pieces of fewer pixels."""
     pieces, _ = label(mask)
     return mask & (np.bincount(pieces.ravel()) >= least_px)[pieces]
-
-
-def _odd(length: float) -> int:
-    return 2 * int(length / 2) + 1
