@@ -12,6 +12,7 @@ from pssf import draw_knee, load_protocol, simulate
 from pssf.radiomics.bone import bone_mask
 from pssf.radiomics.overlap import overlap
 from pssf.radiomics.region import cut_region
+from pssf.radiomics.shape2d import shape
 
 PITCH_MM, REGION_PX = 0.45, 170
 
@@ -59,3 +60,11 @@ def test_a_region_smaller_than_the_band_has_a_mask(size):
     mask = bone_mask(region, 0.5)
     assert mask.shape == region.shape
     assert mask.any()
+
+
+def test_shape_of_the_bone_is_nearly_the_same_under_other_noise():
+    perimeters = [
+        shape(bone_mask(phantom(160, 160, noise=4.0, seed=seed)[96:224, 96:224], PIXEL_MM), PIXEL_MM)["Perimeter"]
+        for seed in range(4)
+    ]
+    assert np.ptp(perimeters) < 0.05 * np.mean(perimeters)

@@ -9,15 +9,13 @@ from pathlib import Path
 from ..core.checks import InputError, require, require_choice
 from ..data.looks import Processed
 from .csv_rows import read_rows_of_csv
-from .image_kind import SUFFIXES, is_image
+from .image_kind import SUFFIXES, files_of, is_image
 from .images import reading
 
 SIDES = ("right", "left")
 GRADES = range(5)
 COLUMNS = ("file", "grade", "subject", "side", "pixel_mm")
 PIXEL_MM = (0.01, 5.0)
-# Hidden files and resource forks (.x, ._x), and the locks of office programs (~$x).
-_NO_FILM = (".", "~$")
 _WORDS = {
     "left": "left", "links": "left", "gauche": "left", "izquierda": "left", "izquierdo": "left", "sinistra": "left",
     "right": "right", "rechts": "right", "droite": "right", "droit": "right", "derecha": "right", "derecho": "right",
@@ -82,7 +80,7 @@ def list_films(folder: str | Path) -> tuple[Film, ...]:
     """
     folder = Path(folder)
     is_table = folder.suffix.lower() == ".csv"
-    tables = [folder] if is_table else [path for path in _files_of(folder) if path.suffix.lower() == ".csv"]
+    tables = [folder] if is_table else [path for path in files_of(folder) if path.suffix.lower() == ".csv"]
     if len(tables) > 1:
         names = ", ".join(path.name for path in tables)
         raise InputError(f"folder {folder}: tables = {names}; allowed: one CSV, or folders 0 to 4")
@@ -129,12 +127,6 @@ def require_film(path: Path, what: str = "") -> None:
     require_choice(f"{what or f'file {path}'}: suffix", path.suffix.lower(), SUFFIXES)
 
 
-def _files_of(folder: Path) -> list[Path]:
-    """Files of a folder in the order of their names, without hidden files, resource forks and locks."""
-    with_name = (path for path in folder.glob("*") if not path.name.startswith(_NO_FILM))
-    return sorted(path for path in with_name if path.is_file())
-
-
 def _without(stem: str, match: re.Match[str]) -> str:
     """The name without its side, with one stroke where two words are left; the whole where nothing is left."""
     before, after = stem[: match.start()].rstrip(_STROKES), stem[match.end() :].lstrip(_STROKES)
@@ -158,7 +150,7 @@ def _require_one_of_each(films: tuple[Film, ...], folder: Path) -> None:
 def _of_folders(folder: Path) -> Iterator[Film]:
     graded: list[tuple[int | None, Path]] = [(grade, folder / str(grade)) for grade in GRADES]
     for grade, place in [*graded, (None, folder)]:
-        for path in _files_of(place):
+        for path in files_of(place):
             if is_image(path):
                 subject, side = subject_and_side(_stem(path))
                 file = path.relative_to(folder).as_posix()

@@ -9,10 +9,10 @@ from skimage.segmentation import watershed
 
 from ..core.checks import Array
 
-_SMOOTH_MM = 0.3  # standard deviation of the Gaussian before thresholds, which sees past noise and trabeculae
-_EDGE_MM = 0.45  # the same before the gradient: about the blur of a bone's edge by focal spot and detector
-_SPACE_MM = 8.0  # height that a dip of density has if it is surely joint space
-_WIDEST_MM = 14.0  # height of the widest joint space at the detector, and of its mouth beside the notch
+_SMOOTH_MM = 0.8  # standard deviation of the Gaussian before thresholds: wider than noise and trabeculae
+_EDGE_MM = 0.8  # the same before the gradient; finer ones follow the noise, and so do perimeters then
+_SPACE_MM = 10.0  # height that a dip of density has at most if it is surely joint space
+_WIDEST_MM = 16.0  # height of the widest joint space at the detector, with its mouth at the notch
 _BAND_MM = 8.0  # from Otsu's outline inwards: soft tissue or bone, which the gradient decides
 _SEAM_MM = 2.0  # beside the joint space and outside Otsu's outline: the same
 _HEIGHT_MM = 16.0  # of the joint space, with the notch, about the middle row
