@@ -1,17 +1,14 @@
 """Own images of linear pixels read by a saved model, and what is said of images that do not say what they are."""
 
-import dataclasses
-
 import numpy as np
 import pandas as pd
-import pydicom
 import pytest
 import tifffile
 from numpy.testing import assert_allclose
 from phantoms import PIXEL_MM, SHAPE, TEMPLATE, phantom
 from PIL import Image
 from test_films import dicom
-from test_read import film_of, files, linear, model_of, run  # noqa: F401 (fixtures among them)
+from test_read import files, film_of, linear, model_of, run  # noqa: F401 (fixtures among them)
 
 import pssf
 from pssf.core.checks import InputError
