@@ -314,7 +314,7 @@ def test_a_table_gives_what_it_has_and_the_name_the_rest(tmp_path):
     [
         ("name\na.png\n", "required: file"),
         ("file,KL\na.png,2\n", "column = 'KL'"),
-        ("file\na.png,2\n", "column = '\\?'"),
+        ("file\na.png,2\n", "line 2: cells = 2; allowed: up to 1"),
         ("file,grade\na.png,5\n", "line 2: grade = '5'"),
         ("file,side\na.png,R\n", "line 2: side = 'R'"),
         ("file,pixel_mm\na.png,wide\n", "line 2: pixel_mm = 'wide'"),

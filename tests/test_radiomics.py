@@ -43,7 +43,7 @@ def test_a_region_holds_its_centre_and_never_wraps(row, col):
 
 def test_the_bone_mask_is_the_bone():
     image = phantom(160, 160)
-    mask = bone_mask(image[96:224, 96:224])
+    mask = bone_mask(image[96:224, 96:224], PIXEL_MM)
     rows, cols = np.mgrid[-64:64, -64:64] * PIXEL_MM
     # Deep in femur and tibia; in the joint space; medial of the bone, where the limb thins.
     assert mask[(np.abs(rows) > 6) & (np.abs(cols + 2) < 10)].mean() > 0.99

@@ -24,8 +24,19 @@ def read(
     pixel_mm: Annotated[
         float, typer.Option(help="Pitch where no table of films says, mm; 0: the file's, or by the plateau's width.")
     ] = 0.0,
+    linear: Annotated[
+        bool,
+        typer.Option(
+            "--linear",
+            help="The pixels of films that pssf has not written are linear in the signal, air bright; side and pitch "
+            "must be known then.",
+        ),
+    ] = False,
 ) -> None:
-    """A saved model on films: grade probabilities, features, and the region drawn on each film; a CSV and PNGs."""
+    """A saved model on films: grade probabilities, features, and the region drawn on each film; a CSV and PNGs.
+
+    A film that does not say what its pixels are is taken for a display, and its result has a warning.
+    """
     from ..core.execution import Execution
     from ..core.progress import bar
     from ..io import results
@@ -41,7 +52,7 @@ def read(
     other = differences(loaded.card)
     if other:
         print(f"pssf: model {model.name} was made by others than these: {other}", file=sys.stderr)
-    done = read_films(loaded, listed, Path(), Execution(workers=workers, bar=bar))
+    done = read_films(loaded, listed, Path(), Execution(workers=workers, bar=bar), linear=linear)
     for line in done.warnings:
         print(f"pssf: {line}", file=sys.stderr)
     results.save_table(out / "read.csv", done.table)
@@ -51,7 +62,9 @@ def read(
         chances = ", ".join(f"grade {grade} ({name}) {row[f'p grade {grade}']:.3f}" for grade, name in names.items())
         print(f"{row['file']}  {chances if row['status'] == 'found' else 'refused: ' + row['status']}")
         if row["row_px"] == row["row_px"]:  # else nothing was looked for
-            side_by_side([picture(loaded, row, Path())], out / "pictures" / f"{_free(row['file'], taken)}.png")
+            side_by_side(
+                [picture(loaded, row, Path(), linear=linear)], out / "pictures" / f"{_free(row['file'], taken)}.png"
+            )
     print(f"table     {out / 'read.csv'}")
 
 
@@ -60,7 +73,7 @@ def _listed(path: Path, side: str, pixel_mm: float) -> "list[Film]":
     from dataclasses import replace
 
     from ..core.checks import require, require_choice
-    from ..io.films import SIDES, SUFFIXES, Film, list_films, subject_and_side
+    from ..io.film_list import SIDES, Film, list_films, require_film, subject_and_side
     from ..io.records import sha256
 
     if side:
@@ -71,7 +84,7 @@ def _listed(path: Path, side: str, pixel_mm: float) -> "list[Film]":
         folder = path if path.is_dir() else path.parent
         films = [replace(film, file=(folder / film.file).as_posix()) for film in list_films(path)]
     else:
-        require_choice(f"file {path}: suffix", path.suffix.lower(), SUFFIXES)
+        require_film(path)
         file, (subject, own) = path.as_posix(), subject_and_side(path.stem)
         films = [Film(file=file, grade=None, subject=subject, side=own, pixel_mm=None, sha256=sha256(path))]
     return [replace(f, side=f.side or side or None, pixel_mm=f.pixel_mm or pixel_mm or None) for f in films]

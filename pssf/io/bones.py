@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from ..core.checks import InputError
 from ..geometry.mesh import Mesh
+from .image_kind import files_of
 from .meshes import read_mesh
 
 KINDS = ("femur", "tibia", "patella")
@@ -23,7 +24,9 @@ def read_bones(path: str | Path) -> dict[str, tuple[Mesh, ...]]:
     raises  InputError for no bone, a folder of a bone without meshes, arrays that are none, or an unreadable file
     """
     path = Path(path)
-    archives = [path] if path.suffix == ".npz" else sorted(path.glob("*.npz"))
+    archives = (
+        [path] if path.suffix.lower() == ".npz" else [file for file in files_of(path) if file.suffix.lower() == ".npz"]
+    )
     if len(archives) > 1:
         raise InputError(f"folder {path}: npz files = {len(archives)}; allowed: {_ALLOWED}")
     bones = _from_archive(archives[0]) if archives else _from_folders(path)
@@ -68,7 +71,7 @@ def _from_folders(path: Path) -> dict[str, tuple[Mesh, ...]]:
     bones = {}
     for kind in KINDS:
         folder = path / kind
-        files = sorted(file for file in folder.glob("*") if file.suffix.lower() in _SUFFIXES)
+        files = [file for file in files_of(folder) if file.suffix.lower() in _SUFFIXES]
         if folder.is_dir() and not files:
             raise InputError(f"folder {path}: {kind}: meshes = none; allowed: {_ALLOWED}")
         if files:

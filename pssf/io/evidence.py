@@ -1,7 +1,5 @@
 """Whether the files of a folder say what a list of conditions asks, by what is in them, not by their names."""
 
-import csv
-import io
 import json
 import math
 import re
@@ -10,6 +8,7 @@ from typing import Any
 
 from ..core.checks import InputError
 from ..data.userfiles import read_json, read_text
+from .csv_rows import read_rows_of_csv
 
 
 def lacking(folder: Path, evidence: str) -> str:
@@ -47,10 +46,9 @@ def _holds(path: Path, asked: str) -> bool:
         key, _, most = asked.partition(" < ")
         value = _entry(read_json(path, dict[str, Any]), key.split("."))
         return _is_said(value) and (not most or float(value) < float(most))
-    text = read_text(path)
     if path.suffix == ".html":
-        return asked in " ".join(re.sub(r"<[^>]*>", " ", text).split())
-    return _table_holds(list(csv.DictReader(io.StringIO(text))), asked)
+        return asked in " ".join(re.sub(r"<[^>]*>", " ", read_text(path)).split())
+    return _table_holds(list(read_rows_of_csv(path)[1]), asked)
 
 
 def _entry(value: Any, keys: list[str]) -> Any:

@@ -17,6 +17,7 @@ from ..detector import look_of, named_look, present
 from ..model.radiograph import Radiograph
 from .atomic import write_bytes, writing
 from .description import as_json, parameters, require_as_written
+from .image_kind import is_dicom
 
 # What a file may be for, its first use being the default; see `save`.
 INTENTS = {
@@ -173,7 +174,7 @@ def load_parameters(path: str | Path) -> dict[str, Any]:
         elif path.suffix.lower() == ".png":
             with Image.open(path) as image:
                 text = image.info["Description"]
-        elif path.suffix.lower() == ".dcm":
+        elif is_dicom(path):
             from . import dicom
 
             text = dicom.opened(path)[1]
@@ -184,7 +185,7 @@ def load_parameters(path: str | Path) -> dict[str, Any]:
 
 def _opened(path: Path) -> tuple[NDArray[Any], str]:
     """Linear pixels (rows, cols) of a TIFF or DICOM, and the JSON of what they were made from."""
-    if path.suffix.lower() == ".dcm":
+    if is_dicom(path):
         from . import dicom
 
         return dicom.read(path)

@@ -16,6 +16,7 @@ from ..data.code import differing
 from ..data.records import Record
 from ..data.userfiles import parsed, read_json, read_text, refusing, require_file
 from .atomic import write_bytes
+from .csv_rows import header_of, read_rows_of_csv, require_columns_once
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -209,12 +210,9 @@ def read_csv(path: Path, required: tuple[str, ...]) -> list[Row]:
     """The rows of a CSV file, all values as text.
 
     required  columns that every row must have
-    raises    InputError for a file that cannot be read or lacks one of them
+    raises    InputError for a file that cannot be read, lacks one of them, or has a column twice
     """
-    try:
-        rows: list[Row] = list(csv.DictReader(io.StringIO(read_text(path))))
-    except csv.Error as error:
-        raise InputError(f"file {path}: not a table ({error}); allowed: CSV") from None
+    rows: list[Row] = list(read_rows_of_csv(path)[1])
     for name in required:
         if not rows or any(row.get(name) is None for row in rows):
             raise InputError(f"file {path}: no column {name}, or a row without it; required: {', '.join(required)}")
@@ -253,12 +251,13 @@ def _difference(old: Any, new: Any, place: str = "") -> tuple[str, Any, Any]:
 def read_manifest(path: Path) -> "pd.DataFrame":
     """A cohort's manifest as a data frame (needs pandas, of the extra `study`).
 
-    raises  InputError for a file that cannot be read
+    raises  InputError for a file that cannot be read, or has a column twice
     """
     import pandas as pd
 
     allowed = "manifest.csv of a cohort"
-    held = io.StringIO(read_text(path))
-    table: pd.DataFrame = parsed(path, held, pd.read_csv, fault="not a manifest", allowed=allowed)
+    text = read_text(path)
+    require_columns_once(path, header_of(text))  # pandas would call the second one another name
+    table: pd.DataFrame = parsed(path, io.StringIO(text), pd.read_csv, fault="not a manifest", allowed=allowed)
     # pandas reads every column apart, and warns who adds one to more than a hundred; a copy lays them together.
     return table.copy()

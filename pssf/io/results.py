@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from ..core.checks import InputError
 from ..data.userfiles import parsed, read_bytes, read_json, read_text
 from .atomic import write_bytes
+from .csv_rows import header_of, require_columns_once
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -33,6 +34,7 @@ def load_table(path: Path, text_columns: tuple[str, ...] = ()) -> "pd.DataFrame 
         return None
 
     def numbered(text: str) -> pd.DataFrame:
+        require_columns_once(path, header_of(text))
         table = pd.read_csv(io.StringIO(text), dtype=str, keep_default_na=False)
         numbers = table.columns.difference(text_columns)
         # Python's own reading of a number is exact; that of read_csv depends on the version of pandas.
@@ -47,7 +49,9 @@ def load_typed_table(path: Path) -> "pd.DataFrame":
     """A CSV of `save_table`; a column is of whole numbers, else of floats, bit for bit, else of text."""
     import pandas as pd
 
-    table = pd.read_csv(io.StringIO(read_text(path)), dtype=str, keep_default_na=False)
+    text = read_text(path)
+    require_columns_once(path, header_of(text))
+    table = pd.read_csv(io.StringIO(text), dtype=str, keep_default_na=False)
     return table.apply(_typed)
 
 

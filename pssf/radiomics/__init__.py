@@ -7,7 +7,7 @@ locate.locate         film, templates       -> the same of any film, with side, 
 aspect.locate_film    film, templates       -> the same where pixels may be higher than wide, as of resized crops
 search, patches, edges  correlation, what is looked for, and what both are seen as
 region.cut_region     pixels, row, col      -> region (size, size)
-bone.bone_mask        region                -> mask (size, size)
+bone.bone_mask        region, pixel_mm      -> mask of bone (size, size), by a watershed of the gradient
 overlap.overlap       masks                 -> Dice coefficient, distance of outlines
 processing.processing   settings            -> what is done to grey values, in words
 features.extract      region, pixel_mm      -> feature name -> value, by pyradiomics or MIRP

@@ -22,7 +22,8 @@ from .backends import default_backend
 from .families import FAMILIES
 from .features import extract
 from .locate import Located, find_joint, in_pixels, locate
-from .patches import LINEAR_MM, Template
+from .patches import LINEAR_MM, Template, density_of
+from .second_knee import shows_other_knee
 from .table import FOUND, SCORES, How, Job, Measured, Record, measure
 from .tables import RadiomicsTables
 
@@ -107,6 +108,8 @@ def measure_display(
     located = perf_counter()
     region = cut_display(film.pixels, joint, how.pixel_mm, how.region_px) if joint.status == "found" else None
     record = _record(job, joint, region)
+    square = with_square_pixels(film.pixels, joint.pixel_height)
+    record["film_knees"] = _knees(square, record, joint.pixel_mm, templates, tables.localisation)
     if region is not None:
         bright = region if joint.polarity == "bone bright" else -region
         signal = as_signal(bright, templates[0], how.pixel_mm)
@@ -136,13 +139,16 @@ def measure_linear(
         record, seconds = measure(
             job, load_pixels=load_pixels, templates=templates, how=plain, tables=tables, code=code
         )
-        return record | _said(job), seconds
+        record |= _said(job)
+        density = density_of(load_pixels(job.file))
+        return record | {"film_knees": _knees(density, record, job.pixel_mm, templates, tables.localisation)}, seconds
     began = perf_counter()
     pixels = load_pixels(job.file)
     joint = find_joint(pixels, templates, tables.localisation, side=job.side, pixel_mm=job.pixel_mm, region_px=1)
     located = perf_counter()
     region = cut_display(pixels, joint, how.pixel_mm, how.region_px) if joint.status == "found" else None
     record = _record(job, joint, region) | _said(job)
+    record["film_knees"] = _knees(density_of(pixels), record, job.pixel_mm, templates, tables.localisation)
     if region is not None:
         signal = np.clip(np.rint(region), 0, 65535).astype(np.uint16)
         record |= extract(signal, how.pixel_mm, tables.tags, how.bins, how.families, how.backend)
@@ -152,6 +158,18 @@ def measure_linear(
 def _said(job: Job) -> Record:
     said = {"film_side": job.side, "film_polarity": "linear"}
     return said | {"film_pixel_from": "given", "film_pixel_mm": job.pixel_mm}
+
+
+def _knees(density: Array, record: Record, pixel_mm: float, templates: Sequence[Template], table: Localisation) -> str:
+    """How many knees a film shows of which one is read: "one" or "two"; "" where none is read.
+
+    density   (rows, cols) square pixels
+    pixel_mm  their pitch
+    """
+    if record["status"] != "found":
+        return ""
+    two = shows_other_knee(density, str(record["film_side"]), float(record["col_px"]), pixel_mm, templates, table)
+    return "two" if two else "one"
 
 
 def _record(job: Job, joint: Located, region: Array | None) -> Record:

@@ -75,7 +75,7 @@ def extract(
         values |= _named("firstorder_linear", by.first_order(region, pixel_mm, bins))
         values |= _named("firstorder_z", by.first_order(_z_score(region), pixel_mm, bins, _AFFINE_INVARIANT))
     if "shape2D" in families:
-        values |= _named("shape2D", by.shape(bone_mask(region), pixel_mm))
+        values |= _named("shape2D", by.shape(bone_mask(region, pixel_mm), pixel_mm))
     of_texture = [name for name in TEXTURES if name in families]
     for name, of_family in by.textures(region, pixel_mm, bins, of_texture).items():
         values |= _named(name, of_family)

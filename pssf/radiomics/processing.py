@@ -30,7 +30,7 @@ def processing(region_px: int, bins: int, families: Collection[str]) -> dict[str
         "filters": "none",
     }
     if "shape2D" in families:
-        steps["bone"] = "Otsu's threshold of the logarithm beside the soft tissue of each column"
+        steps["bone"] = "watershed of the logarithm's gradient, from markers by Otsu's threshold and a black top-hat"
     texture = {name: _TEXTURE[name] for name in TEXTURES if name in families}
     if texture:
         steps["discretisation"] = f"{bins} equal bins from the region's minimum to its maximum"

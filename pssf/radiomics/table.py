@@ -27,7 +27,7 @@ Record = dict[str, Any]
 Load = Callable[[str], NDArray[np.uint16]]
 Measured = tuple[Record, dict[str, float]]
 # Of a radiograph as displayed: what was found of it, beside its place.
-FOUND = ("film_side", "film_polarity", "film_pixel_from")
+FOUND = ("film_side", "film_polarity", "film_pixel_from", "film_knees")
 TEXT = ("radiograph", "sha256", "settings", "checksum", "status", *FOUND)
 SCORES = ("score", "narrow", "side_margin", "way_margin", "scale")
 NOT_FEATURES = (*TEXT, "row_px", "col_px", "film_pixel_mm", *SCORES)

@@ -21,6 +21,7 @@ from ..io import results
 from ..io.atomic import folder
 from ..io.bones import read_bones
 from ..io.films import list_films, read_film
+from ..io.image_kind import is_visible
 from ..model.draw import DrawLaws, draw_knees, draw_laws
 from ..model.exposure import draw_exposure
 from ..model.knee import Knee
@@ -157,7 +158,7 @@ def sources_of(given: Path) -> tuple[Source, ...]:
     except InputError as error:
         nothing = error
     sources = []
-    for below in sorted(path for path in given.iterdir() if path.is_dir()):
+    for below in sorted(path for path in given.iterdir() if path.is_dir() and is_visible(path)):
         try:
             sources.append(Source(name=below.name, folder=below, films=list_films(below)))
         except InputError:

@@ -36,7 +36,7 @@ _SAMPLE = 15
 LABEL = "films"
 # What is measured -> its table, from which a later run goes on.
 _FILES = {"cohort as displayed": "displays", "films": "films_features"}
-_SHOWN = ("status", "film_side", "film_polarity", "film_pixel_mm", "film_pixel_from", "row_px", "col_px")
+_SHOWN = ("status", "film_side", "film_knees", "film_polarity", "film_pixel_mm", "film_pixel_from", "row_px", "col_px")
 
 
 @dataclass(frozen=True, kw_only=True)

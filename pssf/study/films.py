@@ -33,6 +33,13 @@ class FilmSet:
     def __post_init__(self) -> None:
         if not self.films:
             raise InputError("films = none; allowed: one or more")
+        files: set[str] = set()
+        for film in self.films:
+            if not isinstance(film, Film):
+                raise InputError(f"films must be of type Film, as list_films gives them, got {film!r}")
+            if film.file in files:
+                raise InputError(f"films: file = {film.file!r}, twice; allowed: each file once")
+            files.add(film.file)
         if self.pixel_mm is not None:
             require("films' pixel_mm", self.pixel_mm, 0.02, 20, "mm")
         if self.region_mm is not None:

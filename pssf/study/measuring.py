@@ -13,6 +13,7 @@ from ..io import results
 from ..radiomics.patches import Template
 from ..radiomics.table import NOT_FEATURES, TEXT, How, Job, Load, Record, extract_all
 from .learn.baselines import SOURCES
+from .manifest_checks import require_files_once, require_manifest
 from .predictions import joined
 from .settings import StudySettings
 from .statistics.provenance import require_one_of_each
@@ -41,19 +42,25 @@ class Run:
     load_masks: Callable[[str], Mapping[str, Any]] | None = None
 
 
-def check_manifest(manifest: pd.DataFrame, settings: StudySettings) -> None:
+def check_manifest(manifest: pd.DataFrame, settings: StudySettings) -> pd.DataFrame:
     """Refuse a manifest that lacks a column, has no reference protocol, names a radiograph twice, or knows it as two.
 
-    raises  InputError
+    returns  the manifest with its grades as integers
+    raises   InputError; for a value out of its range as well, see `require_manifest`
     """
+    if not isinstance(manifest, pd.DataFrame):
+        require_manifest(manifest)
     missing = [name for name in _COLUMNS if name not in manifest.columns]
     if missing:
         raise InputError(f"manifest: columns {', '.join(missing)} are missing; required: {', '.join(_COLUMNS)}")
-    require_choice("reference", settings.reference, sorted(set(manifest["protocol"])))
+    manifest = require_manifest(manifest)
+    require_choice("reference", settings.reference, sorted(set(manifest["protocol"].astype(str))))
     twice = manifest["radiograph"][manifest["radiograph"].duplicated()]
     if len(twice):
         raise InputError(f"manifest: radiograph {twice.iloc[0]} is listed twice; allowed: once")
     require_one_of_each(manifest)
+    require_files_once(manifest)
+    return manifest
 
 
 def _with_retest(manifest: pd.DataFrame, retest: pd.DataFrame | None) -> pd.DataFrame:
@@ -69,6 +76,7 @@ def _with_retest(manifest: pd.DataFrame, retest: pd.DataFrame | None) -> pd.Data
     missing = [name for name in (*columns, "kind", "turn") if name not in retest]
     if missing:
         raise InputError(f"manifest of repeats: columns {', '.join(missing)} are missing; required: as in the manifest")
+    retest = require_manifest(retest, "manifest of repeats")
     for kind in retest["kind"].unique():
         require_choice("kind of repeat", kind, tuple(REPEATS))
     both = joined([first, retest[[*columns, "kind", "turn"]]])
@@ -105,7 +113,7 @@ def measured(
 
     Kept in features.csv, from which a later run goes on.
     """
-    check_manifest(manifest, run.settings)
+    manifest = check_manifest(manifest, run.settings)
     radiographs = _with_retest(manifest, retest)
     table, work = _records(run, radiographs, run.out / "features.csv", run.settings.region_px, "regions and features")
     names = [name for name in table.columns if name not in NOT_FEATURES]

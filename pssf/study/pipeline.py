@@ -18,6 +18,7 @@ from .learn.modelfile import SUFFIX, pack
 from .learn.refit import refitted
 from .learn.training import train
 from .libraries import XGBOOST
+from .manifest_checks import require_manifest
 from .measuring import Run, check_manifest, measured
 from .predictions import Outcome, joined
 from .questions import ask
@@ -58,8 +59,13 @@ def run_study(
     designed: Designed | None = None,
 ) -> StudyResult:
     """See `pssf.study.run`."""
-    settings, timer, laws = run.settings, run.execution.timer, laws_of(manifest)
-    check_manifest(manifest, settings)
+    settings, timer = run.settings, run.execution.timer
+    manifest = check_manifest(manifest, settings)
+    laws = laws_of(manifest)
+    for name in ("curves", "shares", "pairs"):
+        table = getattr(designed or Designed(), name)
+        if table is not None:  # samples of the space of all parameters have no grade
+            require_manifest(table.drop(columns="grade", errors="ignore"), f"manifest of {name}")
     if films is not None:
         check_films(films, manifest, settings, run.templates)
     table, names, work = measured(run, manifest, retest)

@@ -27,13 +27,15 @@ class Job:
 
     file, masks   what the loaders are asked for
     row, col      middle of its region, px
-    unit_mm       side of a pixel at the joint plane
+    pixel_mm      side of a pixel at the detector
+    unit_mm       the same at the joint plane
     """
 
     file: str
     masks: str
     row: float
     col: float
+    pixel_mm: float
     unit_mm: float
 
 
@@ -54,6 +56,7 @@ def segmentation(repeated: pd.DataFrame, retest: pd.DataFrame | None, run: Run) 
             masks=row["masks"],
             row=row["row_px"],
             col=row["col_px"],
+            pixel_mm=row["pixel_mm"],
             unit_mm=row["pixel_mm"] * row["sod_mm"] / row["sdd_mm"],
         )
         for row in rows
@@ -84,7 +87,7 @@ def compare(
     require_code(code)
     bone = reduce(np.logical_or, load_masks(job.masks).values())
     region, true = (cut_region(of, job.row, job.col, size) for of in (load_pixels(job.file), bone))
-    return overlap(bone_mask(region), true.astype(np.bool_), job.unit_mm)
+    return overlap(bone_mask(region, job.pixel_mm), true.astype(np.bool_), job.unit_mm)
 
 
 def _row(part: pd.DataFrame) -> dict[str, float]:

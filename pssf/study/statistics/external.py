@@ -106,13 +106,18 @@ def _with_intervals(values: dict[str, Array], enough: dict[str, bool]) -> dict[s
 def counted(films: pd.DataFrame) -> pd.DataFrame:
     """grade ("unknown" where it is not), films, found, and a column a reason of refusal; the last row is of all.
 
-    films  one row a film: grade, status
+    Where films show two knees, of which one is read, a last column counts them.
+
+    films  one row a film: grade, status; film_knees, if it is known
     """
     grades = films["grade"].map(lambda grade: "unknown" if pd.isna(grade) else str(int(grade)))
     reasons = sorted(set(films["status"]) - {"found"})
+    is_pair = films["film_knees"] == "two" if "film_knees" in films else pd.Series(False, index=films.index)
     rows = []
     for name in [*sorted(set(grades)), "all"]:
         status = films["status"] if name == "all" else films["status"][grades == name]
         row = {"grade": name, "films": len(status), "found": int((status == "found").sum())}
         rows.append(row | {reason: int((status == reason).sum()) for reason in reasons})
+        if is_pair.any():
+            rows[-1]["two knees, one read"] = int(is_pair[status.index].sum())
     return pd.DataFrame(rows)

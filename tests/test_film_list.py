@@ -1,0 +1,142 @@
+"""Lists of films: which files count, what their names say, and tables that have a column or a film twice."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from test_films import dicom, film_at, grey
+
+from pssf.core.checks import InputError
+from pssf.io import evidence, records, results
+from pssf.io.bones import read_bones
+from pssf.io.csv_rows import read_rows_of_csv
+from pssf.io.films import Film, list_films, read_film, subject_and_side
+
+CELLS = st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs", "Zl", "Zp"]), max_size=6)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "subject"),
+    [
+        ("P1_left", "P1_right", "P1"),
+        ("P1-LEFT", "P1-Right", "P1"),
+        ("left_P1", "right_P1", "P1"),
+        ("P1_left_knee", "P1_right_knee", "P1_knee"),
+        ("smith left", "smith right", "smith"),
+        ("12links", "12rechts", "12"),
+        ("12_gauche", "12_droite", "12"),
+        ("12_l", "12_r", "12"),
+        ("p12a_L", "p12a_R", "p12a"),
+    ],
+)
+def test_films_of_both_knees_of_a_person_are_of_one_subject(one, other, subject):
+    assert subject_and_side(one) == (subject, "left")
+    assert subject_and_side(other) == (subject, "right")
+
+
+@pytest.mark.parametrize("stem", ["bright_1", "cleft2", "Smith_L", "12_left_right", "leftover", "ANNAL", "12l", "R_12"])
+def test_a_name_that_may_mean_something_else_is_a_subject_without_a_side(stem):
+    assert subject_and_side(stem) == (stem, None)
+
+
+def test_a_side_alone_is_of_the_person_whose_folder_holds_it(tmp_path):
+    for name in ("P1/left.png", "P1/right.png", "P2/left.png"):
+        film_at(tmp_path / name)
+    (tmp_path / "P2" / "left.png").write_bytes((tmp_path / "P1" / "right.png").read_bytes()[:-1] + b"x")
+    (tmp_path / "films.csv").write_text("file\nP1/left.png\nP1/right.png\nP2/left.png\n")
+    assert [(f.subject, f.side) for f in list_films(tmp_path)] == [("P1", "left"), ("P1", "right"), ("P2", "left")]
+
+
+def test_hidden_files_resource_forks_and_locks_are_no_films_and_no_tables(tmp_path):
+    film_at(tmp_path / "0" / "7.png")
+    for name in ("0/._7.png", "0/.hidden.png", "0/.DS_Store", "0/Thumbs.db", ".DS_Store"):
+        (tmp_path / name).write_bytes(b"\x00\x05\x16\x07 not a picture")
+    for name in ("~$films.csv", "._films.csv"):
+        (tmp_path / name).write_bytes(b"\x00 lock")
+    assert [film.file for film in list_films(tmp_path)] == ["0/7.png"]
+    (tmp_path / "FILMS.CSV").write_text("file\n0/7.png\n")
+    assert [film.grade for film in list_films(tmp_path)] == [None]  # the table is read, whatever the case of its suffix
+
+
+def test_hidden_files_are_no_bones(tmp_path):
+    np.savez(tmp_path / "bones.npz", femur_mm=np.eye(3)[None], femur_faces=[[0, 1, 2]])
+    (tmp_path / "._bones.npz").write_bytes(b"\x00\x05\x16\x07")
+    assert len(read_bones(tmp_path)["femur"]) == 1
+
+
+def test_dicom_files_of_every_name_are_listed_and_read(tmp_path):
+    for name in ("a.dcm", "b.dicom", "c.IMA", "1.2.840.113619.7", "IM0001", "DICOMDIR"):
+        dicom(tmp_path / name, grey(8))
+    (tmp_path / "notes.txt").write_text("no image")
+    (tmp_path / "README").write_text("no image")
+    films = list_films(tmp_path)
+    assert [film.file for film in films] == ["1.2.840.113619.7", "IM0001", "a.dcm", "b.dicom", "c.IMA"]
+    assert films[0].subject == "1.2.840.113619.7"
+    shown = read_film(tmp_path / "a.dcm")
+    assert all(np.array_equal(read_film(tmp_path / film.file).pixels, shown.pixels) for film in films[:2])
+
+
+def test_a_grade_that_a_data_frame_made_a_float_of_is_that_grade(tmp_path):
+    for name in ("a.png", "b.png"):
+        film_at(tmp_path / name)
+    (tmp_path / "films.csv").write_text("file,grade,subject\na.png,2.0,9003175.0\nb.png,,\n")
+    one, other = list_films(tmp_path)
+    assert (one.grade, one.subject, other.grade) == (2, "9003175", None)
+    (tmp_path / "films.csv").write_text("file,grade\na.png,1.5\n")
+    with pytest.raises(InputError, match=r"line 2: grade = '1\.5'"):
+        list_films(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        list_films,
+        read_rows_of_csv,
+        lambda path: records.read_csv(path, ("file",)),
+        records.read_manifest,
+        results.load_table,
+        results.load_typed_table,
+    ],
+    ids=["films", "rows", "records", "manifest", "table", "typed table"],
+)
+def test_a_column_given_twice_is_refused_by_every_reader_of_tables(read, tmp_path):
+    film_at(tmp_path / "a.png")
+    path = tmp_path / "films.csv"
+    path.write_text("file,grade,grade\na.png,2,3\n")
+    with pytest.raises(InputError, match="column 'grade' is given 2 times; allowed: each column once"):
+        read(path)
+    # What a condition asks of such a table is not fulfilled.
+    assert evidence.lacking(tmp_path, "films.csv grade = 3")
+
+
+def test_a_film_under_two_spellings_of_its_path_is_a_film_twice(tmp_path):
+    film_at(tmp_path / "a.png")
+    (tmp_path / "films.csv").write_text("file,grade\na.png,2\n./a.png,2\n")
+    with pytest.raises(InputError, match=r"line 3: file = '\./a\.png', again"):
+        list_films(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("more", "why"),
+    [
+        ({"grade": 1.5}, "grade = 1.5; allowed: 0, 1, 2, 3, 4"),
+        ({"grade": float("nan")}, "grade = nan"),
+        ({"side": "up"}, "side = 'up'"),
+        ({"pixel_mm": "0.15"}, "pixel_mm = '0.15' mm"),
+        ({"pixel_mm": float("nan")}, "pixel_mm = nan mm"),
+        ({"subject": float("nan")}, "subject must be text, got nan"),
+    ],
+)
+def test_a_film_made_in_python_is_checked_as_a_row_of_a_table_is(more, why):
+    with pytest.raises(InputError, match=why):
+        Film(**{"file": "a.png", "grade": None, "subject": "1", "side": None, "pixel_mm": None, "sha256": "0"} | more)
+
+
+@given(rows=st.lists(st.lists(CELLS, min_size=2, max_size=2), max_size=4))
+def test_rows_come_back_as_they_were_written(rows, tmp_path_factory):
+    import csv
+
+    path = tmp_path_factory.mktemp("rows") / "table.csv"
+    with open(path, "w", newline="", encoding="utf-8") as handle:
+        csv.writer(handle).writerows([["a", "b"], *rows])
+    assert read_rows_of_csv(path) == (["a", "b"], [{"a": one, "b": two} for one, two in rows])

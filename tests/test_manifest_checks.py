@@ -1,0 +1,105 @@
+"""What a manifest from elsewhere may hold: `study.run` and `study.measure` refuse what the command line refuses."""
+
+import dataclasses
+
+import drawn
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pssf import study
+from pssf.core.checks import InputError
+from pssf.study import FilmSet
+from pssf.study.films import Film
+from pssf.study.manifest_checks import require_manifest
+
+NAN = float("nan")
+FAULTS = [
+    ("subject", NAN, "subject must be text or a number, got nan"),
+    ("subject", None, "subject must be text or a number, got None"),
+    ("subject", "", "subject must be text or a number, got ''"),
+    ("subject", 7, "subject must be text in all rows or numbers in all rows, got both"),
+    ("knee", NAN, "knee must be text or a number, got nan"),
+    ("protocol", NAN, "protocol must be text or a number, got nan"),
+    ("grade", NAN, "grade = nan; allowed: 0, 1, 2, 3, 4"),
+    ("grade", 1.5, "grade = 1.5; allowed: 0, 1, 2, 3, 4"),
+    ("grade", "KL0", "grade = 'KL0'; allowed: 0, 1, 2, 3, 4"),
+    ("grade", True, "grade = True; allowed"),
+    ("grade", 7, "grade = 7; allowed"),
+    ("side", "up", "side = 'up'; allowed: right, left"),
+    ("side", NAN, "side = nan; allowed: right, left"),
+    ("pixel_mm", "0.15", "pixel_mm = '0.15' mm; allowed: 0.001 to 50 mm"),
+    ("pixel_mm", NAN, "pixel_mm = nan mm"),
+    ("pixel_mm", -0.15, "pixel_mm = -0.15 mm"),
+    ("sdd_mm", 0.0, "sdd_mm = 0.0 mm"),
+    ("sod_mm", "far", "sod_mm = 'far' mm"),
+    ("truth_medial_row_px", "12", "truth_medial_row_px must be a number"),
+    ("file", NAN, "file must be text or a number, got nan"),
+]
+
+
+def manifest_with(column: str, value: object) -> pd.DataFrame:
+    table = drawn.text_subjects().reset_index(drop=True)
+    cells = table[column].astype(object)
+    cells[3] = value
+    return table.assign(**{column: cells})
+
+
+@pytest.mark.parametrize(("column", "value", "why"), FAULTS)
+@pytest.mark.parametrize("entry", [study.run, study.measure])
+def test_every_entry_refuses_a_value_that_cannot_be_meant(entry, column, value, why, tmp_path):
+    with pytest.raises(InputError) as refused:
+        entry(manifest_with(column, value), drawn.cohort().load, [drawn.TEMPLATE], drawn.LIGHT, tmp_path)
+    assert why in str(refused.value)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("column", ["file", "sha256"])
+@pytest.mark.parametrize("entry", [study.run, study.measure])
+def test_every_entry_refuses_a_file_in_two_rows(entry, column, tmp_path):
+    table = drawn.text_subjects().reset_index(drop=True)
+    both = pd.concat([table, table.head(1).assign(radiograph="again")], ignore_index=True)
+    other = {"file": "sha256", "sha256": "file"}[column]
+    both.loc[len(table), other] = "another"
+    with pytest.raises(InputError, match=f"{table['radiograph'][0]} and again have one {column}"):
+        entry(both, drawn.cohort().load, [drawn.TEMPLATE], drawn.LIGHT, tmp_path)
+
+
+@pytest.mark.parametrize("entry", [study.run, study.measure])
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda table: table.to_dict("records"), "must be a pandas DataFrame, got list"),
+        (lambda table: table.head(0), "one row per radiograph, got none"),
+        (lambda table: pd.concat([table, table[["grade"]]], axis=1), "column 'grade' is given twice"),
+    ],
+)
+def test_every_entry_refuses_what_is_no_table_of_radiographs(entry, change, why, tmp_path):
+    with pytest.raises(InputError, match=why):
+        entry(change(drawn.text_subjects()), drawn.cohort().load, [drawn.TEMPLATE], drawn.LIGHT, tmp_path)
+
+
+def test_repeats_are_checked_as_the_manifest_is(tmp_path):
+    table = drawn.text_subjects()
+    repeats = table.head(2).assign(kind="noise", turn=1, radiograph=["a", "b"], file=["a", "b"], sha256=["a", "b"])
+    repeats["side"] = ["up", "left"]
+    with pytest.raises(InputError, match="manifest of repeats: radiograph a: side = 'up'"):
+        study.measure(table, drawn.cohort().load, [drawn.TEMPLATE], drawn.LIGHT, tmp_path, retest=repeats)
+
+
+@given(grades=st.lists(st.sampled_from([0, 1, 2, 3, 4]), min_size=1, max_size=9), kind=st.sampled_from([int, float]))
+def test_grades_that_a_data_frame_made_floats_of_are_those_grades(grades, kind):
+    checked = require_manifest(pd.DataFrame({"grade": np.array(grades, kind)}))
+    assert checked["grade"].tolist() == grades
+    assert checked["grade"].dtype == np.int64
+
+
+def test_films_are_films_and_each_once():
+    film = Film(file="a.png", grade=0, subject="1", side=None, pixel_mm=None, sha256="0")
+    given = {"load": print, "load_cohort": print, "protocol": "reference"}
+    with pytest.raises(InputError, match=r"file = 'a\.png', twice"):
+        FilmSet(films=(film, dataclasses.replace(film, grade=None)), **given)
+    with pytest.raises(InputError, match="films must be of type Film"):
+        FilmSet(films=("a.png",), **given)
