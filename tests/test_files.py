@@ -118,7 +118,7 @@ def test_a_writer_begins_again_when_a_sweep_took_its_file_before_it_was_locked(t
 
     def late(handle, how):
         if how == atomic.fcntl.LOCK_EX and not swept:
-            swept.append(handle.name)
+            swept.append(handle)
             atomic.sweep(tmp_path)
         lock(handle, how)
 
@@ -342,3 +342,41 @@ def test_what_is_no_path_is_not_written_to(radiograph, path):
 def test_what_is_no_radiograph_is_not_saved(tmp_path):
     with pytest.raises(pssf.InputError, match="radiograph = 3; allowed: a Radiograph"):
         pssf.save(3, tmp_path / "x.tif")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no such modes")
+@pytest.mark.parametrize("umask", [0o077, 0o022, 0o002])
+def test_a_new_file_has_the_mode_that_the_umask_leaves(tmp_path, umask):
+    before = os.umask(umask)
+    try:
+        atomic.write_bytes(tmp_path / "new.csv", b"a")
+        (tmp_path / "plain.csv").write_bytes(b"a")
+    finally:
+        os.umask(before)
+    assert (tmp_path / "new.csv").stat().st_mode == (tmp_path / "plain.csv").stat().st_mode
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no such modes")
+@pytest.mark.parametrize("mode", [0o600, 0o640, 0o664, 0o444])
+def test_a_file_that_is_replaced_keeps_its_mode(tmp_path, mode):
+    path = tmp_path / "kept.csv"
+    path.write_bytes(b"before")
+    path.chmod(mode)
+    with atomic.writing(path) as temporary:
+        assert temporary.stat().st_mode & 0o777 == 0o600
+        temporary.write_bytes(b"after")
+    assert path.stat().st_mode & 0o777 == mode
+    assert path.read_bytes() == b"after"
+
+
+@pytest.mark.parametrize("code", [errno.EPERM, errno.EINVAL, errno.EOPNOTSUPP])
+def test_a_file_system_that_refuses_chmod_and_fsync_is_written_to(tmp_path, monkeypatch, code):
+    def refused(*_, **__):
+        raise OSError(code, os.strerror(code))
+
+    for name in ("chmod", "fchmod", "fsync"):
+        monkeypatch.setattr(atomic.os, name, refused)
+    for content in (b"new", b"written anew"):
+        atomic.write_bytes(tmp_path / "share.csv", content)
+        assert (tmp_path / "share.csv").read_bytes() == content
+    assert len(list(tmp_path.iterdir())) == 1
