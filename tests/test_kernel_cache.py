@@ -177,7 +177,7 @@ def test_a_function_that_is_in_no_file_has_no_cache():
 
 def test_a_simulation_goes_on_from_damaged_files_of_all_kernels(tmp_path):
     """As a user meets it: the command line, with every index empty, then with all code cut."""
-    settings = "rows=64 cols=64 pixel_mm=4.8 scatter=none texture=none noise=none".split()
+    settings = ["rows=64", "cols=64", "pixel_mm=4.8", "scatter=none", "texture=none", "noise=none"]
     command = [sys.executable, "-m", "pssf", "simulate", "--engine", "scanline", "--formats", "tif", "--workers", "1"]
     command += [word for setting in settings for word in ("--set", setting)]
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}

@@ -30,12 +30,12 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     -------
     Decorator of the function. Of a division by 0 numpy's rule is taken, which needs no branch.
     """
-    compiled = njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)
+    compiled = partial(njit, nogil=True, error_model="numpy", no_cfunc_wrapper=True)(**options)
 
     def cached(function: Callable[..., Any]) -> Any:
         dispatcher = compiled(function)
         if isinstance(dispatcher, Dispatcher):  # the function itself where numba is told not to compile
-            dispatcher._cache = cache_of(function)
+            dispatcher._cache = cache_of(function)  # type: ignore[attr-defined]
         return dispatcher
 
     return cached

@@ -68,7 +68,7 @@ def _require_own(folder: Path) -> None:
 
 
 class _Files(CompileResultCacheImpl):  # type: ignore[misc]
-    _locator_classes = (*CompileResultCacheImpl._locator_classes, _TemporaryLocator)
+    _locator_classes = [*CompileResultCacheImpl._locator_classes, _TemporaryLocator]  # noqa: RUF012  as numba has it
 
 
 class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]
