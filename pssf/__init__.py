@@ -27,10 +27,15 @@ cli         the command line
 A module imports from above it only. What users need is named in `__all__`, and loaded when it is first asked for.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from __future__ import annotations
 
+from importlib import import_module
+
+# Not from `typing`: with `python -m pssf`, a file `typing.py` or `enum.py` of the working folder would be run for it.
+TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from typing import Any
+
     from .anatomy import BuiltKnee, build
     from .core.checks import InputError
     from .detector import present
