@@ -43,7 +43,8 @@ if TYPE_CHECKING:
     from .geometry.scene import MeshNotice, Scene, Surface
     from .io.images import load, load_parameters, save
     from .io.masks import load_masks, save_masks
-    from .io.meshes import export_meshes, read_mesh
+    from .io.mesh_reader import read_mesh
+    from .io.meshes import export_meshes
     from .io.scenes import read_scene
     from .model.draw import draw_knee, draw_pair
     from .model.exposure import draw_exposure
@@ -63,7 +64,8 @@ _WHERE = {
     "geometry.scene": ("MeshNotice", "Scene", "Surface"),
     "io.images": ("load", "load_parameters", "save"),
     "io.masks": ("load_masks", "save_masks"),
-    "io.meshes": ("export_meshes", "read_mesh"),
+    "io.mesh_reader": ("read_mesh",),
+    "io.meshes": ("export_meshes",),
     "io.scenes": ("read_scene",),
     "model.exposure": ("draw_exposure",),
     "model.look": ("draw_look",),

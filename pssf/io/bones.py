@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ..core.checks import InputError
 from ..geometry.mesh import Mesh
-from .meshes import read_mesh
+from .mesh_reader import read_mesh
 
 KINDS = ("femur", "tibia", "patella")
 _SUFFIXES = (".stl", ".ply", ".obj")
