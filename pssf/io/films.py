@@ -15,6 +15,7 @@ from PIL import Image, ImageOps
 from ..core.checks import Array, InputError, require, require_choice, require_whole
 from ..data.looks import Processed
 from ..detector import present
+from .film_tiff import read_packed
 from .images import load, load_parameters, reading
 
 SIDES = ("right", "left")
@@ -198,7 +199,8 @@ def read_film(path: str | Path, look: Processed | None = None) -> FilmImage:
             ours = film_dicom.is_linear_by_pssf(path)
             film = _rendered(path, look) if ours else FilmImage(**film_dicom.read(path, _PIXEL_MM, look))
         else:
-            film = _picture(path, look)
+            packed = read_packed(path) if path.suffix.lower() in (".tif", ".tiff") else None
+            film = _picture(path, look) if packed is None else FilmImage(pixels=packed)
     for name, length in zip(("rows", "columns"), film.pixels.shape, strict=True):
         require_whole(f"file {path}: {name}", length, LEAST_PX, 2**16, "pixels")
     least, most = float(film.pixels.min()), float(film.pixels.max())

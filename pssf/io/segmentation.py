@@ -14,6 +14,7 @@ from ..data.dicom import dicom_tables
 from ..model.knee import BONE_OF
 from ..model.radiograph import Radiograph
 from . import dicom
+from .dicom_pixels import pixels_of
 
 Masks = Mapping[str, NDArray[np.bool_]]
 # A code by its name in the table.
@@ -62,7 +63,7 @@ def read(path: Path) -> dict[str, NDArray[np.bool_]]:
     item = dicom.ours(path, "segmentation")
     shape = (int(item.NumberOfFrames), item.Rows, item.Columns)
     names = [segment.SegmentLabel for segment in item.SegmentSequence]
-    return dict(zip(names, item.pixel_array.reshape(shape).astype(np.bool_), strict=True))
+    return dict(zip(names, pixels_of(item, path).reshape(shape).astype(np.bool_), strict=True))
 
 
 def _segment(number: int, name: str, side: str | None, version: str, code: Code) -> Dataset:
