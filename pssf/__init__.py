@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from .detector import present
     from .geometry.density import Density, PlaneWaves
     from .geometry.scene import MeshNotice, Scene, Surface
+    from .io.description import UnverifiedNotice
     from .io.images import load, load_parameters, save
     from .io.masks import load_masks, save_masks
     from .io.mesh_reader import read_mesh
@@ -62,6 +63,7 @@ _WHERE = {
     "detector": ("present",),
     "geometry.density": ("Density", "PlaneWaves"),
     "geometry.scene": ("MeshNotice", "Scene", "Surface"),
+    "io.description": ("UnverifiedNotice",),
     "io.images": ("load", "load_parameters", "save"),
     "io.masks": ("load_masks", "save_masks"),
     "io.mesh_reader": ("read_mesh",),
@@ -95,6 +97,7 @@ __all__ = [
     "Scene",
     "Surface",
     "Truth",
+    "UnverifiedNotice",
     "build",
     "check",
     "draw_exposure",

@@ -78,6 +78,16 @@ def read(path: Path) -> tuple[NDArray[Any], str]:
     return pixels_of(item, path), description
 
 
+def opened_parameters(path: Path) -> tuple[NDArray[Any] | None, str]:
+    """Linear pixels (rows, cols), DN, where the object has them, and the JSON of what a radiograph was made from.
+
+    raises  InputError as `opened`
+    """
+    item, description = opened(path)
+    linear = item.PresentationIntentType == dicom_tables().processing["PresentationIntentType"]
+    return (pixels_of(item, path) if linear else None), description
+
+
 def opened(path: Path) -> tuple[FileDataset, str]:
     """A radiograph of either kind by this package, and the JSON of what it was made from.
 
