@@ -27,18 +27,25 @@ cli         the command line
 A module imports from above it only. What users need is named in `__all__`, and loaded when it is first asked for.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from __future__ import annotations
 
+from importlib import import_module
+
+# Not from `typing`: with `python -m pssf`, a file `typing.py` or `enum.py` of the working folder would be run for it.
+TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from typing import Any
+
     from .anatomy import BuiltKnee, build
     from .core.checks import InputError
     from .detector import present
     from .geometry.density import Density, PlaneWaves
     from .geometry.scene import MeshNotice, Scene, Surface
+    from .io.description import UnverifiedNotice
     from .io.images import load, load_parameters, save
     from .io.masks import load_masks, save_masks
-    from .io.meshes import export_meshes, read_mesh
+    from .io.mesh_reader import read_mesh
+    from .io.meshes import export_meshes
     from .io.scenes import read_scene
     from .model.draw import draw_knee, draw_pair
     from .model.exposure import draw_exposure
@@ -56,9 +63,11 @@ _WHERE = {
     "detector": ("present",),
     "geometry.density": ("Density", "PlaneWaves"),
     "geometry.scene": ("MeshNotice", "Scene", "Surface"),
+    "io.description": ("UnverifiedNotice",),
     "io.images": ("load", "load_parameters", "save"),
     "io.masks": ("load_masks", "save_masks"),
-    "io.meshes": ("export_meshes", "read_mesh"),
+    "io.mesh_reader": ("read_mesh",),
+    "io.meshes": ("export_meshes",),
     "io.scenes": ("read_scene",),
     "model.exposure": ("draw_exposure",),
     "model.look": ("draw_look",),
@@ -88,6 +97,7 @@ __all__ = [
     "Scene",
     "Surface",
     "Truth",
+    "UnverifiedNotice",
     "build",
     "check",
     "draw_exposure",

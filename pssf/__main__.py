@@ -1,8 +1,17 @@
 """python -m pssf, and the command pssf: the command line, which an interrupt ends at once."""
 
 import os
-import signal
 import sys
+
+if __name__ == "__main__" and not sys.flags.safe_path and sys.path[:1] == [os.getcwd()]:
+    # `python -m` looks for modules in the working folder first: a file `signal.py` there would be run instead of
+    # Python's own. Where this package is in that folder, the folder stays, after the standard library.
+    _folder, _library = sys.path.pop(0), os.path.dirname(os.__file__)
+    if os.path.dirname(os.path.dirname(os.path.abspath(__file__))) == _folder:
+        _places = [sys.path.index(one) for one in (_library, os.path.join(_library, "lib-dynload")) if one in sys.path]
+        sys.path.insert(max(_places, default=-1) + 1, _folder)
+
+import signal
 from contextlib import suppress
 from types import FrameType
 

@@ -229,6 +229,12 @@ def test_linear_pixels_are_shown_with_the_look_that_is_asked_for(tmp_path):
     assert np.abs(other.pixels - read_film(path).pixels).max() > 0.01
 
 
+TABLE = pydicom.Dataset()
+TABLE.add_new("LUTDescriptor", "US", [2, 0, 16])
+TABLE.add_new("LUTData", "OW", b"\0\0\1\0")
+TABLE.ModalityLUTType = "US"
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 def test_logarithms_of_the_beam_are_turned_by_their_sign(tmp_path, sign):
     stored = np.rint(2000 - sign * 500 * DEPTH)
@@ -250,7 +256,7 @@ def test_logarithms_of_the_beam_are_turned_by_their_sign(tmp_path, sign):
             "RescaleSlope = -1 of pixels FOR PROCESSING; allowed: more than 0",
         ),
         ({"RescaleSlope": 1, "RescaleIntercept": -5000}, "linear pixels = .* at most; allowed: more than 0"),
-        ({"ModalityLUTSequence": [pydicom.Dataset()]}, "modality LUT = of pixels FOR PROCESSING; allowed: a slope"),
+        ({"ModalityLUTSequence": [TABLE]}, "modality LUT = of pixels FOR PROCESSING; allowed: a slope"),
         ({"PresentationIntentType": "FOR LATER"}, "PresentationIntentType = 'FOR LATER'"),
     ],
 )

@@ -32,7 +32,9 @@ DOORS = {
     # What users call by other names: both knees of a person, fields and their values.
     "anatomy/pair.py": "build_pair",
     # What is made beside it, and what comes with the package.
-    "anatomy/built.py": "make_texture",
+    "anatomy/texture.py": "make_texture",
+    # What was built is built again where it arrives.
+    "anatomy/built.py": "build_in",
     "anatomy/ship.py": "main",
     "model/listing.py": "field_rows knee_template with_changes",
     "precompile.py": "compile_others compile_rays",
@@ -214,7 +216,8 @@ def without_docstring(sources: dict[str, str]) -> Iterator[str]:
 
 def open_the_disk(sources: dict[str, str]) -> Iterator[str]:
     for path, text in sources.items():
-        if path.split("/")[0] in DISK:
+        # numba's cache is in files, and what it compiles is left of `data`.
+        if path.split("/")[0] in DISK or path == "core/kernel_cache.py":
             continue
         for node in ast.walk(ast.parse(text)):
             if isinstance(node, ast.Call):
@@ -334,7 +337,8 @@ def _is_listed(path: str, function: str) -> bool:
 def read_behind_the_door(sources: dict[str, str]) -> Iterator[str]:
     """Calls of readers elsewhere than at a door, calls of doors by formulas, and doors that are none: see `pssf.data`.
 
-    A record of the model may read what its own fields may be, when it is made.
+    A record of the model may read what its own fields may be, when it is made; what is sent to a process (__reduce__)
+    names the door that makes it there.
     """
     places, reading = _places(sources), readers(sources)
     verbs = users_verbs(sources.get("__init__.py", ""), places)
@@ -362,8 +366,9 @@ def read_behind_the_door(sources: dict[str, str]) -> Iterator[str]:
     for path, function, origin in calls:
         place = f"{path}:{function}"
         born = path.startswith("model/") and function.endswith(".__post_init__")
+        sent = function.endswith(".__reduce__")
         script = not function and origin == f"{path}:main"
-        if path.startswith("data/") or is_door(place) or born or script:
+        if path.startswith("data/") or is_door(place) or born or sent or script:
             continue
         if reads(origin):
             yield f"{place} reads a table"

@@ -1,9 +1,13 @@
 """What is kept on disk is what would be made, and is made anew when what makes it has changed."""
 
 import ast
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from msgspec import structs
 
 from pssf.anatomy.femur import mean_femur
@@ -72,6 +76,19 @@ def test_a_damaged_file_a_folder_that_cannot_be_written_and_off_cost_time_alone(
         monkeypatch.setenv("PSSF_CACHE_DIR", named)
         assert store.kept("thing", ORIGIN, make)["a"][2] == 2.0
     assert len(calls) == 4
+
+
+@given(place=st.integers(0, 2**16), value=st.integers(0, 255), length=st.integers(0, 9))
+def test_a_file_altered_anywhere_gives_the_arrays_or_is_made_again(place, value, length):
+    whole = np.arange(300.0) ** 0.5
+    with TemporaryDirectory() as name, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PSSF_CACHE_DIR", name)
+        store.kept("thing", ORIGIN, lambda: {"a": whole})
+        (path,) = Path(name).iterdir()
+        content = path.read_bytes()
+        place %= len(content)
+        path.write_bytes(content[:place] + bytes([value] * length) + content[place + length :])
+        np.testing.assert_array_equal(store.kept("thing", ORIGIN, lambda: {"a": whole})["a"], whole)
 
 
 def test_a_spectrum_from_the_folder_is_the_one_that_is_computed(folder):

@@ -6,7 +6,7 @@ import pytest
 import pssf
 from pssf.data import tables, userfiles
 from pssf.io.films import read_film
-from pssf.io.meshes import read_mesh
+from pssf.io.mesh_reader import read_mesh
 
 READERS = {
     "p.toml": pssf.load_protocol,

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core.child_processes import safe_start
 from ..geometry.scene import Scene, Surface
 from ..geometry.view import View, view_of
 from ..model.protocol import load_protocol
@@ -43,7 +44,7 @@ def engine_rows(
     for engine in ENGINES:
         for count in triangles:
             # A process of its own, so that its peak is of this mesh and engine.
-            with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+            with safe_start(), ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
                 rows += pool.submit(_rows_of_mesh, engine, count, sides, workers, runs).result()
     return rows
 
@@ -56,7 +57,7 @@ def nested_rows(workers: int, runs: int = 3) -> list[Row]:
     rows = []
     for engine in ENGINES:
         for triangles, side in ((100_000, 2048), (3_000_000, 1024)):
-            with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+            with safe_start(), ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
                 rows.append(pool.submit(_nested_row, engine, triangles, side, workers, runs).result())
     return rows
 

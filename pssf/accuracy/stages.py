@@ -3,13 +3,13 @@
 import json
 import os
 import subprocess
-import sys
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 
 from ..anatomy import build
+from ..core.child_processes import python_command
 from ..io.atomic import empty_folder
 from ..model.knee import Knee
 from ..model.protocol import load_protocol
@@ -75,8 +75,7 @@ def _environment(folder: Path) -> dict[str, str]:
 def _in_a_new_process(engine: str, workers: int, runs: tuple[str, ...], folder: Path) -> list[Row]:
     # Pools pass options of this process on, such as not to write bytecode.
     code = f"from {__name__} import print_runs; print_runs({engine!r}, {workers}, {runs!r})"
-    command = [sys.executable, "-c", code]
-    done = subprocess.run(command, env=_environment(folder), stdout=subprocess.PIPE, text=True, check=True)
+    done = subprocess.run(python_command(code), env=_environment(folder), stdout=subprocess.PIPE, text=True, check=True)
     rows: list[Row] = json.loads(done.stdout)
     return rows
 

@@ -11,15 +11,17 @@ pair         both knees of a person in one scene            bend         soft ti
 soft         skin, subcutaneous fat, fascia                     muscles      muscles, and the fat between them
 envelope     what provably holds a bone, coarsely               tendons      of patella and quadriceps; the fat pad
 cartilage    cartilage and menisci                              tissues      all of these, carved clear of each other
-trabeculae   density of the spongy bone within                  solids       lofts, hulls, height fields, checks
+trabeculae   density of the trabecular bone                      solids       lofts, hulls, height fields, checks
+texture      that density, of a knee's parameters
 wear         a plateau worn by the femur                        attrition    how deep that is
 contours     projected outlines and the gap between them        truth        labels and landmarks
 landmarks    sixteen places on the contours, as on people's films
 ship         the mean bones as solids, put into the package
 """
 
-from .built import BuiltKnee, build, make_texture
+from .built import BuiltKnee, build
 from .pair import BuiltPair, build_pair
+from .texture import make_texture
 from .trabeculae import BONES
 
 __all__ = ["BONES", "BuiltKnee", "BuiltPair", "build", "build_pair", "make_texture"]

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from manifold3d import Manifold
@@ -14,7 +15,6 @@ from ..data.anatomy import anatomy_tables
 from ..data.fields import beam_range_deg
 from ..data.oarsi import OarsiCuts, oarsi_cuts
 from ..data.records import Pair
-from ..data.spongy import TrabecularBone
 from ..geometry.density import Density
 from ..geometry.mesh import Mesh
 from ..geometry.scene import Scene, Surface
@@ -34,8 +34,9 @@ from .plateau import along_plateau, inter_margin_mm
 from .pose import composed
 from .shells import check_nesting, drawn_in, is_nested
 from .solids import checked, mesh_of
+from .texture import texture_of
 from .tissues import Covered, between, cartilage_of
-from .trabeculae import BONES, Trabeculae, make_struts, trabeculae
+from .trabeculae import BONES
 from .truth import labels, measured_jsw_mm, osteophyte_meshes
 from .turned_truth import turned_labels
 from .wear import worn
@@ -127,11 +128,22 @@ class BuiltKnee:
         solids |= {f"{site}_osteophyte": mesh for site, mesh in self.osteophytes().items()}
         return solids | {f"{site}_cyst": mesh for site, mesh in cyst_meshes(self.cysts, self.assembly).items()}
 
+    def __copy__(self) -> "BuiltKnee":
+        return self
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "BuiltKnee":
+        return self  # no part of it is ever changed
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Solids of manifold3d cannot be sent to a process: they are built again there, by the same steps to the same
+        # bytes. Only a scene that was not built so is sent along.
+        own = self.__dict__.get("_scene_as_built") is self.scene
+        return build_in, (self.knee, self.assembly.posture, None if own else self.scene)
+
     def __repr__(self) -> str:
         return f"BuiltKnee({self.knee!r}, {len(self.scene.surfaces)} surfaces)"
 
 
-@one_blas_thread()
 def build(knee: Knee, protocol: Protocol | None = None) -> BuiltKnee:
     """The knee as closed surfaces: skin, fat, muscle, what lies between, and cortex, trabeculae and marrow of bones.
 
@@ -144,7 +156,12 @@ def build(knee: Knee, protocol: Protocol | None = None) -> BuiltKnee:
         raise InputError(f"knee = {knee!r}; allowed: a Knee")
     if not isinstance(protocol, Protocol | None):
         raise InputError(f"protocol = {protocol!r}; allowed: a Protocol, as load_protocol gives it, or None")
-    posture = Posture() if protocol is None else protocol.posture
+    return build_in(knee, Posture() if protocol is None else protocol.posture)
+
+
+@one_blas_thread()
+def build_in(knee: Knee, posture: Posture, other: Scene | None = None) -> BuiltKnee:
+    """Build a knee in a posture, as `build` does; with another scene instead of its own, if one is given."""
     form = build_of(knee, anatomy_tables())
     bones.prepare(form)
     # What gives the scene no solid is done beside: two threads that did would leave the order of triangles to chance.
@@ -157,7 +174,7 @@ def build(knee: Knee, protocol: Protocol | None = None) -> BuiltKnee:
         attrition = _attrition_mm(knee, assembly, placed["tibia"].worn)
         cysts = cysts_of(knee, assembly, solids, attrition)
         scene = Scene(_surfaces(knee, assembly, placed, cysts, cartilage, aside))
-    return BuiltKnee(
+    built = BuiltKnee(
         knee=knee,
         scene=scene,
         assembly=assembly,
@@ -167,17 +184,8 @@ def build(knee: Knee, protocol: Protocol | None = None) -> BuiltKnee:
         beam_range_deg=beam_range_deg(),
         cuts=oarsi_cuts(),
     )
-
-
-def make_texture(knee: Knee) -> None:
-    """Make the struts of a knee's bones, which its rays alone need: in a thread of its own, while it is built."""
-    make_struts(
-        anatomy_tables().spongy,
-        seed=knee.texture_seed,
-        sclerosis=knee.subchondral_plate,
-        age_years=knee.age_years,
-        sex=knee.sex,
-    )
+    object.__setattr__(built, "_scene_as_built", scene)
+    return built if other is None else replace(built, scene=other)
 
 
 def _attrition_mm(knee: Knee, assembly: KneeAssembly, worn: bool) -> Mapping[str, float] | None:
@@ -212,7 +220,7 @@ def _surfaces(
     for tissue in within:
         surfaces.append(_sided(tissue.mesh, tissue.material, "muscle", tissue.name, assembly))
     for name, part in solids.items():
-        density = _texture(knee, name, shape.tables.spongy, assembly, placed[name].frame)
+        density = texture_of(knee, name, shape.tables.spongy, assembly, placed[name].frame)
         surfaces.append(_surface(part.outer, "cortical_bone", "muscle", name, assembly))
         spongy = ("trabecular_bone", "cortical_bone", f"{name}_trabecular")
         surfaces.append(_surface(part.inner, *spongy, assembly, inside_density=density))
@@ -265,22 +273,6 @@ def _bones(knee: Knee, assembly: KneeAssembly, shells_mm: tuple[Array, Array], a
         name: part if nests[name] else replace(part, solids=drawn_in(name, part.solids))
         for name, part in placed.items()
     }
-
-
-def _texture(knee: Knee, bone: str, table: TrabecularBone, assembly: KneeAssembly, frame: Array) -> Trabeculae:
-    return trabeculae(
-        bone,
-        table,
-        seed=knee.texture_seed,
-        scale=assembly.build.scale,
-        frame=frame if assembly.turn is None else assembly.turn @ frame,
-        mirror=assembly.mirror,
-        sclerosis=knee.subchondral_plate,
-        age_years=knee.age_years,
-        sex=knee.sex,
-        density=knee.bone_density,
-        sclerotic_side=knee.sclerotic_side,
-    )
 
 
 def _placed(part: bones.Bone, transform: Array) -> bones.Bone:

@@ -67,7 +67,10 @@ def main() -> None:
         sys.argv[1:] = _named_now(sys.argv[1:])
         _require_once(sys.argv[1:])
         sys.exit(app(standalone_mode=False))
-    except (typer.Abort, KeyboardInterrupt):  # the parser makes the one of the other
+    except (typer.Abort, KeyboardInterrupt) as error:
+        # The parser makes an Abort of an interrupt, and of the end of any file too early, which is no interrupt.
+        if isinstance(error.__cause__, EOFError):
+            raise error.__cause__ from None
         print("pssf: stopped; run the same command to go on from there", file=sys.stderr)
         sys.exit(130)
     except Exception as error:

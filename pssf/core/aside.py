@@ -9,16 +9,11 @@ from contextlib import contextmanager, suppress
 from multiprocessing import parent_process
 from pathlib import Path
 
+from .child_processes import python_command
 from .parallel import cores
 
-# Text alone, so that the user's program is not run again, as a process of multiprocessing would. The path comes before
-# any import: the folder that the user is in may hold files of any name.
-_CODE = """
-import sys
-sys.path[:] = sys.argv[1].splitlines()
-from pssf.core.aside import run
-run(*sys.argv[2:])
-"""
+# Text alone, so that the user's program is not run again, as a process of multiprocessing would.
+_CODE = "from pssf.core.aside import run; run(*sys.argv[1:])"
 
 
 def can_run_beside() -> bool:
@@ -53,9 +48,8 @@ def beside(
 
 def _started(*command: str, environment: Mapping[str, str]) -> "subprocess.Popen[bytes] | None":
     with suppress(OSError):
-        path = "\n".join(str(entry) or os.getcwd() for entry in sys.path)
         return subprocess.Popen(
-            [sys.executable, "-c", _CODE, path, *command],
+            python_command(_CODE, *command),
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

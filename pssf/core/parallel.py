@@ -11,7 +11,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.util import find_spec
-from multiprocessing import active_children, get_context, parent_process
+from multiprocessing import active_children, current_process, get_context, parent_process
 from multiprocessing.process import BaseProcess
 from multiprocessing.synchronize import Barrier
 from typing import Any, TypeVar
@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 from threadpoolctl import threadpool_limits
 
 from .checks import InputError
+from .child_processes import safe_start
 from .workers import WorkersLostError, keep_memory, one_thread
 
 Item = TypeVar("Item")
@@ -33,7 +34,9 @@ _all_here: list[Barrier] = []
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Count the cores that this process may use: one where it is daemonic, and may start no other process."""
+    if current_process().daemon:
+        return 1
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return min(usable, 256)
 
@@ -53,7 +56,8 @@ def ordered_map(
     scheduler  address such as "tcp://host:8786", whose workers do the work instead; None: processes of this machine
     arrived    is told index and result of each item as it ends, in whatever order that happens
     returns    results in the order of the items; what a killed worker had in hand is done again by another
-    raises     WorkersLostError when workers keep being killed; InputError for a scheduler that cannot be used
+    raises     WorkersLostError when workers keep being killed; InputError for a scheduler that cannot be used, and for
+               more than one worker in a daemonic process
     """
     results: dict[int, Result] = {}
 
@@ -73,6 +77,11 @@ def ordered_map(
                 result = function(item, **shared)
             take(index, result)
     else:
+        if current_process().daemon:
+            raise InputError(
+                f"workers must be 1 in a daemonic process (of multiprocessing.Pool or Dask), got {workers}: it may "
+                "start no other process"
+            )
         _in_processes(function, items, shared, workers, take)
     return [results[index] for index in range(len(items))]
 
@@ -177,7 +186,8 @@ def _pool(workers: int) -> ProcessPoolExecutor:
         _end_pool()
         # spawn: a forked copy of a process that has threads (ITK, OpenMP) may hang.
         context = get_context("spawn")
-        _standing.pool = ProcessPoolExecutor(workers, context, _begin, (context.Barrier(workers),))
+        with safe_start():  # the first lock starts a process that looks after locks
+            _standing.pool = ProcessPoolExecutor(workers, context, _begin, (context.Barrier(workers),))
         _standing.made_for = now
     return _standing.pool
 
@@ -191,7 +201,7 @@ def _end_pool() -> None:
 def _give(shared: dict[str, Any], pool: ProcessPoolExecutor, workers: int) -> None:
     """What is shared to every process once: none takes it twice, since each waits until all have it."""
     packed = pickle.dumps(shared)
-    with _deaf():
+    with _deaf(), safe_start():
         taken = [pool.submit(_take, packed) for _ in range(workers)]
     for one in taken:
         one.result()

@@ -7,15 +7,14 @@ What comes with the package is taken under all versions of libraries, so that it
 
 import hashlib
 import os
+import secrets
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from tempfile import NamedTemporaryFile
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +29,6 @@ Arrays = Mapping[str, NDArray[Any]]
 _VERSIONS = 4
 # Below the package: what comes with it.
 SHIPPED = Path("data", "kept")
-_UNREADABLE = (OSError, ValueError, BadZipFile, KeyError, EOFError)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,13 +51,14 @@ def kept(name: str, origin: Origin, make: Callable[[], Arrays]) -> Arrays:
     name  of the file
     A folder that cannot be written, or a damaged file, costs the time of making them and nothing else.
     """
-    with suppress(*_UNREADABLE):
+    # A damaged file can fail anywhere in its readers: zipfile, zlib, numpy.
+    with suppress(Exception):
         return _read(_shipped(name, origin))
     folder = _folder()
     if folder is None:
         return make()
     path = folder / f"{name}-{digest_of(origin)[:16]}.npz"
-    with suppress(*_UNREADABLE):
+    with suppress(Exception):
         return _read(path)
     arrays = make()
     with suppress(OSError):
@@ -104,6 +103,11 @@ def _read(path: Path) -> Arrays:
 def _write(path: Path, arrays: Arrays) -> None:
     """Whole or not at all, whoever else writes the same."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as handle:
-        np.savez_compressed(handle, **arrays)  # type: ignore[arg-type]
-    os.replace(handle.name, path)
+    part = path.with_name(f"{secrets.token_hex(8)}.part")
+    try:
+        # By the umask, so that a folder that people share serves them all.
+        with open(part, "xb") as handle:
+            np.savez_compressed(handle, **arrays)  # type: ignore[arg-type]
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)

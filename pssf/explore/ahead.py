@@ -6,6 +6,7 @@ from contextlib import suppress
 from multiprocessing import get_context
 from typing import Any
 
+from ..core.child_processes import safe_start
 from ..data.fields import field_laws
 from ..model.protocol import load_protocol
 
@@ -18,7 +19,8 @@ def start_spectra(protocol: str = "reference") -> Any:
     SpekPy takes some tenths of a second for a voltage that is new, longer than an exposure slider should.
     """
     process = get_context("spawn").Process(target=compute_spectra, args=(protocol,), daemon=True)
-    process.start()
+    with safe_start():
+        process.start()
     return process
 
 

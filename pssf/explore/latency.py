@@ -1,7 +1,6 @@
 """Latency: seconds from a slider to the picture, in a real browser without a window."""
 
 import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -9,6 +8,7 @@ from statistics import median
 from typing import Any
 
 from ..core.checks import InputError
+from ..core.child_processes import python_command
 from .browser import FLAGS, chromium
 
 Row = dict[str, str | float | int]
@@ -85,7 +85,7 @@ def _opened(path: str) -> Iterator[Any]:
     """The page of a server that is started for it, once its first whole picture is there."""
     from playwright.sync_api import sync_playwright
 
-    command = [sys.executable, "-m", "pssf", "explore", "--no-browser"]
+    command = python_command("from pssf.__main__ import main; main()", "explore", "--no-browser")
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert server.stdout is not None
     try:

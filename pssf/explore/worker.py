@@ -8,6 +8,7 @@ from threading import Lock
 from typing import Any
 
 from ..core.checks import InputError
+from ..core.child_processes import safe_start
 from ..core.workers import WorkersLostError, keep_memory
 from .asked import Wanted
 
@@ -87,7 +88,8 @@ class Worker:
         self._pipe, theirs = self._context.Pipe()
         heard, self._stop = self._context.Pipe(duplex=False)
         self._process = self._context.Process(target=work, args=(theirs, heard), daemon=True)
-        self._process.start()
+        with safe_start():
+            self._process.start()
         self.started += 1
         theirs.close()
         heard.close()

@@ -5,7 +5,8 @@ description  what a file says of its radiograph, and the hash over both
 images   radiographs as TIFF, DICOM and PNG, and back
 dicom    radiographs as Digital X-Ray objects
 masks    masks as TIFF and DICOM, and back; `segmentation` is the DICOM
-meshes   scenes as STL, PLY, GLB and 3MF
+meshes   scenes as STL, PLY, GLB and 3MF; `exported_scenes` reads the last two
+mesh_reader  one mesh of any program; `stl` and `mesh_faults` see what is cut off
 scenes   scenes of one's own meshes
 viewer   a page to inspect a scene beside its radiograph
 records  a cohort's records and manifest

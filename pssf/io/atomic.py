@@ -1,12 +1,15 @@
 """A file appears whole or not at all."""
 
+import errno
 import os
+import secrets
+import stat
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
-from tempfile import NamedTemporaryFile, TemporaryDirectory
-from typing import IO
+from tempfile import TemporaryDirectory
 
 from ..core.checks import InputError
 
@@ -16,23 +19,31 @@ if sys.platform != "win32":
 # No file of anybody else's begins like this, so that `sweep` cannot take one.
 _PREFIX = ".pssf-"
 _at_work = set[str]()  # temporary files that this process writes to now
+# What a file system answers that cannot flush, or cannot change a mode; a full disk answers otherwise.
+_REFUSED = {errno.EPERM, errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP}
 
 
 @contextmanager
 def writing(path: Path) -> Iterator[Path]:
-    """A temporary path in the same folder, which becomes `path` when the block ends well and vanishes when it does not.
+    """Give a temporary path in the same folder, which becomes `path` when the block ends well, and vanishes otherwise.
 
-    raises  InputError naming the file when the disk is full or cannot be written
+    A new file has the mode that the umask leaves, as of any program; one that is replaced keeps its own.
+
+    Raises
+    ------
+    InputError
+        The disk is full or cannot be written; the message names the file.
     """
-    held: IO[bytes] | None = None
+    held: _Temporary | None = None
     try:
         folder(path.parent)
         held = _temporary(path)
         _at_work.add(held.name)
         yield Path(held.name)
-        with open(held.name, "rb") as handle:
-            os.fsync(handle.fileno())
-        os.chmod(held.name, 0o644)
+        _flush(held.name)
+        if held.mode is not None:
+            with suppress(OSError):  # CIFS and gvfs know no modes
+                os.chmod(held.name, held.mode)
         os.replace(held.name, path)
     except OSError as error:
         raise unwritable(path, error) from None
@@ -42,6 +53,16 @@ def writing(path: Path) -> Iterator[Path]:
                 Path(held.name).unlink(missing_ok=True)
             _at_work.discard(held.name)
             held.close()
+
+
+def _flush(name: str) -> None:
+    """Have the system write a file to the disk, where it can: some remote and user file systems refuse."""
+    with open(name, "r+b") as handle:  # Windows flushes only what can be written
+        try:
+            os.fsync(handle.fileno())
+        except OSError as error:
+            if error.errno not in _REFUSED:
+                raise
 
 
 def write_bytes(path: Path, content: bytes) -> None:
@@ -107,16 +128,43 @@ def unwritable(path: Path, error: OSError) -> InputError:
     return InputError(f"file {path}: {reason}; allowed: a folder that can be written, with room left")
 
 
-def _temporary(path: Path) -> IO[bytes]:
-    """A new file beside `path`, locked until its handle is closed or its process dies, so that `sweep` knows it."""
+@dataclass(frozen=True, kw_only=True)
+class _Temporary:
+    """A new file, locked as long as its handle is open.
+
+    handle  None where it cannot be open while others write to it
+    mode    of the file that it will replace; None where there is none
+    """
+
+    name: str
+    handle: int | None
+    mode: int | None
+
+    def close(self) -> None:
+        if self.handle is not None:
+            os.close(self.handle)
+
+
+def _temporary(path: Path) -> _Temporary:
+    """Make a file beside `path`, locked until its handle is closed or its process dies, so that `sweep` knows it."""
+    mode = None
+    with suppress(FileNotFoundError):
+        mode = stat.S_IMODE(path.stat().st_mode)
+    # Nobody else reads it before it has the mode of the file that it replaces.
+    first_mode = 0o666 if mode is None else 0o600
+    flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOINHERIT", 0)
     while True:
-        prefix = f"{_PREFIX}{path.stem[:40]}-"  # with what makes it one of its kind, it fits where the name does
-        handle = NamedTemporaryFile(dir=path.parent, prefix=prefix, suffix=path.suffix, delete=False)  # noqa: SIM115
+        # With what makes it one of its kind, it fits where the name does.
+        name = str(path.with_name(f"{_PREFIX}{path.stem[:40]}-{secrets.token_hex(4)}{path.suffix}"))
+        try:
+            handle = os.open(name, flags, first_mode)
+        except FileExistsError:
+            continue
         if sys.platform == "win32":  # which writes to no file that is open elsewhere
-            handle.close()
-            return handle
+            os.close(handle)
+            return _Temporary(name=name, handle=None, mode=mode)
         with suppress(OSError):
             fcntl.flock(handle, fcntl.LOCK_EX)
-        if os.path.exists(handle.name):
-            return handle
-        handle.close()  # a sweep came between making and locking
+        if os.path.exists(name):
+            return _Temporary(name=name, handle=handle, mode=mode)
+        os.close(handle)  # a sweep came between making and locking

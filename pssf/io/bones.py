@@ -1,7 +1,6 @@
 """Folders of real bones: one NPZ of meshes in correspondence, or mesh files by bone."""
 
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +8,7 @@ from numpy.typing import NDArray
 from ..core.checks import InputError
 from ..geometry.mesh import Mesh
 from .image_kind import files_of
-from .meshes import read_mesh
+from .mesh_reader import read_mesh
 
 KINDS = ("femur", "tibia", "patella")
 _SUFFIXES = (".stl", ".ply", ".obj")
@@ -41,7 +40,7 @@ def _from_archive(path: Path) -> dict[str, tuple[Mesh, ...]]:
             held = {name: arrays[name] for name in arrays.files}
     except OSError as error:
         raise InputError(f"file {path}: {error.strerror or error}; allowed: a readable .npz") from None
-    except (ValueError, BadZipFile, EOFError) as error:
+    except Exception as error:  # a damaged file can fail anywhere in its readers
         raise InputError(f"file {path}: no arrays ({type(error).__name__}); allowed: {_ALLOWED}") from None
     bones = {}
     for kind in KINDS:

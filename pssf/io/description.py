@@ -1,9 +1,11 @@
-"""What a file says of its radiograph: all that it was made from, what is known about it, and a hash over that and the
-pixels, so that a bit that was flipped is seen."""
+"""What a file says of its radiograph: all that it was made from, what is known about it, and two hashes, so that a bit
+that was flipped is seen: one over that alone, for files that hold no linear pixels, and one over that and the pixels.
+"""
 
 import hashlib
 import json
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,10 @@ from ..model.radiograph import Radiograph, Truth
 
 class LabelWarning(UserWarning):
     """Labels that a file holds are not those of its radiograph and are left out."""
+
+
+class UnverifiedNotice(UserWarning):
+    """A file was read that has no hash: whether it is as it was written is not known."""
 
 
 class _Truth(Record, frozen=True):
@@ -48,14 +54,16 @@ class _Described(Record, frozen=True):
     versions: dict[str, str]
     pixels: str
     sha256: str
+    parameters_sha256: str = ""
     knees: tuple[dict[str, Any], ...] = ()
     truths: tuple[_Truth, ...] = ()
     scene: dict[str, Any] | None = None
 
 
 def as_json(radiograph: Radiograph, indent: int | None = None) -> str:
-    """All that a radiograph was made from, what is known about it, and a hash over that and its pixels."""
+    """All that a radiograph was made from, what is known about it, a hash over that, and one over it and the pixels."""
     fields = _fields(radiograph)
+    fields["parameters_sha256"] = hashlib.sha256(_dumped(fields).encode()).hexdigest()
     whole = {**fields, "sha256": _digest(_dumped(fields), radiograph.pixels)}
     return _dumped(whole, indent)
 
@@ -101,6 +109,76 @@ def require_as_written(text: str, pixels: NDArray[Any], path: Path) -> None:
             f"file {path}: damaged (sha256 {now[:12]}..., when it was written {written[:12]}...); "
             "allowed: pixels and description as pssf wrote them"
         )
+
+
+def require_parameters(text: str, path: Path, pixels: NDArray[Any] | None = None) -> None:
+    """Refuse a description that is not as it was written.
+
+    Parameters
+    ----------
+    text
+        Of `as_json`.
+    path
+        Is named in a refusal.
+    pixels : (rows, cols) array, DN, or None
+        Linear pixels of the same file, by which a description without a hash of its own is verified.
+
+    Raises
+    ------
+    InputError
+        The description differs from its hash.
+
+    Warns
+    -----
+    UnverifiedNotice
+        An earlier version wrote no hash of the description alone, and there are no pixels.
+    """
+    fields = json.loads(text)
+    fields.pop("sha256")
+    written = fields.pop("parameters_sha256", "")
+    if written:
+        require_hash(path, hashlib.sha256(_dumped(fields).encode()).hexdigest(), written, "parameters")
+    elif pixels is not None:
+        require_as_written(text, pixels, path)
+    else:
+        warn_unverified(path, "parameters")
+
+
+def require_hash(path: Path, now: str, written: str, what: str) -> None:
+    """Refuse what a file holds if its hash is another than the one that was written with it.
+
+    Raises
+    ------
+    InputError
+    """
+    if now != written:
+        raise InputError(
+            f"file {path}: {what} must be as pssf wrote them (sha256 {written[:12]}...), got {now[:12]}...: the file "
+            "is damaged or was edited; make it again"
+        )
+
+
+def digest_of(masks: Mapping[str, NDArray[np.bool_]]) -> str:
+    """Hash names, sizes and pixels of masks (rows, cols), in their order."""
+    digest = hashlib.sha256(json.dumps([(name, list(np.shape(mask))) for name, mask in masks.items()]).encode())
+    for mask in masks.values():
+        digest.update(np.packbits(np.asarray(mask, np.bool_)).tobytes())
+    return digest.hexdigest()
+
+
+def warn_unverified(path: Path, what: str) -> None:
+    """Warn of a file by an earlier version, which wrote no hash.
+
+    Warns
+    -----
+    UnverifiedNotice
+    """
+    warnings.warn(
+        f"file {path}: its {what} have no hash, as of an earlier version; an alteration would not be seen; save it "
+        "again",
+        UnverifiedNotice,
+        stacklevel=4,
+    )
 
 
 def _fields(radiograph: Radiograph) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from uuid import UUID, uuid5
 import numpy as np
 import pydicom
 from numpy.typing import NDArray
-from pydicom.dataset import Dataset, FileMetaDataset
+from pydicom.dataset import Dataset, FileDataset, FileMetaDataset
 from pydicom.uid import UID, ExplicitVRLittleEndian
 from pydicom.valuerep import DSfloat
 
@@ -23,6 +23,7 @@ from ..geometry.view import magnification, view_of
 from ..model.knee import Knee, knee_table
 from ..model.protocol import Protocol
 from ..model.radiograph import Radiograph
+from .dicom_pixels import pixels_of
 
 _UIDS = UUID("6f0c1d7e-3b52-5b7e-9a55-50535346646d")
 
@@ -74,10 +75,20 @@ def read(path: Path) -> tuple[NDArray[Any], str]:
             f"file {path}: PresentationIntentType = {item.PresentationIntentType!r}; allowed: {wanted}, "
             "whose pixels are linear (load_parameters tells what either was made from)"
         )
-    return item.pixel_array, description
+    return pixels_of(item, path), description
 
 
-def opened(path: Path) -> tuple[Dataset, str]:
+def opened_parameters(path: Path) -> tuple[NDArray[Any] | None, str]:
+    """Linear pixels (rows, cols), DN, where the object has them, and the JSON of what a radiograph was made from.
+
+    raises  InputError as `opened`
+    """
+    item, description = opened(path)
+    linear = item.PresentationIntentType == dicom_tables().processing["PresentationIntentType"]
+    return (pixels_of(item, path) if linear else None), description
+
+
+def opened(path: Path) -> tuple[FileDataset, str]:
     """A radiograph of either kind by this package, and the JSON of what it was made from.
 
     raises  InputError for another's DICOM, or one that is no radiograph; whatever its reader has for damage
@@ -86,7 +97,7 @@ def opened(path: Path) -> tuple[Dataset, str]:
     return item, item.AcquisitionContextSequence[0].TextValue
 
 
-def ours(path: Path, kind: str) -> Dataset:
+def ours(path: Path, kind: str) -> FileDataset:
     """A DICOM object by this package, of a kind that `data/dicom.toml` describes.
 
     raises  InputError for another's DICOM, or one of another modality; whatever its reader has for damage

@@ -5,13 +5,15 @@ from typing import Any
 
 import numpy as np
 import pydicom
-from pydicom.dataset import Dataset
+from numpy.typing import NDArray
+from pydicom.dataset import FileDataset
 from pydicom.pixels import apply_modality_lut, apply_voi_lut
 
 from ..core.checks import Array, InputError, require, require_choice
 from ..data.dicom import dicom_tables
 from ..data.looks import Processed, looks
 from ..detector.looks import processed
+from .dicom_pixels import padding_of, pixels_of, tidied
 
 _SIDES = {"R": "right", "L": "left"}
 # Rows and columns of a pixel that is called square.
@@ -37,7 +39,7 @@ def read(path: Path, allowed_mm: tuple[float, float], look: Processed | None) ->
     raises      InputError for several frames, colour, a pitch that is no square, pixels For Processing of which it is
                 not said how they hang on the beam; whatever pydicom raises
     """
-    item = pydicom.dcmread(path)
+    item = tidied(pydicom.dcmread(path), path)
     frames = int(item.get("NumberOfFrames", 1) or 1)
     if frames > 1:
         raise InputError(f"file {path}: frames = {frames}; allowed: 1")
@@ -49,13 +51,16 @@ def read(path: Path, allowed_mm: tuple[float, float], look: Processed | None) ->
     if intent == _PROCESSING:
         pixels = _processed(item, path, pixel_mm, look or looks().processed)
     else:
-        shown = _displayed(item)
-        pixels = 1.0 - shown if kind == "MONOCHROME1" else shown
+        stored = pixels_of(item, path)
+        shown = _displayed(item, stored)
+        # Either says the same of what the least value is shown as (PS3.3, C.8.11.3.1.2 and C.11.6.1.2).
+        inverse = kind == "MONOCHROME1" or str(item.get("PresentationLUTShape", "")) == "INVERSE"
+        pixels = np.where(padding_of(item, stored), 0.0, 1.0 - shown if inverse else shown)
     side = _SIDES.get(str(item.get("ImageLaterality", "") or item.get("Laterality", "")))
     return {"pixels": pixels, "pixel_mm": pixel_mm, "side": side}
 
 
-def _processed(item: Dataset, path: Path, pixel_mm: float | None, look: Processed) -> Array:
+def _processed(item: FileDataset, path: Path, pixel_mm: float | None, look: Processed) -> Array:
     """(rows, cols) 0 to 1, bone bright, of pixels For Processing; a window, which the standard forbids there, is left.
 
     Whether bone is bright is said by the sign of the relationship and not by the photometric interpretation (DICOM
@@ -71,7 +76,12 @@ def _processed(item: Dataset, path: Path, pixel_mm: float | None, look: Processe
     slope = float(item.get("RescaleSlope", 1))
     if not slope > 0:
         raise InputError(f"file {path}: RescaleSlope = {slope:g} of pixels {_PROCESSING}; allowed: more than 0")
-    values = np.asarray(apply_modality_lut(item.pixel_array, item), np.float64)
+    stored = pixels_of(item, path)
+    values = np.asarray(apply_modality_lut(stored, item), np.float64)
+    padding = padding_of(item, stored)
+    if padding.any() and not padding.all():
+        # As where the whole beam arrives, which is shown black.
+        values[padding] = values[~padding].max() if int(sign) == 1 else values[~padding].min()
     if relationship == "LOG":
         share = (values - values.min()) / max(float(np.ptp(values)), 1e-12)
         return np.asarray(1.0 - share if int(sign) == 1 else share)
@@ -89,9 +99,8 @@ def _processed(item: Dataset, path: Path, pixel_mm: float | None, look: Processe
     return processed(signal, pixel_mm, look).astype(np.float64)
 
 
-def _displayed(item: Dataset) -> Array:
+def _displayed(item: FileDataset, stored: NDArray[Any]) -> Array:
     """(rows, cols) 0 to 1, after modality and VOI transformations, over the range that these give."""
-    stored = item.pixel_array
     bits, signed = int(item.BitsStored), int(item.PixelRepresentation) == 1
     ends = np.array([-(2 ** (bits - 1)), 2 ** (bits - 1) - 1] if signed else [0, 2**bits - 1], np.float64)
     if "ModalityLUTSequence" in item:
@@ -104,11 +113,13 @@ def _displayed(item: Dataset) -> Array:
     return np.clip((values - ends.min()) / np.ptp(ends), 0.0, 1.0)
 
 
-def _pixel_mm(item: Dataset, path: Path, allowed_mm: tuple[float, float]) -> float | None:
+def _pixel_mm(item: FileDataset, path: Path, allowed_mm: tuple[float, float]) -> float | None:
     """Pitch at the detector, else at wherever it was calibrated."""
     pitch = item.get("ImagerPixelSpacing") or item.get("PixelSpacing")
     if not pitch:
         return None
+    if np.size(pitch) != 2:
+        raise InputError(f"file {path}: pixel spacing must be two numbers, got {pitch}")
     down, across = map(float, pitch)
     if abs(down - across) > _SQUARE * across:
         raise InputError(f"file {path}: pixel = {down:g} by {across:g} mm; allowed: square")

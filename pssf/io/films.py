@@ -12,6 +12,7 @@ from ..core.checks import Array, InputError, require_choice, require_whole
 from ..data.looks import Processed
 from ..detector import present
 from .film_list import PIXEL_MM, SIDES, Film, list_films, require_film, subject_and_side
+from .film_tiff import read_packed
 from .image_kind import SUFFIXES, is_dicom
 from .images import load, load_parameters, reading
 
@@ -62,7 +63,8 @@ def read_film(path: str | Path, look: Processed | None = None) -> FilmImage:
             ours = film_dicom.is_linear_by_pssf(path)
             film = _rendered(path, look) if ours else FilmImage(**film_dicom.read(path, PIXEL_MM, look))
         else:
-            film = _picture(path, look)
+            packed = read_packed(path) if path.suffix.lower() in (".tif", ".tiff") else None
+            film = _picture(path, look) if packed is None else FilmImage(pixels=packed)
     for name, length in zip(("rows", "columns"), film.pixels.shape, strict=True):
         require_whole(f"file {path}: {name}", length, LEAST_PX, 2**16, "pixels")
     least, most = float(film.pixels.min()), float(film.pixels.max())

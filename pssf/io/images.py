@@ -16,7 +16,7 @@ from ..data.userfiles import read_text, require_file
 from ..detector import look_of, named_look, present
 from ..model.radiograph import Radiograph
 from .atomic import write_bytes, writing
-from .description import as_json, parameters, require_as_written
+from .description import as_json, parameters, require_as_written, require_parameters
 from .image_kind import is_dicom
 
 # What a file may be for, its first use being the default; see `save`.
@@ -165,9 +165,11 @@ def load_parameters(path: str | Path) -> dict[str, Any]:
     audit, versions.
 
     path    what `save` or `save_parameters` wrote, of any suffix and intent
-    raises  InputError for a file that is missing, damaged, or not written by this package
+    raises  InputError for a file that is missing, damaged, edited, or not written by this package
+    warns   UnverifiedNotice for a PNG, JSON or DICOM For Presentation of an earlier version, which has no hash
     """
     path = require_path(path)
+    pixels: NDArray[Any] | None = None
     with reading(path, "a TIFF, DICOM, PNG or JSON by pssf"):
         if path.suffix.lower() == ".json":
             text = read_text(path)
@@ -177,10 +179,12 @@ def load_parameters(path: str | Path) -> dict[str, Any]:
         elif is_dicom(path):
             from . import dicom
 
-            text = dicom.opened(path)[1]
+            pixels, text = dicom.opened_parameters(path)
         else:
-            text = _opened(path)[1]
-        return parameters(text, path)
+            pixels, text = _opened(path)
+        made = parameters(text, path)
+        require_parameters(text, path, pixels)
+        return made
 
 
 def _opened(path: Path) -> tuple[NDArray[Any], str]:

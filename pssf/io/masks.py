@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..core.checks import InputError, require_path
 from ..model.radiograph import Radiograph
 from .atomic import writing
-from .description import as_json
+from .description import as_json, digest_of, require_hash, warn_unverified
 from .images import reading, require_radiograph, suffix_of
 
 SUFFIXES = (".tif", ".tiff", ".dcm")
@@ -53,7 +53,8 @@ def save_masks(radiograph: Radiograph, path: str | Path) -> Path:
 def load_masks(path: str | Path) -> dict[str, NDArray[np.bool_]]:
     """Name -> mask (rows, cols) bool of a file that `save_masks` wrote, in the order in which they were.
 
-    raises  InputError for another suffix, or a file that is missing, damaged, or not written by this package
+    raises  InputError for another suffix, or a file that is missing, damaged, altered, or not written by this package
+    warns   UnverifiedNotice for a TIFF of an earlier version, which has no hash
     """
     path = require_path(path)
     suffix = suffix_of(path, SUFFIXES)
@@ -63,9 +64,14 @@ def load_masks(path: str | Path) -> dict[str, NDArray[np.bool_]]:
 
             return segmentation.read(path)
         with tifffile.TiffFile(path) as tiff:
-            names = json.loads(tiff.pages[0].description)["masks"]  # type: ignore[union-attr]
+            header = json.loads(tiff.pages[0].description)  # type: ignore[union-attr]
             pages = [page.asarray().astype(np.bool_) for page in tiff.pages]
-        return dict(zip(names, pages, strict=True))
+        masks = dict(zip(header["masks"], pages, strict=True))
+        if "sha256" in header:
+            require_hash(path, digest_of(masks), header["sha256"], "masks")
+        else:
+            warn_unverified(path, "masks")
+        return masks
 
 
 def _masks(radiograph: Radiograph) -> dict[str, NDArray[np.bool_]]:
@@ -79,7 +85,7 @@ def _masks(radiograph: Radiograph) -> dict[str, NDArray[np.bool_]]:
 
 
 def _write_tiff(radiograph: Radiograph, masks: Mapping[str, NDArray[np.bool_]], path: Path) -> None:
-    header = {"masks": list(masks), "radiograph": json.loads(as_json(radiograph))}
+    header = {"masks": list(masks), "sha256": digest_of(masks), "radiograph": json.loads(as_json(radiograph))}
     per_cm = float(10.0 / radiograph.protocol.pixel_mm)
     with tifffile.TiffWriter(path) as tiff:
         for k, (name, mask) in enumerate(masks.items()):

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from trimesh.visual.material import PBRMaterial
 
 from ..core.checks import InputError, require, require_choice, require_path
-from ..data.userfiles import require_file
 from ..geometry.repair import require_sound
 from ..geometry.scene import Scene, Surface
 from .atomic import folder, write_bytes
+from .exported_scenes import NAMESPACE, described
 
 FORMATS = ("stl", "ply", "glb", "3mf")
 Colour = tuple[int, int, int, int]
@@ -129,7 +129,7 @@ def glb(scene: Scene) -> bytes:
 
     glTF 2.0, 3.3: "The units for all linear distances are meters."
     """
-    nodes = trimesh.Scene()
+    nodes = trimesh.Scene(metadata={"ambient": scene.ambient})
     nodes.graph.update(frame_to=_MILLIMETRES, matrix=np.diag([_M_PER_MM] * 3 + [1.0]))
     for name, surface in zip(unique_names(scene), scene.surfaces, strict=True):
         nodes.add_geometry(_with_material(surface), node_name=name, geom_name=name, parent_node_name=_MILLIMETRES)
@@ -150,28 +150,6 @@ def threemf(scene: Scene) -> bytes:
             entry.compress_type, entry.create_system = zipfile.ZIP_DEFLATED, 3
             package.writestr(entry, text.encode("utf-8"))
     return buffer.getvalue()
-
-
-def read_mesh(path: str | Path) -> trimesh.Trimesh:
-    """A mesh file: STL, PLY or OBJ in millimetres, or GLB in metres; equal corners are welded, as STL needs it.
-
-    returns  the mesh in millimetres
-
-    raises  InputError for a file that is missing or not a mesh
-    """
-    path = require_file(require_path(path), allowed="a mesh file: STL, PLY, OBJ or GLB")
-    try:
-        mesh = trimesh.load_mesh(path, process=True)
-    except OSError as error:
-        raise InputError(f"file {path}: {error.strerror or error}; allowed: a readable mesh file") from None
-    except Exception as error:  # mesh readers fail in many ways on a damaged file
-        kind = path.suffix or "a file without a suffix"
-        raise InputError(f"file {path}: not a mesh as {kind} ({error}); allowed: STL, PLY, OBJ or GLB, whole") from None
-    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
-        raise InputError(f"file {path}: holds no faces; allowed: STL, PLY, OBJ or GLB with a closed mesh")
-    if path.suffix.lower() in (".glb", ".gltf"):
-        mesh.apply_scale(1 / _M_PER_MM)
-    return mesh
 
 
 def _contents(scene: Scene, kind: str) -> Iterator[tuple[str, bytes]]:
@@ -225,19 +203,28 @@ def _model(scene: Scene) -> str:
     objects = []
     for number, (name, surface) in enumerate(zip(names, scene.surfaces, strict=True), start=2):
         kind = f'type="{_object_type(surface)}" name={quoteattr(name)} pid="1"'
-        objects.append(f'<object id="{number}" {kind} pindex="{materials.index(surface.inside)}">{_xml(surface)}')
+        about = "".join(_metadata(f"pssf:{key}", value) for key, value in described(surface).items())
+        group = f"<metadatagroup>{about}</metadatagroup>"
+        objects.append(
+            f'<object id="{number}" {kind} pindex="{materials.index(surface.inside)}">{group}{_xml(surface)}'
+        )
     inwards = np.argsort([-_mesh(surface).volume for surface in scene.surfaces], kind="stable") + 2
     whole = len(names) + 2
     return "\n".join([
         '<?xml version="1.0" encoding="UTF-8"?>',
-        '<model unit="millimeter" xml:lang="en" xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02">',
-        f'<metadata name="Title">{escape(", ".join(names))}</metadata>',
-        '<metadata name="Application">pssf</metadata>',
+        '<model unit="millimeter" xml:lang="en" xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02" '
+        f'xmlns:pssf="{NAMESPACE}">',
+        _metadata("Title", ", ".join(names)), _metadata("Application", "pssf"),
+        _metadata("pssf:ambient", scene.ambient),
         '<resources><basematerials id="1">', *bases, "</basematerials>", *objects,
         f'<object id="{whole}" type="model" name="scene"><components>',
         *(f'<component objectid="{number}"/>' for number in inwards),
         f'</components></object></resources><build><item objectid="{whole}"/></build></model>\n',
     ])  # fmt: skip
+
+
+def _metadata(name: str, value: str | list[str]) -> str:
+    return f'<metadata name="{name}">{escape(value if isinstance(value, str) else ", ".join(value))}</metadata>'
 
 
 def _object_type(surface: Surface) -> str:
@@ -274,5 +261,5 @@ def _with_material(surface: Surface) -> trimesh.Trimesh:
     )
     mesh = _mesh(surface)
     mesh.visual = trimesh.visual.TextureVisuals(material=material)
-    mesh.metadata = {"inside": surface.inside, "outside": surface.outside, "unit": "mm"}
+    mesh.metadata = described(surface)
     return mesh

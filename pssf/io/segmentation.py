@@ -14,11 +14,14 @@ from ..data.dicom import dicom_tables
 from ..model.knee import BONE_OF
 from ..model.radiograph import Radiograph
 from . import dicom
+from .description import digest_of, require_hash, warn_unverified
+from .dicom_pixels import pixels_of
 
 Masks = Mapping[str, NDArray[np.bool_]]
 # A code by its name in the table.
 Code = Callable[[str], Dataset]
 _BONES = ("femur", "tibia", "fibula", "patella")
+_HASH = "sha256 of names, sizes and pixels: "
 _OSTEOPHYTE, _CYST = "_osteophyte", "_cyst"
 
 
@@ -31,12 +34,12 @@ def write(radiograph: Radiograph, description: str, masks: Masks, path: Path) ->
     uids, tables = dicom.uids_of(radiograph, description), dicom_tables()
     code = partial(dicom.code, tables=tables)
     item = dicom.start(radiograph, uids, ("segmentation",), tables)
-    # Bits run on from frame to frame, the first in the lowest bit of its byte (PS3.5, 8.1.1).
-    bits = np.packbits(np.concatenate([np.ravel(mask) for mask in masks.values()]).astype(np.bool_), bitorder="little")
-    content = hashlib.sha256(" ".join(masks).encode() + bits.tobytes()).hexdigest()
+    bits = _bits(masks)
+    content = _content_hash(masks, bits)
     item.SeriesInstanceUID, item.SOPInstanceUID = uids["masks series"], dicom.uid(uids["masks series"], content)
     item.SeriesDescription = f"{dicom.name_of(radiograph.protocol)[:40]}, masks"
     item.NumberOfFrames = len(masks)
+    item.ImageComments = f"{_HASH}{digest_of(masks)}"
     side = None if radiograph.knee is None else radiograph.knee.side
     item.SegmentSequence = [
         _segment(k, name, side, item.SoftwareVersions, code) for k, name in enumerate(masks, start=1)
@@ -62,7 +65,25 @@ def read(path: Path) -> dict[str, NDArray[np.bool_]]:
     item = dicom.ours(path, "segmentation")
     shape = (int(item.NumberOfFrames), item.Rows, item.Columns)
     names = [segment.SegmentLabel for segment in item.SegmentSequence]
-    return dict(zip(names, item.pixel_array.reshape(shape).astype(np.bool_), strict=True))
+    masks = dict(zip(names, pixels_of(item, path).reshape(shape).astype(np.bool_), strict=True))
+    remark, uid = str(item.get("ImageComments", "")), str(item.SOPInstanceUID)
+    if remark.startswith(_HASH):
+        require_hash(path, digest_of(masks), remark.removeprefix(_HASH), "masks")
+    elif uid.startswith("2.25."):
+        # Of an earlier version: its UID was made of its content.
+        require_hash(path, dicom.uid(item.SeriesInstanceUID, _content_hash(masks, _bits(masks))), uid, "masks")
+    else:
+        warn_unverified(path, "masks")  # an archive has given it UIDs of its own
+    return masks
+
+
+def _bits(masks: Masks) -> NDArray[np.uint8]:
+    """Bits run on from frame to frame, the first in the lowest bit of its byte (PS3.5, 8.1.1)."""
+    return np.packbits(np.concatenate([np.ravel(mask) for mask in masks.values()]).astype(np.bool_), bitorder="little")
+
+
+def _content_hash(masks: Masks, bits: NDArray[np.uint8]) -> str:
+    return hashlib.sha256(" ".join(masks).encode() + bits.tobytes()).hexdigest()
 
 
 def _segment(number: int, name: str, side: str | None, version: str, code: Code) -> Dataset:

@@ -135,14 +135,17 @@ def _wanted(scene: Scene, materials: Iterable[str] | None) -> list[str]:
 
 
 def shadow(mesh: "trimesh.Trimesh | Mesh", protocol: Protocol | View) -> NDArray[np.bool_]:
-    """(rows, cols)  where a closed mesh is seen
+    """(rows, cols)  where a closed mesh is seen; nowhere if it has no faces, as an osteophyte that bone has swallowed
 
     raises  InputError for a mesh that bounds no solid, or no protocol
     """
     view = view_of(protocol)
+    seen = np.zeros((view.rows, view.cols), np.bool_)
+    if not len(mesh.faces):
+        return seen
     solid = Surface(mesh, "solid", "air").solid
     require_sound(solid)
-    sheet, seen = sheet_of(solid, view), np.zeros((view.rows, view.cols), np.bool_)
+    sheet = sheet_of(solid, view)
     columns = slice(*sheet.cols)
     for first in range(0, view.rows, BAND_ROWS):
         top, bottom = max(first, sheet.rows[0]), min(first + BAND_ROWS, sheet.rows[1])

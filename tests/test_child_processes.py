@@ -1,0 +1,108 @@
+"""Processes that the package starts: no file of the working folder is run by them, and any program may start them."""
+
+import multiprocessing
+import os
+import subprocess
+import sys
+
+import pytest
+
+import pssf
+from pssf.core.child_processes import python_command, safe_start
+from pssf.core.parallel import cores, ordered_map
+
+TINY = 'base = "reference"\nname = "tiny"\nrows = 64\ncols = 64\npixel_mm = 4.8\nscatter = "none"\ntexture = "none"\n'
+# Modules of the standard library that starting and loading a worker takes, among them those of the report.
+SHADOWS = ("signal", "struct", "random", "selectors", "pickle", "socket", "tempfile", "logging")
+MAPPED = """
+from pssf.core.parallel import ordered_map
+
+if __name__ == "__main__":
+    print(ordered_map(abs, [-1, -2, -3], shared={}, workers=2))
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A working folder with files that are called as modules of the standard library."""
+    monkeypatch.chdir(tmp_path)
+    for name in SHADOWS:
+        (tmp_path / f"{name}.py").write_text("import os\nos.write(2, b'my own file was run')\nos._exit(9)\n")
+    (tmp_path / "tiny.toml").write_text(TINY)
+    return tmp_path
+
+
+def called(*command, **options):
+    done = subprocess.run(command, capture_output=True, text=True, check=False, **options)
+    assert done.returncode == 0, done.stderr
+    assert "my own" not in done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("how", ["module", "installed"])
+def test_a_cohort_by_two_workers_does_not_run_files_of_the_working_folder(folder, how):
+    # The installed command has its own folder in front.
+    installed = ["-P", "-c", "from pssf.__main__ import main; main()"]
+    start = [sys.executable, *(["-m", "pssf"] if how == "module" else installed)]
+    made = called(*start, "cohort", "--knees", "1,1,1", "--protocols", "tiny.toml", "--workers", "2", "--out", how)
+    assert "manifest" in made
+
+
+def test_processes_of_the_page_do_not_run_files_of_the_working_folder(folder):
+    code = """
+import multiprocessing
+multiprocessing.get_context("spawn")  # this program's own imports are its own affair
+from pssf.explore.worker import Worker
+if __name__ == "__main__":
+    worker = Worker()
+    try:
+        worker.ask("no such job", 1)
+    except RuntimeError as error:
+        print(error)
+    worker.close()
+"""
+    (folder / "elsewhere").mkdir()
+    (folder / "elsewhere" / "script.py").write_text(code)
+    assert "KeyError" in called(sys.executable, "elsewhere/script.py")
+
+
+def test_a_command_of_python_has_the_path_of_this_process_and_nothing_before_it(folder):
+    command = python_command("import signal, json; print(json.dumps([sys.path, sys.argv[1:]]))", "one", "two")
+    assert str(list(map(str, sys.path)))[1:-1].replace("'", '"') in called(*command)
+
+
+def test_a_script_from_standard_input_may_start_workers():
+    assert called(sys.executable, "-", input=MAPPED) == "[1, 2, 3]\n"
+
+
+def test_starting_leaves_environment_and_main_module_as_they_were(monkeypatch):
+    main = sys.modules["__main__"]
+    monkeypatch.setattr(main, "__file__", "<stdin>", raising=False)
+    for value in (None, "0"):
+        monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+        if value is not None:
+            monkeypatch.setenv("PYTHONSAFEPATH", value)
+        with safe_start():
+            assert os.environ["PYTHONSAFEPATH"] == "1"
+            assert main.__file__ is None
+        assert os.environ.get("PYTHONSAFEPATH") == value
+        assert main.__file__ == "<stdin>"
+
+
+def in_daemon(answers):
+    try:
+        ordered_map(abs, [-1, -2], shared={}, workers=2)
+    except pssf.InputError as error:
+        answers.put((cores(), ordered_map(abs, [-1, -2], shared={}, workers=cores()), str(error)))
+
+
+def test_a_daemonic_process_works_alone_and_refuses_more_workers():
+    context = multiprocessing.get_context("spawn")
+    answers = context.Queue()
+    process = context.Process(target=in_daemon, args=(answers,), daemon=True)
+    process.start()
+    count, results, message = answers.get(timeout=300)
+    process.join()
+    assert (count, results) == (1, [1, 2])
+    assert message.startswith("workers must be 1 in a daemonic process")
+    assert "\n" not in message

@@ -1,0 +1,95 @@
+"""What was built can be sent to a process, copied and kept: it is the same there."""
+
+import copy
+import dataclasses
+import pickle
+
+import numpy as np
+import pytest
+
+import pssf
+from pssf.core.parallel import ordered_map
+
+TINY = {"rows": 64, "cols": 64, "pixel_mm": 4.8}
+
+
+@pytest.fixture(scope="module")
+def protocol():
+    return dataclasses.replace(pssf.load_protocol("fixed_flexion"), **TINY)
+
+
+@pytest.fixture(scope="module")
+def left(protocol):
+    """A left knee in a posture of its own, with cysts and an osteophyte."""
+    cysts = (pssf.Cyst(site="medial_tibia", diameter_mm=6.0),)
+    beaks = (pssf.Osteophyte(site="medial_tibia", size_mm=2.5),)
+    return pssf.build(pssf.Knee(side="left", jsw_medial_mm=2.0, cysts=cysts, osteophytes=beaks), protocol)
+
+
+def seen(subject, protocol):
+    radiograph = pssf.simulate(subject, protocol, engine="scanline", keep=("masks",), workers=1)
+    truths = (radiograph.truth,) if radiograph.truths == () else radiograph.truths
+    masks = [np.packbits(mask).tobytes() for truth in truths for mask in truth.masks.values()]
+    return radiograph.pixels.tobytes(), masks, [dataclasses.replace(truth, masks={}) for truth in truths]
+
+
+def seen_as_sent(subject, protocol):
+    return seen(subject, protocol)
+
+
+def test_a_built_knee_that_was_pickled_gives_the_same_radiograph(left, protocol):
+    back = pickle.loads(pickle.dumps(left))
+    assert back is not left
+    assert back.assembly.posture == left.assembly.posture
+    assert seen(back, protocol) == seen(left, protocol)
+    for one, two in zip(left.scene.surfaces, back.scene.surfaces, strict=True):
+        assert one.table() == two.table()
+
+
+def test_a_pickled_knee_is_small_since_it_is_built_again(left):
+    assert len(pickle.dumps(left)) < 5000
+
+
+def test_copies_of_a_built_knee_are_itself(left):
+    assert copy.copy(left) is left
+    assert copy.deepcopy({"knee": [left]})["knee"][0] is left
+
+
+def test_a_built_knee_goes_to_processes(left, protocol):
+    here = seen(left, protocol)
+    there = ordered_map(seen_as_sent, [left, left], shared={"protocol": protocol}, workers=2)
+    assert there == [here, here]
+
+
+def test_a_built_knee_with_another_scene_keeps_it(left, protocol):
+    """As one with an implant: it is not lost where the knee is built again."""
+    fewer = pssf.Scene(left.scene.surfaces[:3])
+    back = pickle.loads(pickle.dumps(dataclasses.replace(left, scene=fewer)))
+    again = pickle.loads(pickle.dumps(back))
+    assert [surface.name for surface in again.scene.surfaces] == ["skin", "adipose", "muscle"]
+
+
+def test_a_scene_with_trabecular_density_that_was_pickled_gives_the_same_radiograph(left, protocol):
+    before = pssf.simulate(left.scene, protocol, engine="scanline", workers=1)
+    for back in (pickle.loads(pickle.dumps(left.scene)), copy.deepcopy(left.scene)):
+        assert {type(surface.inside_density).__name__ for surface in back.surfaces} == {"NoneType", "Trabeculae"}
+        after = pssf.simulate(back, protocol, engine="scanline", workers=1)
+        assert after.pixels.tobytes() == before.pixels.tobytes()
+
+
+def test_both_knees_that_were_pickled_give_the_same_radiograph():
+    protocol = dataclasses.replace(pssf.load_protocol("bilateral"), rows=64, cols=128, pixel_mm=4.8)
+    from pssf.anatomy import build_pair
+
+    pair = build_pair(pssf.Knee(), pssf.Knee(side="left"), protocol)
+    assert seen(pickle.loads(pickle.dumps(pair)), protocol) == seen(pair, protocol)
+
+
+def test_an_osteophyte_that_bone_has_swallowed_has_an_empty_mask(left, protocol, monkeypatch):
+    whole = pssf.BuiltKnee.osteophytes
+    none = pssf.geometry.mesh.Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64))
+    monkeypatch.setattr(pssf.BuiltKnee, "osteophytes", lambda self: whole(self) | {"medial_spine": none})
+    masks = pssf.simulate(left, protocol, engine="scanline", keep=("masks",)).truth.masks
+    assert not masks["medial_spine_osteophyte"].any()
+    assert masks["medial_tibia_osteophyte"].any()
+    assert masks["medial_spine_osteophyte"].shape == (64, 64)

@@ -1,0 +1,194 @@
+"""Faults of numba's cache cost one compilation, and nothing else."""
+
+import importlib
+import os
+import random
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from numba.core.caching import NullCache
+
+from pssf.core import kernel_cache
+from pssf.core.kernel_cache import KernelCache, cache_of
+
+TOY = """
+from pssf.core.compiled import kernel
+
+@kernel()
+def toy_kernel(x):
+    return {factor} * x
+"""
+# What a full disk, a crash or a bad sector leaves of a file.
+DAMAGES = {
+    "empty": lambda content: b"",
+    "cut": lambda content: content[: len(content) // 2],
+    "short": lambda content: content[:9],
+    "zeros": lambda content: bytes(len(content)),
+    "garbage": lambda content: random.Random(1).randbytes(20),
+    "flipped": lambda content: content[:-200] + bytes([content[-200] ^ 255]) + content[-199:],
+}
+KERNELS = """
+import importlib, pkgutil, sys
+import pssf
+from numba.core.dispatcher import Dispatcher
+
+for module in pkgutil.walk_packages(pssf.__path__, "pssf."):
+    if not module.name.rpartition(".")[2].startswith("__"):
+        importlib.import_module(module.name)
+found = {
+    id(one): type(one._cache).__name__
+    for name, module in sys.modules.items() if name.startswith("pssf.")
+    for one in vars(module).values()
+    if isinstance(one, Dispatcher) and not one.targetoptions.get("no_cpython_wrapper")
+}
+print(len(found), *sorted(set(found.values())))
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Where compiled code goes."""
+    import numba
+
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+def toy(path, factor=2):
+    """A module with one kernel, as another process would import it."""
+    path.write_text(TOY.format(factor=factor))
+    spec = importlib.util.spec_from_file_location("toy", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.toy_kernel
+
+
+def hits(function):
+    return sum(function.stats.cache_hits.values())
+
+
+@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_cache_file_is_compiled_again_and_mended(folder, tmp_path, suffix, damage):
+    assert toy(tmp_path / "toy.py")(2) == 4
+    (file,) = folder.rglob(f"*.{suffix}")
+    # The index is short: its last bytes are those of the file's name.
+    content = file.read_bytes()
+    flipped = DAMAGES[damage](content) if damage != "flipped" or len(content) > 200 else content[::-1]
+    file.write_bytes(flipped)
+    again = toy(tmp_path / "toy.py")
+    assert again(2) == 4
+    assert hits(again) == 0
+    third = toy(tmp_path / "toy.py")
+    assert third(2) == 4
+    assert hits(third) == 1
+
+
+def test_code_of_other_types_is_not_run(folder, tmp_path):
+    function = toy(tmp_path / "toy.py")
+    assert function(2) == 4
+    assert function(2.5) == 5.0
+    one, two = sorted(folder.rglob("*.nbc"))
+    # As two processes leave it that compile for different types at once.
+    two.write_bytes(one.read_bytes())
+    again = toy(tmp_path / "toy.py")
+    assert again(2) == 4
+    assert again(2.5) == 5.0
+    assert hits(again) == 1
+
+
+def test_a_cache_that_cannot_be_saved_is_no_error(folder, tmp_path, monkeypatch):
+    def full(*arguments):
+        raise OSError(28, "No space left on device")
+
+    function = toy(tmp_path / "toy.py")
+    monkeypatch.setattr(kernel_cache._CheckedFile, "_save_data", full)
+    assert function(2) == 4
+
+
+def unwritable(monkeypatch, but=None):
+    """Refuse every folder for compiled code but those below one."""
+    ensure = kernel_cache._CacheLocator.ensure_cache_path
+
+    def refused(self):
+        if but is None or not Path(self.get_cache_path()).is_relative_to(but):
+            raise PermissionError(13, "Permission denied")
+        ensure(self)
+
+    monkeypatch.setattr(kernel_cache._CacheLocator, "ensure_cache_path", refused)
+
+
+def test_where_no_other_folder_can_be_written_code_is_kept_in_a_temporary_one(tmp_path, monkeypatch):
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr(kernel_cache.tempfile, "gettempdir", lambda: str(temporary))
+    unwritable(monkeypatch, but=temporary)
+    assert toy(tmp_path / "toy.py")(2) == 4
+    again = toy(tmp_path / "toy.py")
+    assert again(2) == 4
+    assert hits(again) == 1
+    (made,) = temporary.iterdir()
+    assert made.stat().st_mode & 0o077 == 0 or os.name == "nt"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no such modes")
+@pytest.mark.parametrize("kind", ["link", "open"])
+def test_a_temporary_folder_that_others_can_write_to_is_not_used(tmp_path, monkeypatch, kind):
+    temporary, other = tmp_path / "temporary", tmp_path / "other"
+    temporary.mkdir()
+    other.mkdir(mode=0o777)
+    other.chmod(0o777)
+    name = temporary / f"pssf-numba-{os.getuid()}"
+    if kind == "link":
+        name.symlink_to(other)
+    else:
+        name.mkdir()
+        name.chmod(0o777)
+    monkeypatch.setattr(kernel_cache.tempfile, "gettempdir", lambda: str(temporary))
+    unwritable(monkeypatch, but=temporary)
+    function = toy(tmp_path / "toy.py")
+    assert isinstance(function._cache, NullCache)
+    assert function(2) == 4
+    assert not list(other.iterdir())
+
+
+def test_where_no_folder_at_all_can_be_written_a_kernel_still_compiles(tmp_path, monkeypatch):
+    unwritable(monkeypatch)
+    function = toy(tmp_path / "toy.py")
+    assert isinstance(function._cache, NullCache)
+    assert function(2) == 4
+    assert function.stats.cache_path is None
+
+
+def test_every_kernel_of_the_package_has_this_cache():
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", KERNELS], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    count, *kinds = done.stdout.split()
+    assert kinds == [KernelCache.__name__]
+    assert int(count) > 30
+
+
+def test_a_function_that_is_in_no_file_has_no_cache():
+    exec(compile("def nowhere(x):\n    return x", "<nowhere>", "exec"), made := {})
+    assert isinstance(cache_of(made["nowhere"]), NullCache)
+
+
+def test_a_simulation_goes_on_from_damaged_files_of_all_kernels(tmp_path):
+    """As a user meets it: the command line, with every index empty, then with all code cut."""
+    settings = ["rows=64", "cols=64", "pixel_mm=4.8", "scatter=none", "texture=none", "noise=none"]
+    command = [sys.executable, "-m", "pssf", "simulate", "--engine", "scanline", "--formats", "tif", "--workers", "1"]
+    command += [word for setting in settings for word in ("--set", setting)]
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    pixels = []
+    for suffix, name in ((None, "one"), ("nbi", "two"), ("nbc", "three")):
+        for file in (tmp_path / "cache").rglob(f"*.{suffix}"):
+            file.write_bytes(b"")
+        whole = [*command, "--out", str(tmp_path / name)]
+        done = subprocess.run(whole, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        assert not done.stderr
+        (made,) = (tmp_path / name).iterdir()
+        pixels.append(made.read_bytes())
+    assert pixels[0] == pixels[1] == pixels[2]
