@@ -31,7 +31,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .anatomy import BuiltKnee, build
+    from .anatomy import BuiltKnee, SurgeryNotice, build
     from .core.checks import InputError
     from .detector import present
     from .geometry.density import Density, PlaneWaves
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from .simulation import KernelNotice, simulate
 
 _WHERE = {
-    "anatomy": ("BuiltKnee", "build"),
+    "anatomy": ("BuiltKnee", "SurgeryNotice", "build"),
     "core.checks": ("InputError",),
     "detector": ("present",),
     "geometry.density": ("Density", "PlaneWaves"),
@@ -87,6 +87,7 @@ __all__ = [
     "Report",
     "Scene",
     "Surface",
+    "SurgeryNotice",
     "Truth",
     "build",
     "check",

@@ -14,7 +14,6 @@ from ..data.anatomy import anatomy_tables
 from ..data.fields import beam_range_deg
 from ..data.oarsi import OarsiCuts, oarsi_cuts
 from ..data.records import Pair
-from ..data.spongy import TrabecularBone
 from ..geometry.density import Density
 from ..geometry.mesh import Mesh
 from ..geometry.scene import Scene, Surface
@@ -35,14 +34,16 @@ from .pose import composed
 from .shells import check_nesting, drawn_in, is_nested
 from .solids import checked, mesh_of
 from .tissues import Covered, between, cartilage_of
-from .trabeculae import BONES, Trabeculae, make_struts, trabeculae
+from .surgery import Operable, SurgicalStep, after_surgery
+from .surgery_truth import lost_joint_spaces, surviving_labels
+from .trabeculae import BONES, make_struts, trabeculae_of
 from .truth import labels, measured_jsw_mm, osteophyte_meshes
 from .turned_truth import turned_labels
 from .wear import worn
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class BuiltKnee:
+class BuiltKnee(Operable):
     """A knee that is built: its scene and its labels cannot be another's.
 
     knee            its parameters
@@ -53,6 +54,7 @@ class BuiltKnee:
     attrition       `wear.attrition_mm` of it; None where that is still to be found
     beam_range_deg  that a protocol's central ray may be tilted by
     cuts            that it is graded by
+    surgery         what was put into it or taken out of it, in order; bones, cysts and attrition are as before
     """
 
     knee: Knee
@@ -63,6 +65,7 @@ class BuiltKnee:
     attrition: Mapping[str, float] | None
     beam_range_deg: Pair
     cuts: OarsiCuts
+    surgery: tuple[SurgicalStep, ...] = ()
 
     def truth(self, protocol: Protocol) -> Truth:
         """Labels and landmarks on a radiograph of it under a protocol; without masks, which `simulate` casts."""
@@ -71,12 +74,17 @@ class BuiltKnee:
 
     def truth_in(self, view: View) -> Truth:
         """The same in a view of one's own, of the knee where its scene has it."""
+        return surviving_labels(self, view) if self.surgery else self.labels_of(self.scene, self.bones, view)
+
+    def labels_of(self, scene: Scene, bones: dict[str, bones.Bone], view: View) -> Truth:
+        """Labels in a view, if the knee has the outer femur and tibia of this scene, and these bones."""
         readings = self._readings
         if self.assembly.posture.is_frontal:
-            truth = labels(self.knee, self.assembly, self.scene, view)
-            readings = {**readings, **truth.readings, "inter_margin_mm": round(self._inter_margin_mm(view), 4)}
+            truth = labels(self.knee, self.assembly, scene, view)
+            margin_mm = inter_margin_mm(self.assembly, mesh_of(bones["tibia"].outer), view)
+            readings = {**readings, **truth.readings, "inter_margin_mm": round(margin_mm, 4)}
         else:
-            truth = turned_labels(self.knee, self.assembly, self.bones, view)
+            truth = turned_labels(self.knee, self.assembly, bones, view)
         return replace(truth, attrition_mm=self._worn_mm, readings=readings)
 
     @cached_property
@@ -98,10 +106,7 @@ class BuiltKnee:
 
         raises  InputError for a view in which the plateau is not seen from the front
         """
-        return self._inter_margin_mm(view_of(self.aimed(protocol)))
-
-    def _inter_margin_mm(self, view: View) -> float:
-        return inter_margin_mm(self.assembly, mesh_of(self.bones["tibia"].outer), view)
+        return inter_margin_mm(self.assembly, mesh_of(self.bones["tibia"].outer), view_of(self.aimed(protocol)))
 
     @cached_property
     def _worn_mm(self) -> Mapping[str, float]:
@@ -115,20 +120,32 @@ class BuiltKnee:
         """
         if not self.assembly.posture.is_frontal:
             raise InputError(f"projection = {self.assembly.posture.projection!r}; allowed: AP or PA")
-        return measured_jsw_mm(self.knee, self.assembly, self.scene, view_of(self.aimed(protocol)))
+        view = view_of(self.aimed(protocol))
+        if lost := lost_joint_spaces(self, view):
+            raise InputError(f"joint space must be that of bones, got implants or resections {' and '.join(lost)}ly")
+        return measured_jsw_mm(self.knee, self.assembly, self.scene, view)
 
     def osteophytes(self) -> dict[str, Mesh]:
-        """Site -> what an osteophyte adds to its bone, in the knee frame, mm."""
+        """Site -> what an osteophyte adds to its bone, in the knee frame, mm, before surgery."""
         return osteophyte_meshes(self.knee, self.assembly)
 
+    def cyst_meshes(self) -> dict[str, Mesh]:
+        """Site -> cysts there, in the knee frame, mm, before surgery."""
+        return cyst_meshes(self.cysts, self.assembly)
+
     def solids(self) -> dict[str, Mesh]:
-        """Name -> mesh, mm, of each bone, each osteophyte and the cysts of a site: what a mask is made of."""
+        """Name -> mesh, mm, of each bone, osteophyte, cysts of a site and implant: what a mask is made of.
+
+        Of bone it is what surgery has left; what has gone as a whole has no mask.
+        """
         solids = {surface.name: surface.arrays for surface in self.scene.surfaces if surface.name in BONES}
         solids |= {f"{site}_osteophyte": mesh for site, mesh in self.osteophytes().items()}
-        return solids | {f"{site}_cyst": mesh for site, mesh in cyst_meshes(self.cysts, self.assembly).items()}
+        solids |= {f"{site}_cyst": mesh for site, mesh in self.cyst_meshes().items()}
+        return after_surgery(solids, self.scene, self.surgery)
 
     def __repr__(self) -> str:
-        return f"BuiltKnee({self.knee!r}, {len(self.scene.surfaces)} surfaces)"
+        after = "".join(f", {step.name}" for step in self.surgery)
+        return f"BuiltKnee({self.knee!r}, {len(self.scene.surfaces)} surfaces{after})"
 
 
 @one_blas_thread()
@@ -212,7 +229,7 @@ def _surfaces(
     for tissue in within:
         surfaces.append(_sided(tissue.mesh, tissue.material, "muscle", tissue.name, assembly))
     for name, part in solids.items():
-        density = _texture(knee, name, shape.tables.spongy, assembly, placed[name].frame)
+        density = trabeculae_of(knee, name, shape.tables.spongy, assembly, placed[name].frame)
         surfaces.append(_surface(part.outer, "cortical_bone", "muscle", name, assembly))
         spongy = ("trabecular_bone", "cortical_bone", f"{name}_trabecular")
         surfaces.append(_surface(part.inner, *spongy, assembly, inside_density=density))
@@ -265,22 +282,6 @@ def _bones(knee: Knee, assembly: KneeAssembly, shells_mm: tuple[Array, Array], a
         name: part if nests[name] else replace(part, solids=drawn_in(name, part.solids))
         for name, part in placed.items()
     }
-
-
-def _texture(knee: Knee, bone: str, table: TrabecularBone, assembly: KneeAssembly, frame: Array) -> Trabeculae:
-    return trabeculae(
-        bone,
-        table,
-        seed=knee.texture_seed,
-        scale=assembly.build.scale,
-        frame=frame if assembly.turn is None else assembly.turn @ frame,
-        mirror=assembly.mirror,
-        sclerosis=knee.subchondral_plate,
-        age_years=knee.age_years,
-        sex=knee.sex,
-        density=knee.bone_density,
-        sclerotic_side=knee.sclerotic_side,
-    )
 
 
 def _placed(part: bones.Bone, transform: Array) -> bones.Bone:

@@ -15,7 +15,9 @@ from msgspec import structs
 from ..core.checks import Array, InputError, require, require_choice, require_seed
 from ..data.records import Triple
 from ..data.spongy import Ageing, Lattice, Scar, SpongyBone, TrabecularBone
+from ..model.knee import Knee
 from .integrate import Steps, integrate_density
+from .joint import KneeAssembly
 from .lattice import lattice, personal_factor
 from .region import Region
 from .rows import Struts
@@ -66,6 +68,28 @@ class Trabeculae:
         into = np.array(self.into).reshape(3, 4)
         integrate_density(starts, ends, into, struts, self.region, Steps(fine, piece), out)
         return out
+
+
+def trabeculae_of(
+    knee: Knee, bone: str, table: TrabecularBone, assembly: KneeAssembly, frame: Array
+) -> "Trabeculae":
+    """The trabecular density of one bone of a knee as it stands.
+
+    frame  (3, 4)  transform in mm from the frame of the bone's trabeculae into that of the leg as it stands
+    """
+    return trabeculae(
+        bone,
+        table,
+        seed=knee.texture_seed,
+        scale=assembly.build.scale,
+        frame=frame if assembly.turn is None else assembly.turn @ frame,
+        mirror=assembly.mirror,
+        sclerosis=knee.subchondral_plate,
+        age_years=knee.age_years,
+        sex=knee.sex,
+        density=knee.bone_density,
+        sclerotic_side=knee.sclerotic_side,
+    )
 
 
 def trabeculae(

@@ -20,8 +20,8 @@ from ..model.radiograph import Radiograph, Truth
 class _Truth(Record, frozen=True):
     """`model.radiograph.Truth`, but for its masks, as JSON has it."""
 
-    jsw_medial_mm: float
-    jsw_lateral_mm: float
+    jsw_medial_mm: float | None
+    jsw_lateral_mm: float | None
     jsw_at_mm: dict[str, float]
     grade: int | None
     grade_read: int | None
@@ -46,6 +46,7 @@ class _Described(Record, frozen=True):
     knees: tuple[dict[str, Any], ...] = ()
     truths: tuple[_Truth, ...] = ()
     scene: dict[str, Any] | None = None
+    surgery: tuple[dict[str, Any], ...] = ()
 
 
 def as_json(radiograph: Radiograph, indent: int | None = None) -> str:
@@ -71,6 +72,7 @@ def parameters(text: str, path: Path) -> dict[str, Any]:
         "knees": tuple(knee_from(table, where) for table in described.knees),
         "truths": tuple(map(_truth, described.truths)),
         "scene": described.scene,
+        "surgery": described.surgery,
         "knee": None if described.knee is None else knee_from(described.knee, where),
         "truth": None if described.truth is None else _truth(described.truth),
         "engine": described.engine,
@@ -108,6 +110,7 @@ def _fields(radiograph: Radiograph) -> dict[str, Any]:
         "knee": None if radiograph.knee is None else knee_table(radiograph.knee),
         **(both if radiograph.knees else {}),
         **({} if radiograph.scene is None else {"scene": dict(radiograph.scene)}),
+        **({"surgery": [dict(step) for step in radiograph.surgery]} if radiograph.surgery else {}),
         "seed": radiograph.seed,
         "truth": None if radiograph.truth is None else _truth_table(radiograph.truth),
         "engine": radiograph.engine,

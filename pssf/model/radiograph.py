@@ -36,8 +36,8 @@ class Truth:
     masks              if asked for: name -> (rows, cols) bool, where a bone or an osteophyte is seen
     """
 
-    jsw_medial_mm: float
-    jsw_lateral_mm: float
+    jsw_medial_mm: float | None
+    jsw_lateral_mm: float | None
     grade: int | None
     landmarks_px: Mapping[str, tuple[float, float]]
     jsw_at_mm: Mapping[float, float] = field(default_factory=dict)
@@ -74,6 +74,8 @@ class Radiograph:
     knees     right and left, where both were taken together; else none
     truths    labels of either, likewise
     scene     of a scene of one's own its materials and a hash of each mesh; else None
+    surgery   what was put into the knee or taken out of it, in order: step, name, material, size and hash of the mesh;
+              of two knees the name begins with the side. The meshes themselves are the user's to keep
     engine    that cast its rays
     audit     what it found and mended; see `raycast.Audit`
     versions  of the package and of what the pixels depend on
@@ -90,6 +92,7 @@ class Radiograph:
     knees: tuple[Knee, ...] = ()
     truths: tuple[Truth, ...] = ()
     scene: Mapping[str, Any] | None = None
+    surgery: tuple[Mapping[str, Any], ...] = ()
     engine: str = "embree"
     audit: Mapping[str, int] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
@@ -99,7 +102,7 @@ class Radiograph:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Radiograph):
             return NotImplemented
-        names = ("protocol", "seed", "knee", "truth", "knees", "truths", "scene", "engine", "versions")
+        names = ("protocol", "seed", "knee", "truth", "knees", "truths", "scene", "surgery", "engine", "versions")
         same = all(getattr(self, name) == getattr(other, name) for name in names)
         return same and np.array_equal(self.pixels, other.pixels)
 
