@@ -1,5 +1,7 @@
 """Path lengths by brute force: every triangle of the meshes as they were given, and the last surgical step wins."""
 
+from itertools import pairwise
+
 import numpy as np
 
 from pssf.geometry.view import view_of
@@ -59,7 +61,7 @@ class BruteRays:
             even[ray] = all(len(at) % 2 == 0 for at in [*crossed, *own])
             far = np.linalg.norm(end - self.source)
             at = np.unique(np.minimum(np.concatenate([[0.0, far], *crossed, *own]), far))
-            for start, stop in zip(at[:-1], at[1:], strict=True):
+            for start, stop in pairwise(at):
                 if stop - start < 1e-9:  # a wall that two surfaces share, but for rounding
                     continue
                 material, density = self._there((start + stop) / 2, crossed, own, steps)

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 import trimesh
-from brute_rays import BruteRays, crossings, rays_of
+from brute_rays import BruteRays
 from manifold3d import Manifold
 
 import pssf
@@ -123,3 +123,249 @@ def test_paths_are_those_of_a_sum_in_which_the_implant_wins(operation, name, vie
     metals = {material for _, material in steps if material}
     assert all(wanted[metal][even].max() > 0 for metal in metals)
 
+
+def test_an_implant_within_bone_changes_no_label():
+    whole, drilled = knee("right"), operated(knee("right"), screw(knee("right")))
+    for name in ("reference", "fixed_flexion"):
+        protocol = protocol_of(name)
+        built = whole if name == "reference" else pssf.build(pssf.Knee(), protocol)
+        after = drilled if name == "reference" else operated(built, screw(built))
+        assert after.truth(protocol) == built.truth(protocol)
+        assert after.measured_jsw_mm(protocol) == built.measured_jsw_mm(protocol)
+
+
+def test_a_replaced_joint_has_no_joint_space_and_no_grade():
+    graded = dataclasses.replace(pssf.draw_knee(grade=2, rng=np.random.default_rng(4)), side="left")
+    whole = pssf.build(graded)
+    after = operated(whole, knee_replacement(whole))
+    protocol = protocol_of()
+    before = whole.truth(protocol)
+    with pytest.warns(pssf.SurgeryNotice, match="medial and lateral"):
+        truth = after.truth(protocol)
+    assert before.grade == 2
+    assert (truth.grade, truth.grade_read) == (None, None)
+    assert (truth.jsw_medial_mm, truth.jsw_lateral_mm) == (None, None)
+    assert not truth.jsw_at_mm
+    assert not truth.attrition_mm
+    assert not [name for name in truth.readings if name.startswith("XR") or "jsw" in name]
+    assert "inter_margin_mm" not in truth.readings
+    assert truth.readings["femorotibial_deg"] == before.readings["femorotibial_deg"]
+    for gone in ("joint_centre", "medial_joint_line", "tibia_medial_1", "medial_spine", "medial_plateau_edge"):
+        assert gone not in truth.landmarks_px
+    assert truth.landmarks_px["medial_epicondyle"] == before.landmarks_px["medial_epicondyle"]
+    with pytest.raises(pssf.InputError, match="joint space must be of bones that are seen"):
+        after.measured_jsw_mm(protocol)
+    with pytest.raises(pssf.InputError, match="plateau must be of bones"):
+        after.inter_margin_mm(protocol)
+
+
+def test_one_side_can_be_replaced_and_the_other_keeps_its_labels():
+    whole = knee("right")
+    after = whole.insert(box((8, -30, -8), (45, 25, 4)), "cobalt_chromium", name="unicondylar")
+    with pytest.warns(pssf.SurgeryNotice, match="replaces the medial joint"):
+        truth = after.truth(protocol_of())
+    before = whole.truth(protocol_of())
+    assert truth.jsw_medial_mm is None
+    assert truth.jsw_lateral_mm == before.jsw_lateral_mm
+    assert truth.jsw_at_mm == {at: mm for at, mm in before.jsw_at_mm.items() if at > 0.5}
+    assert truth.readings["XRJSL"] == before.readings["XRJSL"]
+    assert not {"XRJSM", "XRSCFM", "XROSTM", "jsw_least_medial_mm"} & set(truth.readings)
+    assert truth.landmarks_px["tibia_lateral_1"] == before.landmarks_px["tibia_lateral_1"]
+
+
+def test_metal_before_the_joint_hides_its_space_in_that_view_alone():
+    whole = knee("right")
+    # In the muscle behind the joint, clear of both bones.
+    after = whole.insert(box((15, 38, -3), (25, 41, 8)), "titanium_alloy", name="clip")
+    with pytest.warns(pssf.SurgeryNotice, match="covers the medial joint space in this view"):
+        truth = after.truth(protocol_of())
+    before = whole.truth(protocol_of())
+    assert truth.jsw_medial_mm is None
+    assert truth.landmarks_px == before.landmarks_px
+    assert truth.readings["XRJSM"] == before.readings["XRJSM"]
+    above = protocol_of(beam_angle_deg=-14.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", pssf.SurgeryNotice)
+        assert after.truth(above) == whole.truth(above)
+
+
+def test_labels_from_the_side_are_those_of_the_bone_that_is_left():
+    protocol = protocol_of("lateral")
+    whole = pssf.build(pssf.Knee(), protocol)
+    high = whole.scene.bounds_mm[1]
+    # Seen from the side x of the leg is along the beam, whatever its sign; the plateau lies about z = 0.
+    after = whole.resect(box((-high[0], -high[1], -12), (high[0], high[1], 3)), name="cut")
+    with pytest.warns(pssf.SurgeryNotice):
+        truth = after.truth(protocol)
+    before = whole.truth(protocol)
+    assert "medial_plateau_anterior" not in truth.landmarks_px
+    assert truth.landmarks_px["patella_apex"] == before.landmarks_px["patella_apex"]
+    assert truth.jsw_medial_mm is None
+
+
+def test_an_osteophyte_that_is_taken_away_has_neither_mask_nor_grade():
+    whole = knee("left")
+    places = whole.osteophytes()["medial_tibia"].vertices
+    low, high = places.min(axis=0) - 0.5, places.max(axis=0) + 0.5
+    assert "medial_tibia_osteophyte" in whole.solids()
+    assert "medial_tibia_osteophyte" not in whole.resect(box(low, high), name="trim").solids()
+
+
+def test_an_osteophyte_that_is_cut_has_a_smaller_mask_and_no_grade():
+    whole = knee("left")
+    mesh = whole.osteophytes()["medial_tibia"]
+    tip = mesh.vertices[mesh.vertices[:, 0].argmin()]  # medial of a left knee
+    after = whole.resect(box(tip - 1.5, tip + 1.5), name="trim")
+    left = after.solids()["medial_tibia_osteophyte"]
+    assert 0 < left.as_trimesh().volume < 0.99 * mesh.as_trimesh().volume
+    before, truth = (built.truth(protocol_of()) for built in (whole, after))
+    assert set(before.readings) - set(truth.readings) == {"XROSTM"}
+    assert truth.jsw_medial_mm == before.jsw_medial_mm
+
+
+def test_masks_have_the_implant_and_the_bone_that_is_left(tmp_path):
+    whole = knee("right")
+    steps = knee_replacement(whole)
+    after = operated(whole, steps)
+    protocol = protocol_of(pixels=128)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", pssf.SurgeryNotice)
+        radiograph = pssf.simulate(after, protocol, keep=("masks", "path_mm"), engine="scanline")
+    masks, paths = radiograph.truth.masks, radiograph.kept["path_mm"]
+    assert (masks["step_1"] == (paths["cobalt_chromium"] > 0)).mean() > 0.9999
+    bone = paths["cortical_bone"] + paths["trabecular_bone"] + paths["marrow"] > 1e-3
+    seen = np.any([masks[name] for name in ("femur", "tibia", "fibula", "patella")], axis=0)
+    assert (bone & ~seen).sum() <= 2
+    # Rays that meet nothing but a hairline or metal: what is seen of bone is what there is.
+    assert (seen & ~bone).mean() < 0.002
+    for suffix in ("tif", "dcm"):
+        path = pssf.save_masks(radiograph, tmp_path / f"masks.{suffix}")
+        loaded = pssf.load_masks(path)
+        assert list(loaded) == list(masks)
+        assert all(np.array_equal(loaded[name], masks[name]) for name in masks)
+
+
+def test_the_segmentation_calls_an_implant_a_physical_object(tmp_path):
+    import pydicom
+
+    after = operated(knee("right"), screw(knee("right")))
+    radiograph = pssf.simulate(after, protocol_of(), keep=("masks",), engine="scanline")
+    segments = pydicom.dcmread(pssf.save_masks(radiograph, tmp_path / "masks.dcm")).SegmentSequence
+    codes = {one.SegmentLabel: one.SegmentedPropertyTypeCodeSequence[0].CodeMeaning for one in segments}
+    assert codes["step_0"] == "Implant"
+    assert codes["femur"] == "Femur"
+
+
+def test_a_radiograph_says_which_implants_it_was_made_with(tmp_path):
+    built, protocol = knee("right"), protocol_of()
+    after = built.insert(screw(built)[0][0], "titanium_alloy", name="screw")
+    radiograph = pssf.simulate(after, protocol, seed=3, engine="scanline")
+    (step,) = radiograph.surgery
+    assert (step["step"], step["name"], step["material"]) == ("insert", "screw", "titanium_alloy")
+    for suffix in ("tif", "dcm"):
+        loaded = pssf.load(pssf.save(radiograph, tmp_path / f"one.{suffix}"))
+        assert loaded == radiograph
+        assert loaded.surgery == radiograph.surgery
+    again = built.insert(screw(built)[0][0], "titanium_alloy", name="screw")
+    assert pssf.simulate(again, protocol, seed=3, engine="scanline") == radiograph
+    other = pssf.simulate(built, protocol, seed=3, engine="scanline")
+    assert other != radiograph
+    assert dataclasses.replace(other, pixels=radiograph.pixels) != radiograph
+    longer = rod((-48, 2, 12), (40, -4, 21), 2.3)
+    assert built.insert(longer, "titanium_alloy", name="screw").surgery_table() != after.surgery_table()
+
+
+def test_a_saved_radiograph_is_not_written_over_by_one_with_an_implant(tmp_path):
+    built, protocol = knee("right"), protocol_of()
+    from pssf.io.images import save_kinds
+
+    save_kinds(pssf.simulate(built, protocol, engine="scanline"), tmp_path / "one", ("tif",))
+    after = pssf.simulate(operated(built, screw(built)), protocol, engine="scanline")
+    with pytest.raises(pssf.InputError, match="another surgery"):
+        save_kinds(after, tmp_path / "one", ("tif",))
+
+
+def test_a_knee_without_surgery_says_nothing_of_it(tmp_path):
+    radiograph = pssf.simulate(knee("right"), protocol_of(), engine="scanline")
+    assert radiograph.surgery == ()
+    from pssf.io.description import as_json
+
+    assert "surgery" not in as_json(radiograph)
+
+
+def test_of_two_knees_each_keeps_its_implants():
+    protocol = protocol_of("bilateral", pixels=128, field_mm=400.0)
+    right, left = (pssf.build(pssf.Knee(side=side), protocol) for side in ("right", "left"))
+    pair = (right.insert(rod((-30, 0, 20), (30, 0, 25), 3), "titanium_alloy", name="screw"), left)
+    radiograph = pssf.simulate(pair, protocol, keep=("masks",), engine="scanline")
+    assert [step["name"] for step in radiograph.surgery] == ["right_screw"]
+    assert "screw" in radiograph.truths[0].masks
+    assert "screw" not in radiograph.truths[1].masks
+
+
+def test_a_copied_knee_keeps_its_implants_or_says_why_not():
+    after = operated(knee("right"), screw(knee("right")))
+    try:
+        copied = pickle.loads(pickle.dumps(after))
+    except Exception:
+        return
+    assert copied.surgery_table() == after.surgery_table()
+    assert len(copied.scene.surfaces) == len(after.scene.surfaces)
+
+
+def test_an_inverted_implant_is_mended_with_a_notice():
+    inverted = rod((-40, 0, 12), (40, 0, 15), 3.0)
+    inverted.invert()
+    after = knee("right").insert(inverted, "titanium_alloy")
+    with pytest.warns(pssf.MeshNotice, match="implant: mesh is inside out"):
+        paths = pssf.trace(after, protocol_of(), engine="scanline")
+    assert paths.path_mm["titanium_alloy"].max() == pytest.approx(6.0, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "changes", "text"),
+    [
+        (trimesh.Trimesh(*(lambda m: (m.vertices, m.faces[1:]))(box((0, 0, 0), (5, 5, 5)))), {}, "edges of a hole"),
+        (trimesh.util.concatenate([box((0, 0, 0), (5, 5, 5)), box((3, 3, 3), (8, 8, 8))]), {}, "do not overlap"),
+        (box((0, 0, 0), (5, 5, 5)), {"name": "femur"}, "name must be new to the knee"),
+        (box((0, 0, 0), (5, 5, 5)), {"name": "medial_tibia_osteophyte"}, "name must be 1 to 50"),
+        (box((0, 0, 0), (5, 5, 5)), {"name": "a screw"}, "name must be 1 to 50"),
+        (box((0, 0, 0), (5, 5, 5)), {"material": ""}, "material must be the name"),
+        ("screw.stl", {}, "mesh must be a trimesh.Trimesh"),
+    ],
+)
+def test_what_is_no_implant_is_refused(mesh, changes, text):
+    with pytest.raises(pssf.InputError, match=text) as caught:
+        knee("right").insert(mesh, **{"material": "titanium_alloy", **changes})
+    assert "\n" not in str(caught.value)
+
+
+def test_a_resection_that_meets_no_bone_is_refused():
+    with pytest.raises(pssf.InputError, match="must meet bone"):
+        knee("right").resect(box((500, 0, 0), (505, 5, 5)))
+
+
+def test_a_mesh_changed_after_it_was_inserted_changes_nothing():
+    mesh = rod((-40, 0, 12), (40, 0, 15), 3.0)
+    after = knee("right").insert(mesh, "titanium_alloy")
+    table = after.surgery_table()
+    mesh.apply_translation((0, 0, 50))
+    assert after.surgery_table() == table
+
+
+@pytest.mark.parametrize("operation", OPERATIONS, ids=lambda one: one.__name__)
+def test_check_has_nothing_against_a_knee_with_implants(operation):
+    built = operated(knee("right"), operation(knee("right")))
+    assert str(pssf.check(built)) == "no faults"
+
+
+def test_bone_that_is_resected_around_an_implant_leaves_the_implant():
+    built = knee("right").insert(rod((-20, 0, 14), (20, 0, 14), 2), "titanium_alloy", name="pin")
+    after = built.resect(box((-60, -60, 5), (0, 60, 40)), name="cut")
+    steps = [(rod((-20, 0, 14), (20, 0, 14), 2), "titanium_alloy"), (box((-60, -60, 5), (0, 60, 40)), None)]
+    protocol, rays = brute("right", "straight")
+    wanted, even = rays.paths(steps, texture=True)
+    paths = pssf.trace(after, protocol, precision="float64")
+    for material, path_mm in paths.path_mm.items():
+        expected = wanted.get(material, np.zeros(len(even)))
+        assert np.abs(path_mm.ravel()[rays.pixels] - expected)[even].max() < 1e-6, material

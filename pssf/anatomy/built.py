@@ -27,15 +27,16 @@ from ..model.radiograph import Truth
 from . import bones, small_bones, soft
 from .attrition import attrition_mm
 from .bone_build import build_of
+from .bones import Bone
 from .cysts import CystSolids, cyst_meshes, cysts_of
 from .joint import KneeAssembly, assemble, defining_protocol
 from .plateau import along_plateau, inter_margin_mm
 from .pose import composed
 from .shells import check_nesting, drawn_in, is_nested
 from .solids import checked, mesh_of
-from .tissues import Covered, between, cartilage_of
 from .surgery import Operable, SurgicalStep, after_surgery
-from .surgery_truth import lost_joint_spaces, surviving_labels
+from .surgery_truth import lost_joint_spaces, replaced_sides, require_bone, surviving_labels
+from .tissues import Covered, between, cartilage_of
 from .trabeculae import BONES, make_struts, trabeculae_of
 from .truth import labels, measured_jsw_mm, osteophyte_meshes
 from .turned_truth import turned_labels
@@ -76,15 +77,15 @@ class BuiltKnee(Operable):
         """The same in a view of one's own, of the knee where its scene has it."""
         return surviving_labels(self, view) if self.surgery else self.labels_of(self.scene, self.bones, view)
 
-    def labels_of(self, scene: Scene, bones: dict[str, bones.Bone], view: View) -> Truth:
+    def labels_of(self, scene: Scene, solids: dict[str, Bone], view: View) -> Truth:
         """Labels in a view, if the knee has the outer femur and tibia of this scene, and these bones."""
         readings = self._readings
         if self.assembly.posture.is_frontal:
             truth = labels(self.knee, self.assembly, scene, view)
-            margin_mm = inter_margin_mm(self.assembly, mesh_of(bones["tibia"].outer), view)
+            margin_mm = inter_margin_mm(self.assembly, mesh_of(solids["tibia"].outer), view)
             readings = {**readings, **truth.readings, "inter_margin_mm": round(margin_mm, 4)}
         else:
-            truth = turned_labels(self.knee, self.assembly, bones, view)
+            truth = turned_labels(self.knee, self.assembly, solids, view)
         return replace(truth, attrition_mm=self._worn_mm, readings=readings)
 
     @cached_property
@@ -104,8 +105,9 @@ class BuiltKnee(Operable):
     def inter_margin_mm(self, protocol: Protocol) -> float:
         """Height on the film of the front margin of the medial plateau over its back one, scaled to the joint plane.
 
-        raises  InputError for a view in which the plateau is not seen from the front
+        raises  InputError for a view in which the plateau is not seen from the front, or that surgery has replaced
         """
+        require_bone(self, replaced_sides(self), "plateau")
         return inter_margin_mm(self.assembly, mesh_of(self.bones["tibia"].outer), view_of(self.aimed(protocol)))
 
     @cached_property
@@ -116,13 +118,12 @@ class BuiltKnee(Operable):
     def measured_jsw_mm(self, protocol: Protocol) -> tuple[float, float]:
         """Medial and lateral joint space measured on the projected contours, osteophytes and all.
 
-        raises  InputError for a view that shows none
+        raises  InputError for a view that shows none, as that of a joint that surgery replaced
         """
         if not self.assembly.posture.is_frontal:
             raise InputError(f"projection = {self.assembly.posture.projection!r}; allowed: AP or PA")
         view = view_of(self.aimed(protocol))
-        if lost := lost_joint_spaces(self, view):
-            raise InputError(f"joint space must be that of bones, got implants or resections {' and '.join(lost)}ly")
+        require_bone(self, lost_joint_spaces(self, view), "joint space")
         return measured_jsw_mm(self.knee, self.assembly, self.scene, view)
 
     def osteophytes(self) -> dict[str, Mesh]:

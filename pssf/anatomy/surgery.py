@@ -9,7 +9,8 @@ import re
 import reprlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Self
 
 import manifold3d
 import numpy as np
@@ -19,15 +20,14 @@ from ..core.checks import InputError
 from ..geometry.mesh import Mesh, is_mesh
 from ..geometry.repair import require_sound
 from ..geometry.scene import Scene, Surface
+from .bones import Bone
+from .joint import KneeAssembly
 from .solids import mesh_of, solid_of
 from .trabeculae import BONES
 
 if TYPE_CHECKING:
     import trimesh
 
-    from .built import BuiltKnee
-
-    Built = TypeVar("Built", bound=BuiltKnee)
 
 # Bodies of one mesh that share more than this overlap; less is rounding.
 _SHARED_MM3 = 1e-6
@@ -53,7 +53,7 @@ class SurgicalStep:
         """Name of the body or of the resection."""
         return self.surface.name
 
-    @property
+    @cached_property
     def solid(self) -> Manifold:
         """The mesh, mended as every mesh of a scene is, as a solid."""
         return _solid(self.surface)
@@ -74,15 +74,30 @@ class Operable:
 
     if TYPE_CHECKING:
         scene: Scene
+        assembly: KneeAssembly
+        bones: dict[str, Bone]
         surgery: tuple[SurgicalStep, ...]
+
+    @cached_property
+    def bones_left(self) -> dict[str, Bone]:
+        """The bones as `bones` has them, without what surgery has taken of their outer solids."""
+        mirror, turn = np.array(self.assembly.mirror), self.assembly.turn
+        left = dict(self.bones)
+        for step in self.surgery:
+            vertices, faces = mesh_of(step.solid)
+            # The way back of `KneeAssembly.seen`.
+            points = vertices * mirror if turn is None else (vertices * mirror) @ turn
+            taken = solid_of(points, faces if np.prod(mirror) > 0 else faces[:, ::-1], step.name)
+            for name, bone in left.items():
+                if not (bone.outer ^ taken).is_empty():
+                    left[name] = replace(bone, outer=_difference(bone.outer, taken, name))
+        return left
 
     def surgery_table(self, prefix: str = "") -> tuple[dict[str, Any], ...]:
         """What was put into the knee or taken out of it, JSON-ready; names with a prefix before them."""
         return tuple({**(table := step.table()), "name": f"{prefix}{table['name']}"} for step in self.surgery)
 
-    def insert(
-        self: "Built", mesh: "trimesh.Trimesh | Mesh", material: str, *, name: str = "implant"
-    ) -> "Built":
+    def insert(self, mesh: "trimesh.Trimesh | Mesh", material: str, *, name: str = "implant") -> Self:
         """Put a body into the knee: a screw, a plate, a nail, a component of a total knee replacement.
 
         The body displaces whatever lies in it: bone, its trabecular density, soft tissue, air, and earlier implants.
@@ -123,9 +138,9 @@ class Operable:
         if not isinstance(material, str) or not material:
             raise InputError(f"material must be the name of a material, got {material!r}")
         step = SurgicalStep(surface=_given(self, mesh, material, name), material=material)
-        return _operated(self, step, inserted(self.scene, step))
+        return self._after(step, inserted(self.scene, step))
 
-    def resect(self: "Built", mesh: "trimesh.Trimesh | Mesh", *, name: str = "resection") -> "Built":
+    def resect(self, mesh: "trimesh.Trimesh | Mesh", *, name: str = "resection") -> Self:
         """Take bone, cartilage and menisci away within a volume; soft tissue fills it.
 
         Parameters
@@ -147,7 +162,11 @@ class Operable:
         """
         step = SurgicalStep(surface=_given(self, mesh, "muscle", name), material=None)
         scene = resected(self.scene, step, {one.name for one in self.surgery})
-        return _operated(self, step, scene)
+        return self._after(step, scene)
+
+    def _after(self, step: SurgicalStep, scene: Scene) -> Self:
+        changed: Self = replace(self, scene=scene, surgery=(*self.surgery, step))  # type: ignore[type-var]
+        return changed
 
 
 def inserted(scene: Scene, step: SurgicalStep) -> Scene:
@@ -226,10 +245,6 @@ def after_surgery(solids: dict[str, Mesh], scene: Scene, steps: Sequence[Surgica
     return (left if steps else solids) | {name: Mesh(body.points, body.faces) for name, body in bodies.items()}
 
 
-def _operated(built: "Built", step: SurgicalStep, scene: Scene) -> "Built":
-    return replace(built, scene=scene, surgery=(*built.surgery, step))
-
-
 def _given(built: Operable, mesh: Any, material: str, name: str) -> Surface:
     """The surface of a mesh that a user gives, with arrays of its own."""
     if not isinstance(name, str) or not re.fullmatch(_NAME, name, re.ASCII) or name.endswith(_KEPT_ENDINGS):
@@ -269,5 +284,3 @@ def _difference(one: Manifold, other: Manifold, name: str) -> Manifold:
     if left.status() != manifold3d.Error.NoError:
         raise InputError(f"solid {name}: status {left.status().name} of a boolean; allowed: NoError")
     return left
-
-

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from manifold3d import Manifold
 
-from ..data.records import Pair
-from ..geometry.mesh import Mesh
+from ..core.checks import Array, InputError
+from ..geometry.mesh import Indices, Mesh
 from ..geometry.scene import Scene, Surface
-from ..geometry.topology import bodies
+from ..geometry.topology import Faces, bodies
 from ..geometry.view import View, project, view_of
 from ..model.radiograph import Truth
 from .bones import Bone
-from .contours import COMPARTMENT, Gap, envelope, measure_gap, turned_px
+from .contours import Gap, envelope, measure_gap, turned_px
 from .landmarks import plateau_floor
 from .solids import closed_edges, mesh_of, solid_of
 from .truth import widest
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 SIDES = ("medial", "lateral")
 # Contours within this of each other on the detector are the same.
 _SAME_PX = 1e-6
-# Of the plateau's half width: where the joint space of a side may be told.
-_ACROSS = (0.2, 1.0)
 # A place of a bone is gone if a surgical step meets a box of this size about it.
 _PLACE_MM = 0.01
 _LETTERS = {"medial": "M", "lateral": "L", "femur": "F", "tibia": "T"}
@@ -48,28 +46,31 @@ def surviving_labels(built: "BuiltKnee", view: View) -> Truth:
 
     warns  SurgeryNotice where a joint space or the grade is left out
     """
-    steps = _in_leg(built)
-    left = _remaining_bones(built.bones, steps)
-    truth = _labels(built, built.bones, view)
+    truth, cut = _labels(built, built.bones, view), _cut_sites(built)
     try:
-        altered = _labels(built, left, view)
+        altered = _labels(built, built.bones_left, view)
     except (ValueError, KeyError, IndexError):  # so little bone is left that a contour has no places
-        altered = replace(truth, landmarks_px={}, readings={})
+        altered = replace(truth, landmarks_px={}, readings={}, jsw_at_mm={})
     replaced = replaced_sides(built)
     hidden = [side for side in lost_joint_spaces(built, view) if side not in replaced]
     _notify(replaced, hidden)
     lost = [*replaced, *hidden]
     return replace(
         truth,
-        **{f"jsw_{side}_mm": None for side in lost},
-        jsw_at_mm={at: mm for at, mm in truth.jsw_at_mm.items() if SIDES[int(at > 0.5)] not in lost},
+        jsw_medial_mm=None if "medial" in lost else truth.jsw_medial_mm,
+        jsw_lateral_mm=None if "lateral" in lost else truth.jsw_lateral_mm,
+        jsw_at_mm={
+            at: mm
+            for at, mm in truth.jsw_at_mm.items()
+            if SIDES[int(at > 0.5)] not in lost and _same(mm, altered.jsw_at_mm.get(at))
+        },
         attrition_mm={side: mm for side, mm in truth.attrition_mm.items() if side not in replaced},
         readings={
             name: value
             for name, value in truth.readings.items()
-            if _same(value, altered.readings.get(name)) and not _is_lost(name, lost, replaced, _cut_sites(built))
+            if _same(value, altered.readings.get(name)) and not _is_lost(name, lost, replaced, cut)
         },
-        landmarks_px=_same_places(built, truth, altered, view, steps),
+        landmarks_px=_same_places(built, truth, altered, view),
         grade=None if replaced else truth.grade,
         grade_read=None if replaced else truth.grade_read,
     )
@@ -79,26 +80,32 @@ def replaced_sides(built: "BuiltKnee") -> list[str]:
     """Sides on which surgery has changed the contours that joint space is defined on."""
     if not built.surgery:
         return []
-    left = _remaining_bones(built.bones, _in_leg(built))
     view = view_of(built.assembly.defined_under)
-    before, after = (_Contours(built, bones, view, in_leg=True) for bones in (built.bones, left))
-    return [side for side in SIDES if not before.alike(after, side, COMPARTMENT)]
+    before, after = (_Contours(built, bones, view, in_leg=True) for bones in (built.bones, built.bones_left))
+    return [side for side in SIDES if not before.alike(after, side)]
 
 
 def lost_joint_spaces(built: "BuiltKnee", view: View) -> list[str]:
     """Sides whose joint space a view does not show, since surgery has changed its contours or covers them."""
     if not built.surgery or not built.assembly.posture.is_frontal:
         return []
-    left = _remaining_bones(built.bones, _in_leg(built))
-    before, after = (_Contours(built, bones, view) for bones in (built.bones, left))
+    before, after = (_Contours(built, bones, view) for bones in (built.bones, built.bones_left))
     implants = {step.name for step in built.surgery if step.material is not None}
     bodies_of = [surface.solid for surface in built.scene.surfaces if surface.name in implants]
     parts = [Mesh(solid.points, faces) for solid in bodies_of for faces in _connected(solid.faces, len(solid.points))]
     return [
-        side
-        for side in SIDES
-        if not before.alike(after, side, _ACROSS) or any(before.is_covered(part, side) for part in parts)
+        side for side in SIDES if not before.alike(after, side) or any(before.is_covered(part, side) for part in parts)
     ]
+
+
+def require_bone(built: "BuiltKnee", sides: list[str], what: str) -> None:
+    """Refuse a measurement between bones on sides where surgery has changed or covered them.
+
+    raises  InputError
+    """
+    if sides:
+        steps = ", ".join(step.name for step in built.surgery)
+        raise InputError(f"{what} must be of bones that are seen, got {' and '.join(sides)} after {steps}")
 
 
 @dataclass(frozen=True)
@@ -123,20 +130,20 @@ class _Contours:
         """By how much the leg leans on the detector."""
         return self.built.assembly.pose.lean_deg * self.medial
 
-    def gap(self, side: str, between: Pair, *, floor: bool = False) -> Gap:
+    def gap(self, side: str, *, floor: bool = False) -> Gap:
         """The joint space of a side; with `floor` down to the plateau's floor, as readers take it."""
         meshes = [mesh_of(self.bones[name].outer) for name in ("femur", "tibia")]
         femur, tibia = meshes if self.in_leg else map(self.built.assembly.mirrored, meshes)
         sign = self.medial if side == "medial" else -self.medial
         upper = plateau_floor(tibia, self.view, self.medial, self.lean_deg) if floor else _with_edges(tibia)
         half = self.built.assembly.build.half_ml_mm
-        return measure_gap(_with_edges(femur), upper, self.view, sign, half, self.lean_deg, between)
+        return measure_gap(_with_edges(femur), upper, self.view, sign, half, self.lean_deg)
 
-    def alike(self, other: "_Contours", side: str, between: Pair) -> bool:
+    def alike(self, other: "_Contours", side: str) -> bool:
         """Whether both have the same contours along the joint space of a side."""
         for floor in {False, self.built.knee.jsw_as == "read"}:
             try:
-                one, two = (contours.gap(side, between, floor=floor) for contours in (self, other))
+                one, two = (contours.gap(side, floor=floor) for contours in (self, other))
             except (ValueError, IndexError):  # so little bone is left that a contour has no places
                 return False
             for first, second in ((one.femur_px, two.femur_px), (one.tibia_px, two.tibia_px)):
@@ -146,7 +153,7 @@ class _Contours:
 
     def is_covered(self, body: Mesh, side: str) -> bool:
         """Whether a connected body, in the frame of the view, lies over the joint space of a side."""
-        gap = self.gap(side, _ACROSS)
+        gap = self.gap(side)
         finer = round(1 / (gap.columns_px[1] - gap.columns_px[0]))
         seen = turned_px(project(body.vertices, self.view), self.view, -self.lean_deg) * (1, finer)
         first, edges = round(gap.columns_px[0] * finer), closed_edges(body.faces)
@@ -161,56 +168,30 @@ def _labels(built: "BuiltKnee", bones: Mapping[str, Bone], view: View) -> Truth:
     return built.labels_of(scene, dict(bones), view)
 
 
-def _remaining_bones(bones: Mapping[str, Bone], steps: list[Manifold]) -> dict[str, Bone]:
-    """Bones without what surgical steps have taken of their outer solids."""
-    left = {}
-    for name, bone in bones.items():
-        outer = bone.outer
-        for step in steps:
-            outer = outer if (outer ^ step).is_empty() else outer - step
-        left[name] = replace(bone, outer=outer)
-    return left
-
-
-def _in_leg(built: "BuiltKnee") -> list[Manifold]:
-    """Solids of the surgical steps in the leg as it stands, before it is turned and mirrored."""
-    mirror, turn = np.array(built.assembly.mirror), built.assembly.turn
-    solids = []
-    for step in built.surgery:
-        vertices, faces = mesh_of(step.solid)
-        points = vertices * mirror if turn is None else (vertices * mirror) @ turn
-        solids.append(solid_of(points, faces if np.prod(mirror) > 0 else faces[:, ::-1], step.name))
-    return solids
-
-
-def _same_places(
-    built: "BuiltKnee", truth: Truth, altered: Truth, view: View, steps: list[Manifold]
-) -> dict[str, tuple[float, float]]:
+def _same_places(built: "BuiltKnee", truth: Truth, altered: Truth, view: View) -> dict[str, tuple[float, float]]:
     """Landmarks whose place on the bones is still there."""
-    kept = {}
     gone = set()
     if built.assembly.posture.is_frontal:
         # These are of the bones without their osteophytes, which surgery does not change: their places are asked for.
         for name, place_mm in widest(built.knee, built.assembly, view).items():
-            leg_mm = place_mm * built.assembly.mirror
-            box = Manifold.cube((_PLACE_MM,) * 3, True).translate(tuple(leg_mm))
-            if any(not (box ^ step).is_empty() for step in steps):
+            about = Manifold.cube((_PLACE_MM,) * 3, True).translate(tuple(place_mm))
+            if any(not (about ^ step.solid).is_empty() for step in built.surgery):
                 gone.add(name)
-    for name, place in truth.landmarks_px.items():
-        other = altered.landmarks_px.get(name)
-        if name not in gone and other is not None and np.allclose(place, other, rtol=0, atol=_SAME_PX):
-            kept[name] = place
-    return kept
+    others = {name: place for name, place in altered.landmarks_px.items() if name not in gone}
+    return {
+        name: place
+        for name, place in truth.landmarks_px.items()
+        if name in others and np.allclose(place, others[name], rtol=0, atol=_SAME_PX)
+    }
 
 
 def _cut_sites(built: "BuiltKnee") -> set[str]:
     """Sites whose osteophyte or cyst surgery has taken part of."""
-    solids = [step.solid for step in built.surgery]
     cut = set()
     for kind, meshes in (("osteophyte", built.osteophytes()), ("cyst", built.cyst_meshes())):
         for site, mesh in meshes.items():
             whole = solid_of(mesh.vertices, mesh.faces, f"{site}_{kind}")
-            if any(not (whole ^ solid).is_empty() for solid in solids):
+            if any(not (whole ^ step.solid).is_empty() for step in built.surgery):
                 cut.add(f"{site}_{kind}")
     return cut
 
@@ -235,11 +216,11 @@ def _same(value: float, other: float | None) -> bool:
     return other is not None and bool(np.isclose(value, other, rtol=0, atol=_SAME_PX))
 
 
-def _with_edges(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+def _with_edges(mesh: Mesh) -> tuple[Array, Indices]:
     return mesh.vertices, closed_edges(mesh.faces)
 
 
-def _connected(faces: np.ndarray, count: int) -> list[np.ndarray]:
+def _connected(faces: Faces, count: int) -> list[Faces]:
     """Faces of each connected body of a mesh with so many vertices."""
     body, number = bodies(faces, count)
     return [faces[body[faces[:, 0]] == one] for one in range(number)]
@@ -247,8 +228,8 @@ def _connected(faces: np.ndarray, count: int) -> list[np.ndarray]:
 
 def _notify(replaced: list[str], hidden: list[str]) -> None:
     if replaced:
-        what, without = " and ".join(replaced), "joint space, joint readings and grade"
-        message = f"surgery replaces the {what} joint contours; truth has no {without} there"
+        sides = f"the {' and '.join(replaced)} joint contours"
+        message = f"surgery replaces {sides}; truth has no grade, and no joint space and joint readings of these sides"
         warnings.warn(f"{message}; knee.jsw_{replaced[0]}_mm keeps what was specified", SurgeryNotice, stacklevel=4)
     if hidden:
         what = " and ".join(hidden)

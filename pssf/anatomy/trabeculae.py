@@ -70,9 +70,7 @@ class Trabeculae:
         return out
 
 
-def trabeculae_of(
-    knee: Knee, bone: str, table: TrabecularBone, assembly: KneeAssembly, frame: Array
-) -> "Trabeculae":
+def trabeculae_of(knee: Knee, bone: str, table: TrabecularBone, assembly: KneeAssembly, frame: Array) -> "Trabeculae":
     """The trabecular density of one bone of a knee as it stands.
 
     frame  (3, 4)  transform in mm from the frame of the bone's trabeculae into that of the leg as it stands

@@ -171,7 +171,7 @@ def _widest(knee: Knee, assembly: KneeAssembly, view: View) -> dict[str, tuple[f
 
 
 def widest(knee: Knee, assembly: KneeAssembly, view: View) -> dict[str, Array]:
-    """Name -> (3,) the place in the knee frame, mm, that is widest in a view, of the bones without their osteophytes."""
+    """Name -> (3,) where the bones are widest in a view, without their osteophytes: places in the knee frame, mm."""
     return {name: place for name, _, place in _widest_vertices(knee, assembly, view)}
 
 

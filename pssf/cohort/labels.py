@@ -94,8 +94,8 @@ def _reading(name: str, subject: str, knee: Knee, truth: Truth) -> dict[str, Any
         "HKANGLE": round(STRAIGHT_DEG - truth.readings["hip_knee_ankle_deg"], 4),
         "MCMJSW": truth.readings["jsw_least_medial_mm"],
         **spaces,
-        "jsw_medial_mm": round(truth.jsw_medial_mm, 4),
-        "jsw_lateral_mm": round(truth.jsw_lateral_mm, 4),
+        "jsw_medial_mm": None if truth.jsw_medial_mm is None else round(truth.jsw_medial_mm, 4),
+        "jsw_lateral_mm": None if truth.jsw_lateral_mm is None else round(truth.jsw_lateral_mm, 4),
         **{f"attrition_{side}_mm": depth for side, depth in truth.attrition_mm.items()},
         **{name: value for name, value in truth.readings.items() if not name.startswith("XR") and name not in _RENAMED},
     }
