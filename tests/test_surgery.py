@@ -75,6 +75,14 @@ def pin_through_the_skin(built):
     return [(rod((-110, 3, -40), (110, -5, -28), 2.5), "stainless_steel")]
 
 
+def pins_within_bone(built):
+    """One in trabecular bone alone, and one in trabecular bone and marrow."""
+    return [
+        (rod((-20, -4, 22), (20, -6, 24), 3.0), "cobalt_chromium"),
+        (rod((-9, -6, -38), (9, -6, -41), 3), "Ti@4.51"),
+    ]
+
+
 def knee_replacement(built):
     component = mesh_of(femoral_component(built))
     return [
@@ -86,7 +94,7 @@ def knee_replacement(built):
     ]
 
 
-OPERATIONS = (screw, plate_and_screws, nail, pin_through_the_skin, knee_replacement)
+OPERATIONS = (screw, plate_and_screws, nail, pin_through_the_skin, pins_within_bone, knee_replacement)
 
 
 def operated(built, steps):
@@ -99,7 +107,7 @@ def operated(built, steps):
 @cache
 def brute(name, view):
     """Rays through the joint and its surroundings, crossed with the knee as it is."""
-    protocol = protocol_of(pixels=24, field_mm=100.0, **VIEWS[view])
+    protocol = protocol_of(pixels=24, field_mm=115.0, **VIEWS[view])
     rng = np.random.default_rng(5)
     return protocol, BruteRays(knee(name).scene, protocol, np.sort(rng.choice(24 * 24, 60, replace=False)))
 
