@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 # Bodies of one mesh that share more than this overlap; less is rounding.
 _SHARED_MM3 = 1e-6
+# Pieces of no more than this are splinters: as long as they are wide, they are thinner than a path's own rounding.
+_SPLINTER_MM3 = 1e-7
 _NAME = r"[A-Za-z0-9][\w-]{0,49}"
 # Endings by which masks of a knee are known.
 _KEPT_ENDINGS = ("_osteophyte", "_cyst")
@@ -280,7 +282,10 @@ def _solid(surface: Surface) -> Manifold:
 
 
 def _difference(one: Manifold, other: Manifold, name: str) -> Manifold:
+    """One solid without another, and without splinters that are left where faces of both coincide."""
     left = one - other
     if left.status() != manifold3d.Error.NoError:
         raise InputError(f"solid {name}: status {left.status().name} of a boolean; allowed: NoError")
-    return left
+    pieces = left.decompose()
+    large = [piece for piece in pieces if abs(piece.volume()) > _SPLINTER_MM3]
+    return left if len(large) == len(pieces) else Manifold.compose(large)
