@@ -314,6 +314,8 @@ def test_a_marked_radiograph_bears_one_side_marker(field):
     assert letters(pssf.present(taken["none"], look=look)) == 0
     for radiograph in taken.values():
         assert letters(pssf.present(radiograph, look=look, side="right")) == 1
+    of_lead, marked = (pssf.present(taken["R"], look=look, side=side) for side in (None, "right"))
+    assert (marked <= of_lead).all()
 
 
 def test_a_drawn_marker_is_within_a_collimated_field():
