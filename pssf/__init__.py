@@ -36,7 +36,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
-    from .anatomy import BuiltKnee, build
+    from .anatomy import BuiltKnee, SurgeryNotice, build
     from .core.checks import InputError
     from .detector import present
     from .geometry.density import Density, PlaneWaves
@@ -58,7 +58,7 @@ if TYPE_CHECKING:
     from .simulation import KernelNotice, simulate
 
 _WHERE = {
-    "anatomy": ("BuiltKnee", "build"),
+    "anatomy": ("BuiltKnee", "SurgeryNotice", "build"),
     "core.checks": ("InputError",),
     "detector": ("present",),
     "geometry.density": ("Density", "PlaneWaves"),
@@ -96,6 +96,7 @@ __all__ = [
     "Report",
     "Scene",
     "Surface",
+    "SurgeryNotice",
     "Truth",
     "UnverifiedNotice",
     "build",

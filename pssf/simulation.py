@@ -194,13 +194,15 @@ def _known(subject: BuiltKnee | BuiltPair | Scene, protocol: Protocol, keep: Col
     masked = "masks" in keep
     if isinstance(subject, BuiltKnee):
         truth = subject.truth(protocol)
-        return {"knee": subject.knee, "truth": _masked(truth, subject.solids(), protocol) if masked else truth}
+        truth = _masked(truth, subject.solids(), protocol) if masked else truth
+        return {"knee": subject.knee, "truth": truth, "surgery": subject.surgery_table()}
     if isinstance(subject, BuiltPair):
         truths = subject.truths(protocol)
         if masked:
             pairs = zip(truths, subject.solids(), strict=True)
             truths = tuple(_masked(truth, solids, protocol) for truth, solids in pairs)
-        return {"knees": tuple(built.knee for built in subject.knees), "truths": truths}
+        surgery = tuple(step for built in subject.knees for step in built.surgery_table(f"{built.knee.side}_"))
+        return {"knees": tuple(built.knee for built in subject.knees), "truths": truths, "surgery": surgery}
     return {"scene": subject.table()}
 
 

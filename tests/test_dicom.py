@@ -17,7 +17,7 @@ from pssf.io.images import save_parameters
 INTENTS = ("processing", "presentation")
 PROTOCOLS = ("reference", "low_dose", "geometry_shift")
 DETECTORS = {"full": {}, "small": {"rows": 256, "cols": 256, "pixel_mm": 1.2}, "odd": {"rows": 5, "cols": 7}}
-TOLD = ("knee", "knees", "scene", "protocol", "seed", "truth", "truths", "engine", "audit", "versions")
+TOLD = ("knee", "knees", "scene", "surgery", "protocol", "seed", "truth", "truths", "engine", "audit", "versions")
 
 
 def complaints(path):

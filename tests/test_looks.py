@@ -3,6 +3,7 @@ import dataclasses
 import msgspec
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
@@ -240,7 +241,8 @@ def test_a_radiograph_is_shown_by_its_own_detector_pitch_and_field(look):
         },
     )
     radiograph = pssf.simulate(pssf.Knee(), protocol)
-    told = {"detector": "gos", "pixel_mm": 1.2, "field_mm": (120.0, 180.0)}
+    shadow_mm = protocol.focal_spot_mm * (protocol.sdd_mm / 300 - 1) / 2 + 0.5
+    told = {"detector": "gos", "pixel_mm": 1.2, "field_mm": (120.0, 180.0), "shadow_mm": shadow_mm}
     shown = pssf.present(radiograph, look=look)
     assert_array_equal(shown, pssf.present(radiograph.pixels, look=look, **told))
     assert (shown[:, :20] == 0).all()
@@ -269,3 +271,55 @@ def test_pixels_that_are_not_finite_are_counted():
     pixels[3, :4] = np.nan, np.inf, -np.inf, 1.0
     with pytest.raises(InputError, match="pixels: 3 of 65536 are not finite; allowed: finite numbers"):
         pssf.present(pixels)
+
+
+def slab(**changes):
+    """A plate of muscle, larger than any field, with a rod of bone in it."""
+    plate, rod = trimesh.creation.box((400.0, 80.0, 400.0)), trimesh.creation.cylinder(20.0, 390.0)
+    surfaces = [pssf.Surface(plate, "muscle", "air"), pssf.Surface(rod, "cortical_bone", "muscle", name="rod")]
+    scene = pssf.Scene(surfaces)
+    base = dataclasses.replace(pssf.load_protocol("reference"), rows=440, cols=400, noise="none", heel="none")
+    return pssf.simulate(scene, dataclasses.replace(base, pixel_mm=0.4, **changes), engine="scanline")
+
+
+@pytest.mark.parametrize("look", ["linear", "processed", "film"])
+@pytest.mark.parametrize(("focal_spot_mm", "sdd_mm", "detector"), [(0.6, 1150.0, "csi"), (1.2, 1800.0, "gos")])
+def test_no_bright_line_runs_along_the_edge_of_a_collimated_field(look, focal_spot_mm, sdd_mm, detector):
+    changes = {"focal_spot_mm": focal_spot_mm, "sdd_mm": sdd_mm, "detector": detector}
+    radiograph = slab(field_width_mm=100.0, field_height_mm=120.0, **changes)
+    shown = pssf.present(radiograph, look=look).astype(int)
+    shadow_mm = focal_spot_mm * (sdd_mm / 300 - 1) / 2 + 0.5
+    high, wide = (int((whole - 2 * shadow_mm) / 0.4) // 2 for whole in (120.0, 100.0))
+    field = shown[220 - high : 220 + high, 200 - wide : 200 + wide]
+    outside = shown.copy()
+    outside[220 - high : 220 + high, 200 - wide : 200 + wide] = 0
+    assert not outside.any()
+    edges = (field[0], field[-1], field[:, 0], field[:, -1])
+    inner = (field[12], field[-13], field[:, 12], field[:, -13])
+    for edge, line in zip(edges, inner, strict=True):
+        assert np.median(edge) <= np.median(line) + 6
+
+
+def letters(shown):
+    """Number of white letters in a picture, away from its middle, where bone is."""
+    white = shown >= 200
+    white[:, shown.shape[1] // 2 - 80 : shown.shape[1] // 2 + 80] = False
+    return ndimage.label(ndimage.binary_dilation(white, iterations=3))[1]
+
+
+@pytest.mark.parametrize("field", [{}, {"field_width_mm": 110.0, "field_height_mm": 130.0}])
+def test_a_marked_radiograph_bears_one_side_marker(field):
+    taken = {marker: slab(marker=marker, **field) for marker in ("none", "R")}
+    look = looks().film
+    assert letters(pssf.present(taken["none"], look=look)) == 0
+    for radiograph in taken.values():
+        assert letters(pssf.present(radiograph, look=look, side="right")) == 1
+    of_lead, marked = (pssf.present(taken["R"], look=look, side=side) for side in (None, "right"))
+    assert (marked <= of_lead).all()
+
+
+def test_a_drawn_marker_is_within_a_collimated_field():
+    radiograph = slab(field_width_mm=110.0, field_height_mm=130.0)
+    plain, marked = (pssf.present(radiograph, look="film", side=side) for side in (None, "right"))
+    assert (marked != plain).any()
+    assert not (marked != plain)[plain == 0].any()

@@ -16,12 +16,14 @@ texture      that density, of a knee's parameters
 wear         a plateau worn by the femur                        attrition    how deep that is
 contours     projected outlines and the gap between them        truth        labels and landmarks
 landmarks    sixteen places on the contours, as on people's films
+surgery      implants and resections                        surgery_truth labels that are still true after them
 ship         the mean bones as solids, put into the package
 """
 
 from .built import BuiltKnee, build
 from .pair import BuiltPair, build_pair
+from .surgery_truth import SurgeryNotice
 from .texture import make_texture
 from .trabeculae import BONES
 
-__all__ = ["BONES", "BuiltKnee", "BuiltPair", "build", "build_pair", "make_texture"]
+__all__ = ["BONES", "BuiltKnee", "BuiltPair", "SurgeryNotice", "build", "build_pair", "make_texture"]

@@ -28,12 +28,15 @@ from ..model.radiograph import Truth
 from . import bones, small_bones, soft
 from .attrition import attrition_mm
 from .bone_build import build_of
+from .bones import Bone
 from .cysts import CystSolids, cyst_meshes, cysts_of
 from .joint import KneeAssembly, assemble, defining_protocol
 from .plateau import along_plateau, inter_margin_mm
 from .pose import composed
 from .shells import check_nesting, drawn_in, is_nested
 from .solids import checked, mesh_of
+from .surgery import Operable, SurgicalStep, after_surgery
+from .surgery_truth import lost_joint_spaces, replaced_sides, require_bone, surviving_labels
 from .texture import texture_of
 from .tissues import Covered, between, cartilage_of
 from .trabeculae import BONES
@@ -43,7 +46,7 @@ from .wear import worn
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class BuiltKnee:
+class BuiltKnee(Operable):
     """A knee that is built: its scene and its labels cannot be another's.
 
     knee            its parameters
@@ -54,6 +57,7 @@ class BuiltKnee:
     attrition       `wear.attrition_mm` of it; None where that is still to be found
     beam_range_deg  that a protocol's central ray may be tilted by
     cuts            that it is graded by
+    surgery         what was put into it or taken out of it, in order; bones, cysts and attrition are as before
     """
 
     knee: Knee
@@ -64,6 +68,7 @@ class BuiltKnee:
     attrition: Mapping[str, float] | None
     beam_range_deg: Pair
     cuts: OarsiCuts
+    surgery: tuple[SurgicalStep, ...] = ()
 
     def truth(self, protocol: Protocol) -> Truth:
         """Labels and landmarks on a radiograph of it under a protocol; without masks, which `simulate` casts."""
@@ -72,12 +77,17 @@ class BuiltKnee:
 
     def truth_in(self, view: View) -> Truth:
         """The same in a view of one's own, of the knee where its scene has it."""
+        return surviving_labels(self, view) if self.surgery else self.labels_of(self.scene, self.bones, view)
+
+    def labels_of(self, scene: Scene, solids: dict[str, Bone], view: View) -> Truth:
+        """Labels in a view, if the knee has the outer femur and tibia of this scene, and these bones."""
         readings = self._readings
         if self.assembly.posture.is_frontal:
-            truth = labels(self.knee, self.assembly, self.scene, view)
-            readings = {**readings, **truth.readings, "inter_margin_mm": round(self._inter_margin_mm(view), 4)}
+            truth = labels(self.knee, self.assembly, scene, view)
+            margin_mm = inter_margin_mm(self.assembly, mesh_of(solids["tibia"].outer), view)
+            readings = {**readings, **truth.readings, "inter_margin_mm": round(margin_mm, 4)}
         else:
-            truth = turned_labels(self.knee, self.assembly, self.bones, view)
+            truth = turned_labels(self.knee, self.assembly, solids, view)
         return replace(truth, grade=int(readings["XRKL"]), attrition_mm=self._worn_mm, readings=readings)
 
     @cached_property
@@ -97,12 +107,10 @@ class BuiltKnee:
     def inter_margin_mm(self, protocol: Protocol) -> float:
         """Height on the film of the front margin of the medial plateau over its back one, scaled to the joint plane.
 
-        raises  InputError for a view in which the plateau is not seen from the front
+        raises  InputError for a view in which the plateau is not seen from the front, or that surgery has replaced
         """
-        return self._inter_margin_mm(view_of(self.aimed(protocol)))
-
-    def _inter_margin_mm(self, view: View) -> float:
-        return inter_margin_mm(self.assembly, mesh_of(self.bones["tibia"].outer), view)
+        require_bone(self, replaced_sides(self), "plateau")
+        return inter_margin_mm(self.assembly, mesh_of(self.bones["tibia"].outer), view_of(self.aimed(protocol)))
 
     @cached_property
     def _worn_mm(self) -> Mapping[str, float]:
@@ -112,21 +120,31 @@ class BuiltKnee:
     def measured_jsw_mm(self, protocol: Protocol) -> tuple[float, float]:
         """Medial and lateral joint space measured on the projected contours, osteophytes and all.
 
-        raises  InputError for a view that shows none
+        raises  InputError for a view that shows none, as that of a joint that surgery replaced
         """
         if not self.assembly.posture.is_frontal:
             raise InputError(f"projection = {self.assembly.posture.projection!r}; allowed: AP or PA")
-        return measured_jsw_mm(self.knee, self.assembly, self.scene, view_of(self.aimed(protocol)))
+        view = view_of(self.aimed(protocol))
+        require_bone(self, lost_joint_spaces(self, view), "joint space")
+        return measured_jsw_mm(self.knee, self.assembly, self.scene, view)
 
     def osteophytes(self) -> dict[str, Mesh]:
-        """Site -> what an osteophyte adds to its bone, in the knee frame, mm."""
+        """Site -> what an osteophyte adds to its bone, in the knee frame, mm, before surgery."""
         return osteophyte_meshes(self.knee, self.assembly)
 
+    def cyst_meshes(self) -> dict[str, Mesh]:
+        """Site -> cysts there, in the knee frame, mm, before surgery."""
+        return cyst_meshes(self.cysts, self.assembly)
+
     def solids(self) -> dict[str, Mesh]:
-        """Name -> mesh, mm, of each bone, each osteophyte and the cysts of a site: what a mask is made of."""
+        """Name -> mesh, mm, of each bone, osteophyte, cysts of a site and implant: what a mask is made of.
+
+        Of bone it is what surgery has left; what has gone as a whole has no mask.
+        """
         solids = {surface.name: surface.arrays for surface in self.scene.surfaces if surface.name in BONES}
         solids |= {f"{site}_osteophyte": mesh for site, mesh in self.osteophytes().items()}
-        return solids | {f"{site}_cyst": mesh for site, mesh in cyst_meshes(self.cysts, self.assembly).items()}
+        solids |= {f"{site}_cyst": mesh for site, mesh in self.cyst_meshes().items()}
+        return after_surgery(solids, self.scene, self.surgery)
 
     def __copy__(self) -> "BuiltKnee":
         return self
@@ -138,10 +156,11 @@ class BuiltKnee:
         # Solids of manifold3d cannot be sent to a process: they are built again there, by the same steps to the same
         # bytes. Only a scene that was not built so is sent along.
         own = self.__dict__.get("_scene_as_built") is self.scene
-        return build_in, (self.knee, self.assembly.posture, None if own else self.scene)
+        return build_in, (self.knee, self.assembly.posture, None if own else self.scene, self.surgery)
 
     def __repr__(self) -> str:
-        return f"BuiltKnee({self.knee!r}, {len(self.scene.surfaces)} surfaces)"
+        after = "".join(f", {step.name}" for step in self.surgery)
+        return f"BuiltKnee({self.knee!r}, {len(self.scene.surfaces)} surfaces{after})"
 
 
 def build(knee: Knee, protocol: Protocol | None = None) -> BuiltKnee:
@@ -160,8 +179,10 @@ def build(knee: Knee, protocol: Protocol | None = None) -> BuiltKnee:
 
 
 @one_blas_thread()
-def build_in(knee: Knee, posture: Posture, other: Scene | None = None) -> BuiltKnee:
-    """Build a knee in a posture, as `build` does; with another scene instead of its own, if one is given."""
+def build_in(
+    knee: Knee, posture: Posture, other: Scene | None = None, surgery: tuple[SurgicalStep, ...] = ()
+) -> BuiltKnee:
+    """Build a knee in a posture, as `build` does; with another scene and its surgery instead, if one is given."""
     form = build_of(knee, anatomy_tables())
     bones.prepare(form)
     # What gives the scene no solid is done beside: two threads that did would leave the order of triangles to chance.
@@ -185,7 +206,7 @@ def build_in(knee: Knee, posture: Posture, other: Scene | None = None) -> BuiltK
         cuts=oarsi_cuts(),
     )
     object.__setattr__(built, "_scene_as_built", scene)
-    return built if other is None else replace(built, scene=other)
+    return built if other is None else replace(built, scene=other, surgery=surgery)
 
 
 def _attrition_mm(knee: Knee, assembly: KneeAssembly, worn: bool) -> Mapping[str, float] | None:

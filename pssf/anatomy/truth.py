@@ -1,6 +1,6 @@
 """What is known about the radiograph of a built knee: joint spaces, landmarks, and where its osteophytes are."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from manifold3d import Manifold, OpType
@@ -165,9 +165,18 @@ def _jsw_at_mm(
 
 def _widest(knee: Knee, assembly: KneeAssembly, view: View) -> dict[str, tuple[float, float]]:
     """Where the bones are widest, without their osteophytes."""
+    return {name: _place(seen) for name, seen, _ in _widest_vertices(knee, assembly, view)}
+
+
+def widest(knee: Knee, assembly: KneeAssembly, view: View) -> dict[str, Array]:
+    """Name -> (3,) where the bones are widest in a view, without their osteophytes: places in the knee frame, mm."""
+    return {name: place for name, _, place in _widest_vertices(knee, assembly, view)}
+
+
+def _widest_vertices(knee: Knee, assembly: KneeAssembly, view: View) -> Iterator[tuple[str, Array, Array]]:
+    """Name, (row, column) and place (3,) in the knee frame."""
     build, medial, lean = assembly.build, _medial(knee), _lean_deg(knee, assembly)
     femur, tibia = (mesh_of(bone.outer) for bone in (build.mean_femur, build.mean_tibia))
-    spots: dict[str, tuple[float, float]] = {}
     for side, sign in (("medial", +1), ("lateral", -1)):
         for name, mesh, band, move in (
             ("epicondyle", femur, _EPICONDYLES, assembly.femur_mm),
@@ -176,10 +185,11 @@ def _widest(knee: Knee, assembly: KneeAssembly, view: View) -> dict[str, tuple[f
         ):
             points = mesh.vertices
             near = (points[:, 2] > band[0]) & (points[:, 2] < band[1]) & (points[:, 0] * sign > 0)
-            seen = project(move(points[near]) * assembly.mirror, view)
+            places = move(points[near]) * assembly.mirror
+            seen = project(places, view)
             upright = turned_px(seen, view, -lean)
-            spots[f"{side}_{name}"] = _place(seen[(upright[:, 1] * sign * medial).argmax()])
-    return spots
+            number = (upright[:, 1] * sign * medial).argmax()
+            yield f"{side}_{name}", seen[number], places[number]
 
 
 def _place(seen: Array) -> tuple[float, float]:

@@ -58,6 +58,7 @@ class _Described(Record, frozen=True):
     knees: tuple[dict[str, Any], ...] = ()
     truths: tuple[_Truth, ...] = ()
     scene: dict[str, Any] | None = None
+    surgery: tuple[dict[str, Any], ...] = ()
 
 
 def as_json(radiograph: Radiograph, indent: int | None = None) -> str:
@@ -84,6 +85,7 @@ def parameters(text: str, path: Path) -> dict[str, Any]:
         "knees": tuple(knee_from(table, where) for table in described.knees),
         "truths": tuple(_truth(one, path) for one in described.truths),
         "scene": described.scene,
+        "surgery": described.surgery,
         "knee": None if described.knee is None else knee_from(described.knee, where),
         "truth": None if described.truth is None else _truth(described.truth, path),
         "engine": described.engine,
@@ -191,6 +193,7 @@ def _fields(radiograph: Radiograph) -> dict[str, Any]:
         "knee": None if radiograph.knee is None else knee_table(radiograph.knee),
         **(both if radiograph.knees else {}),
         **({} if radiograph.scene is None else {"scene": dict(radiograph.scene)}),
+        **({"surgery": [dict(step) for step in radiograph.surgery]} if radiograph.surgery else {}),
         "seed": radiograph.seed,
         "truth": None if radiograph.truth is None else _truth_table(radiograph.truth),
         "engine": radiograph.engine,

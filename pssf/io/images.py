@@ -138,7 +138,7 @@ def require_no_other(radiograph: Radiograph, paths: Iterable[str | Path]) -> Non
     for path in map(Path, paths):
         if path.exists():
             made = load_parameters(path)
-            for name in ("protocol", "knee", "knees", "scene", "seed"):
+            for name in ("protocol", "knee", "knees", "scene", "surgery", "seed"):
                 if made[name] != getattr(radiograph, name):
                     raise InputError(f"file {path}: is there, of another {name}; allowed: another folder, or delete it")
 
@@ -161,8 +161,10 @@ def load(path: str | Path) -> Radiograph:
 
 
 def load_parameters(path: str | Path) -> dict[str, Any]:
-    """What a radiograph on disk was made from: protocol, knee, knees or scene, seed, truth or truths, engine,
+    """What a radiograph on disk was made from: protocol, knee, knees or scene, surgery, seed, truth or truths, engine,
     audit, versions.
+
+    Of a knee with implants, or of a scene, the file has hashes of the meshes and not the meshes.
 
     path    what `save` or `save_parameters` wrote, of any suffix and intent
     raises  InputError for a file that is missing, damaged, edited, or not written by this package

@@ -44,6 +44,11 @@ def write(radiograph: Radiograph, description: str, masks: Masks, path: Path) ->
     item.SegmentSequence = [
         _segment(k, name, side, item.SoftwareVersions, code) for k, name in enumerate(masks, start=1)
     ]
+    implants = {step["name"] for step in radiograph.surgery}
+    for segment in item.SegmentSequence:
+        if segment.SegmentLabel in implants:
+            segment.SegmentedPropertyCategoryCodeSequence = [code("physical_object")]
+            segment.SegmentedPropertyTypeCodeSequence = [code("implant")]
     series = {
         "SeriesInstanceUID": uids["processing series"],
         "ReferencedInstanceSequence": [dicom.reference(uids, tables)],

@@ -78,6 +78,8 @@ class Radiograph:
     knees     right and left, where both were taken together; else none
     truths    labels of either, likewise
     scene     of a scene of one's own its materials and a hash of each mesh; else None
+    surgery   what was put into the knee or taken out of it, in order: step, name, material, size and hash of the mesh;
+              of two knees the name begins with the side. The meshes themselves are the user's to keep
     engine    that cast its rays
     audit     what it found and mended; see `raycast.Audit`
     versions  of the package and of what the pixels depend on
@@ -94,6 +96,7 @@ class Radiograph:
     knees: tuple[Knee, ...] = ()
     truths: tuple[Truth, ...] = ()
     scene: Mapping[str, Any] | None = None
+    surgery: tuple[Mapping[str, Any], ...] = ()
     engine: str = "embree"
     audit: Mapping[str, int] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
@@ -103,7 +106,7 @@ class Radiograph:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Radiograph):
             return NotImplemented
-        names = ("protocol", "seed", "knee", "truth", "knees", "truths", "scene", "engine", "versions")
+        names = ("protocol", "seed", "knee", "truth", "knees", "truths", "scene", "surgery", "engine", "versions")
         same = all(getattr(self, name) == getattr(other, name) for name in names)
         return same and np.array_equal(self.pixels, other.pixels)
 

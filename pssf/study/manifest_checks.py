@@ -1,6 +1,7 @@
 """Checks of the values of a manifest, row by row, whoever made it: the same as of tables on the command line."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -50,10 +51,14 @@ def require_manifest(manifest: Any, called: str = "manifest") -> pd.DataFrame:
     _each(manifest, "grade", called, _require_grade)
     _each(manifest, "side", called, lambda name, value: require_choice(name, value, SIDES))
     for name, (low, high) in _LENGTHS_MM.items():
-        _each(manifest, name, called, lambda name, value, low=low, high=high: require(name, value, low, high, "mm"))
+        _each(manifest, name, called, partial(_require_length, low=low, high=high))
     for name in _OPTIONAL:
         _each(manifest, name, called, _require_number)
     return manifest.assign(grade=manifest["grade"].astype("int64")) if "grade" in manifest else manifest
+
+
+def _require_length(name: str, value: Any, *, low: float, high: float) -> None:
+    require(name, value, low, high, "mm")
 
 
 def _each(manifest: pd.DataFrame, column: str, called: str, check: Callable[[str, Any], None]) -> None:

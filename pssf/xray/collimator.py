@@ -16,6 +16,11 @@ def is_collimated(protocol: Protocol) -> bool:
     return protocol.field_width_mm > 0 or protocol.field_height_mm > 0
 
 
+def penumbra_mm(protocol: Protocol) -> float:
+    """Give the width on the detector of the half-shadow of a leaf, which the focal spot's size makes, in mm."""
+    return protocol.focal_spot_mm * max(protocol.sdd_mm / _LEAVES_MM - 1.0, 0.0)
+
+
 def field_of_view(technique: Technique) -> NDArray[np.float32]:
     """(rows, cols)  share of the focal spot that a pixel sees between the leaves
 
@@ -29,7 +34,7 @@ def field_of_view(technique: Technique) -> NDArray[np.float32]:
 def open_shares(technique: Technique, step: int) -> tuple[Array, Array]:
     """(ceil(rows/step),), (ceil(cols/step),)  shares of the spot seen from rows and columns of cells of pixels"""
     protocol, view = technique.protocol, technique.view
-    penumbra = protocol.focal_spot_mm * max(protocol.sdd_mm / _LEAVES_MM - 1.0, 0.0)
+    penumbra = penumbra_mm(protocol)
     shares = []
     for count, wide_mm in ((view.rows, protocol.field_height_mm), (view.cols, protocol.field_width_mm)):
         places = np.minimum((np.arange(-(-count // step)) + 0.5) * step - 0.5, count - 1)

@@ -1,0 +1,77 @@
+"""A total knee replacement: femoral component, tibial tray and polyethylene bearing, shaped to the bones."""
+
+import dataclasses
+import warnings
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from manifold3d import CrossSection, Manifold, Mesh64
+
+import pssf
+from pssf.io.pictures import heat, panel, side_by_side
+
+# Cuts of the femur from front to back, y and z in mm; height of the tibial cut, thickness of the tray.
+CUTS_MM = [(-24, 99), (-24, 24), (-15, 12), (14, 12), (22, 20), (22, 99)]
+TIBIAL_CUT_MM, TRAY_MM, FLANGE_MM = -9.0, 4.0, 46.0
+
+
+def solid_of(built: pssf.BuiltKnee, name: str) -> Manifold:
+    """Give a surface of a built knee as a solid."""
+    mesh = next(surface.arrays for surface in built.scene.surfaces if surface.name == name)
+    return Manifold(Mesh64(np.ascontiguousarray(mesh.vertices), mesh.faces.astype(np.uint64)))
+
+
+def mesh_of(solid: Manifold) -> trimesh.Trimesh:
+    """Give a solid as a mesh."""
+    mesh = solid.to_mesh64()
+    return trimesh.Trimesh(mesh.vert_properties[:, :3], mesh.tri_verts)
+
+
+def components(built: pssf.BuiltKnee) -> tuple[Manifold, Manifold, Manifold, Manifold]:
+    """Give the tibial bone to take away, femoral component, tray with its stem, and bearing."""
+    femur = solid_of(built, "femur") + solid_of(built, "femur_cartilage")
+    profile = CrossSection([CUTS_MM])
+    core = Manifold.extrude(profile, 200).rotate((90, 0, 90)).translate((-100, 0, 0))
+    femoral = (femur - core).trim_by_plane((0, 0, -1), -FLANGE_MM)
+    femoral = (femoral ^ Manifold.cube((72, 200, 200), True)).decompose()
+    femoral = max(femoral, key=lambda piece: piece.volume())
+    plateau = solid_of(built, "tibia").slice(TIBIAL_CUT_MM)
+    bone = Manifold.cube((110, 110, 24), True).translate((0, 0, TIBIAL_CUT_MM + 12)) - femur - femoral
+    tray = Manifold.extrude(plateau, TRAY_MM).translate((0, 0, TIBIAL_CUT_MM))
+    stem = Manifold.cylinder(42, 5, 8, 48).translate((0, -4, TIBIAL_CUT_MM - 42 + 0.1))
+    fins = Manifold.cube((40, 3, 14), True).translate((0, -4, TIBIAL_CUT_MM - 6.9))
+    bearing = Manifold.extrude(plateau.offset(-1.5), 13.0 - TRAY_MM).translate((0, 0, TIBIAL_CUT_MM + TRAY_MM))
+    return bone, femoral, tray + stem + fins, bearing - femur - femoral
+
+
+def run(out: Path, pixels: int = 2048) -> list[Path]:
+    """Write radiographs before and after, and the path through metal, as one PNG; `pixels` is the detector's side."""
+    knee = pssf.Knee(jsw_medial_mm=3.0, varus_deg=3.0, osteophytes=(pssf.Osteophyte(site="medial_tibia", size_mm=3.0),))
+    built = pssf.build(knee)
+    bone, femoral, tray, bearing = components(built)
+    replaced = (
+        built.resect(mesh_of(bone), name="tibial_cut")
+        .insert(mesh_of(femoral), "cobalt_chromium", name="femoral_component")
+        .insert(mesh_of(tray), "titanium_alloy", name="tibial_tray")
+        .insert(mesh_of(bearing), "polyethylene", name="bearing")
+    )
+    reference = pssf.load_protocol("reference")
+    protocol = dataclasses.replace(reference, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
+    before = pssf.simulate(built, protocol, seed=1)
+    with warnings.catch_warnings():
+        # There is no joint space between bones any more, and the radiograph's truth has none.
+        warnings.simplefilter("ignore", pssf.SurgeryNotice)
+        after = pssf.simulate(replaced, protocol, seed=1, keep=("path_mm",))
+    print("joint space before", before.truth.jsw_medial_mm, "and after", after.truth.jsw_medial_mm)
+    for step in after.surgery:
+        print(step["step"], step["name"], step["material"] or "")
+    part = np.s_[pixels // 4 : pixels * 3 // 4, pixels * 3 // 10 : pixels * 7 // 10]
+    shown = [panel(pssf.present(one)[part], 500, 400, text) for one, text in ((before, "before"), (after, "after"))]
+    metal_mm = after.kept["path_mm"]["cobalt_chromium"] + after.kept["path_mm"]["titanium_alloy"]
+    shown.append(panel(heat(metal_mm[part], 40.0), 500, 400, "both metals, 0 to 40 mm"))
+    return [side_by_side(shown, out / "knee_replacement.png")]
+
+
+if __name__ == "__main__":
+    run(Path(__file__).parent)

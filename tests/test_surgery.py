@@ -1,0 +1,379 @@
+"""Implants and resections: path lengths, densities, labels and masks of a knee after surgery."""
+
+import dataclasses
+import pickle
+import warnings
+from functools import cache
+
+import numpy as np
+import pytest
+import trimesh
+from brute_rays import BruteRays
+from manifold3d import Manifold
+
+import pssf
+from pssf.anatomy.solids import mesh_of, solid_of
+
+LEFT = pssf.Knee(
+    side="left",
+    osteophytes=(pssf.Osteophyte(site="medial_tibia", size_mm=3.0),),
+    cysts=(pssf.Cyst(site="lateral_tibia", diameter_mm=6.0),),
+    jsw_medial_mm=3.0,
+)
+VIEWS = {
+    "straight": {"beam_angle_deg": 0.0},
+    "tilted": {"beam_angle_deg": 10.0, "sdd_mm": 1300.0},
+}
+
+
+def protocol_of(name="reference", pixels=96, field_mm=154.0, **changes):
+    changes = {"rows": pixels, "cols": pixels, "pixel_mm": field_mm / pixels, **changes}
+    return dataclasses.replace(pssf.load_protocol(name), **changes)
+
+
+@cache
+def knee(name):
+    return pssf.build({"right": pssf.Knee(), "left": LEFT}[name])
+
+
+def rod(start, end, radius, sections=24):
+    return trimesh.creation.cylinder(radius=radius, segment=[start, end], sections=sections)
+
+
+def box(*bounds):
+    return trimesh.creation.box(bounds=bounds)
+
+
+def outer(built, name):
+    vertices, faces = next(s for s in built.scene.surfaces if s.name == name).arrays
+    return solid_of(vertices, faces, name)
+
+
+def femoral_component(built):
+    """The end of the femur beyond a box, so that it shares faces with the bone."""
+    low, high = (-60, -20, 10), (60, 12, 90)
+    cut = Manifold.cube(tuple(np.subtract(high, low))).translate(low)
+    return (outer(built, "femur") - cut).trim_by_plane((0, 0, -1), -26).decompose()[0]
+
+
+def screw(built):
+    return [(rod((-48, 2, 12), (44, -4, 21), 2.3), "titanium_alloy")]
+
+
+def plate_and_screws(built):
+    side = 1 if built.knee.side == "right" else -1
+    plate = box((-46, -14, -60), (-34, 8, -14)) if side > 0 else box((34, -14, -60), (46, 8, -14))
+    screws = [rod((-55 * side, 0, z), (30 * side, 2, z - 3), 2.0) for z in (-20, -32)]
+    return [(plate, "stainless_steel"), *((one, "Ti@4.51") for one in screws)]
+
+
+def nail(built):
+    return [(rod((0, -8, -165), (0, -14, 4), 5.5), "titanium_alloy")]
+
+
+def pin_through_the_skin(built):
+    return [(rod((-110, 3, -40), (110, -5, -28), 2.5), "stainless_steel")]
+
+
+def pins_within_bone(built):
+    """One in trabecular bone alone, and one in trabecular bone and marrow."""
+    return [
+        (rod((-20, -4, 22), (20, -6, 24), 3.0), "cobalt_chromium"),
+        (rod((-9, -6, -38), (9, -6, -41), 3), "Ti@4.51"),
+    ]
+
+
+def knee_replacement(built):
+    component = mesh_of(femoral_component(built))
+    return [
+        (box((-60, -50, -9), (60, 50, 2.6)), None),
+        (component, "cobalt_chromium"),
+        (box((-34, -22, -9), (34, 20, -5)), "titanium_alloy"),
+        (rod((0, 0, -45), (0, 0, -6), 6.0), "titanium_alloy"),
+        (box((-33, -21, -5), (33, 19, 1)), "polyethylene"),
+    ]
+
+
+OPERATIONS = (screw, plate_and_screws, nail, pin_through_the_skin, pins_within_bone, knee_replacement)
+
+
+def operated(built, steps):
+    for number, (mesh, material) in enumerate(steps):
+        name = f"step_{number}"
+        built = built.resect(mesh, name=name) if material is None else built.insert(mesh, material, name=name)
+    return built
+
+
+@cache
+def brute(name, view):
+    """Rays through the joint and its surroundings, crossed with the knee as it is."""
+    protocol = protocol_of(pixels=24, field_mm=115.0, **VIEWS[view])
+    rng = np.random.default_rng(5)
+    return protocol, BruteRays(knee(name).scene, protocol, np.sort(rng.choice(24 * 24, 60, replace=False)))
+
+
+@pytest.mark.parametrize("operation", OPERATIONS, ids=lambda one: one.__name__)
+@pytest.mark.parametrize(("name", "view"), [("right", "straight"), ("right", "tilted"), ("left", "tilted")])
+@pytest.mark.parametrize("texture", [True, False])
+def test_paths_are_those_of_a_sum_in_which_the_implant_wins(operation, name, view, texture):
+    protocol, rays = brute(name, view)
+    steps = operation(knee(name))
+    built = operated(knee(name), steps)
+    wanted, even = rays.paths(steps, texture=texture)
+    assert even.mean() > 0.97
+    for engine in ("embree", "scanline"):
+        paths = pssf.trace(built, protocol, engine=engine, precision="float64", texture=texture)
+        assert paths.audit.unrepaired == 0
+        for material, path_mm in paths.path_mm.items():
+            expected = wanted.get(material, np.zeros(len(even)))
+            apart_mm = np.abs(path_mm.ravel()[rays.pixels] - expected)[even]
+            assert apart_mm.max() < 1e-6, (engine, material)
+    metals = {material for _, material in steps if material}
+    assert all(wanted[metal][even].max() > 0 for metal in metals)
+
+
+def test_an_implant_within_bone_changes_no_label():
+    whole, drilled = knee("right"), operated(knee("right"), screw(knee("right")))
+    for name in ("reference", "fixed_flexion"):
+        protocol = protocol_of(name)
+        built = whole if name == "reference" else pssf.build(pssf.Knee(), protocol)
+        after = drilled if name == "reference" else operated(built, screw(built))
+        assert after.truth(protocol) == built.truth(protocol)
+        assert after.measured_jsw_mm(protocol) == built.measured_jsw_mm(protocol)
+
+
+def test_a_replaced_joint_has_no_joint_space_and_no_grade():
+    graded = dataclasses.replace(pssf.draw_knee(grade=2, rng=np.random.default_rng(4)), side="left")
+    whole = pssf.build(graded)
+    after = operated(whole, knee_replacement(whole))
+    protocol = protocol_of()
+    before = whole.truth(protocol)
+    with pytest.warns(pssf.SurgeryNotice, match="medial and lateral"):
+        truth = after.truth(protocol)
+    assert before.grade == 2
+    assert (truth.grade, truth.grade_read) == (None, None)
+    assert (truth.jsw_medial_mm, truth.jsw_lateral_mm) == (None, None)
+    assert not truth.jsw_at_mm
+    assert not truth.attrition_mm
+    assert not [name for name in truth.readings if name.startswith("XR") or "jsw" in name]
+    assert "inter_margin_mm" not in truth.readings
+    assert truth.readings["femorotibial_deg"] == before.readings["femorotibial_deg"]
+    for gone in ("joint_centre", "medial_joint_line", "tibia_medial_1", "medial_spine", "medial_plateau_edge"):
+        assert gone not in truth.landmarks_px
+    assert truth.landmarks_px["medial_epicondyle"] == before.landmarks_px["medial_epicondyle"]
+    with pytest.raises(pssf.InputError, match="joint space must be of bones that are seen"):
+        after.measured_jsw_mm(protocol)
+    with pytest.raises(pssf.InputError, match="plateau must be of bones"):
+        after.inter_margin_mm(protocol)
+
+
+def test_one_side_can_be_replaced_and_the_other_keeps_its_labels():
+    whole = knee("right")
+    after = whole.insert(box((8, -30, -8), (45, 25, 4)), "cobalt_chromium", name="unicondylar")
+    with pytest.warns(pssf.SurgeryNotice, match="replaces the medial joint"):
+        truth = after.truth(protocol_of())
+    before = whole.truth(protocol_of())
+    assert truth.jsw_medial_mm is None
+    assert truth.jsw_lateral_mm == before.jsw_lateral_mm
+    assert truth.jsw_at_mm == {at: mm for at, mm in before.jsw_at_mm.items() if at > 0.5}
+    assert truth.readings["XRJSL"] == before.readings["XRJSL"]
+    assert not {"XRJSM", "XRSCFM", "XROSTM", "jsw_least_medial_mm"} & set(truth.readings)
+    assert truth.landmarks_px["tibia_lateral_1"] == before.landmarks_px["tibia_lateral_1"]
+
+
+def test_metal_before_the_joint_hides_its_space_in_that_view_alone():
+    whole = knee("right")
+    # In the muscle behind the joint, clear of both bones.
+    after = whole.insert(box((15, 38, -3), (25, 41, 8)), "titanium_alloy", name="clip")
+    with pytest.warns(pssf.SurgeryNotice, match="covers the medial joint space in this view"):
+        truth = after.truth(protocol_of())
+    before = whole.truth(protocol_of())
+    assert truth.jsw_medial_mm is None
+    assert truth.landmarks_px == before.landmarks_px
+    assert truth.readings["XRJSM"] == before.readings["XRJSM"]
+    above = protocol_of(beam_angle_deg=-14.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", pssf.SurgeryNotice)
+        assert after.truth(above) == whole.truth(above)
+
+
+def test_labels_from_the_side_are_those_of_the_bone_that_is_left():
+    protocol = protocol_of("lateral")
+    whole = pssf.build(pssf.Knee(), protocol)
+    high = whole.scene.bounds_mm[1]
+    # Seen from the side x of the leg is along the beam, whatever its sign; the plateau lies about z = 0.
+    after = whole.resect(box((-high[0], -high[1], -12), (high[0], high[1], 3)), name="cut")
+    with pytest.warns(pssf.SurgeryNotice):
+        truth = after.truth(protocol)
+    before = whole.truth(protocol)
+    assert "medial_plateau_anterior" not in truth.landmarks_px
+    assert truth.landmarks_px["patella_apex"] == before.landmarks_px["patella_apex"]
+    assert truth.jsw_medial_mm is None
+
+
+def test_an_osteophyte_that_is_taken_away_has_neither_mask_nor_grade():
+    whole = knee("left")
+    places = whole.osteophytes()["medial_tibia"].vertices
+    low, high = places.min(axis=0) - 0.5, places.max(axis=0) + 0.5
+    assert "medial_tibia_osteophyte" in whole.solids()
+    assert "medial_tibia_osteophyte" not in whole.resect(box(low, high), name="trim").solids()
+
+
+def test_an_osteophyte_that_is_cut_has_a_smaller_mask_and_no_grade():
+    whole = knee("left")
+    mesh = whole.osteophytes()["medial_tibia"]
+    tip = mesh.vertices[mesh.vertices[:, 0].argmin()]  # medial of a left knee
+    after = whole.resect(box(tip - 1.5, tip + 1.5), name="trim")
+    left = after.solids()["medial_tibia_osteophyte"]
+    assert 0 < left.as_trimesh().volume < 0.99 * mesh.as_trimesh().volume
+    before, truth = (built.truth(protocol_of()) for built in (whole, after))
+    assert set(before.readings) - set(truth.readings) == {"XROSTM"}
+    assert truth.jsw_medial_mm == before.jsw_medial_mm
+
+
+def test_masks_have_the_implant_and_the_bone_that_is_left(tmp_path):
+    whole = knee("right")
+    steps = knee_replacement(whole)
+    after = operated(whole, steps)
+    protocol = protocol_of(pixels=128)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", pssf.SurgeryNotice)
+        radiograph = pssf.simulate(after, protocol, keep=("masks", "path_mm"), engine="scanline")
+    masks, paths = radiograph.truth.masks, radiograph.kept["path_mm"]
+    assert (masks["step_1"] == (paths["cobalt_chromium"] > 0)).mean() > 0.9999
+    bone = paths["cortical_bone"] + paths["trabecular_bone"] + paths["marrow"] > 1e-3
+    seen = np.any([masks[name] for name in ("femur", "tibia", "fibula", "patella")], axis=0)
+    assert (bone & ~seen).sum() <= 2
+    # Rays that meet nothing but a hairline or metal: what is seen of bone is what there is.
+    assert (seen & ~bone).mean() < 0.002
+    for suffix in ("tif", "dcm"):
+        path = pssf.save_masks(radiograph, tmp_path / f"masks.{suffix}")
+        loaded = pssf.load_masks(path)
+        assert list(loaded) == list(masks)
+        assert all(np.array_equal(loaded[name], masks[name]) for name in masks)
+
+
+def test_the_segmentation_calls_an_implant_a_physical_object(tmp_path):
+    import pydicom
+
+    after = operated(knee("right"), screw(knee("right")))
+    radiograph = pssf.simulate(after, protocol_of(), keep=("masks",), engine="scanline")
+    segments = pydicom.dcmread(pssf.save_masks(radiograph, tmp_path / "masks.dcm")).SegmentSequence
+    codes = {one.SegmentLabel: one.SegmentedPropertyTypeCodeSequence[0].CodeMeaning for one in segments}
+    assert codes["step_0"] == "Implant"
+    assert codes["femur"] == "Femur"
+
+
+def test_a_radiograph_says_which_implants_it_was_made_with(tmp_path):
+    built, protocol = knee("right"), protocol_of()
+    after = built.insert(screw(built)[0][0], "titanium_alloy", name="screw")
+    radiograph = pssf.simulate(after, protocol, seed=3, engine="scanline")
+    (step,) = radiograph.surgery
+    assert (step["step"], step["name"], step["material"]) == ("insert", "screw", "titanium_alloy")
+    for suffix in ("tif", "dcm"):
+        loaded = pssf.load(pssf.save(radiograph, tmp_path / f"one.{suffix}"))
+        assert loaded == radiograph
+        assert loaded.surgery == radiograph.surgery
+    again = built.insert(screw(built)[0][0], "titanium_alloy", name="screw")
+    assert pssf.simulate(again, protocol, seed=3, engine="scanline") == radiograph
+    other = pssf.simulate(built, protocol, seed=3, engine="scanline")
+    assert other != radiograph
+    assert dataclasses.replace(other, pixels=radiograph.pixels) != radiograph
+    longer = rod((-48, 2, 12), (40, -4, 21), 2.3)
+    assert built.insert(longer, "titanium_alloy", name="screw").surgery_table() != after.surgery_table()
+
+
+def test_a_saved_radiograph_is_not_written_over_by_one_with_an_implant(tmp_path):
+    built, protocol = knee("right"), protocol_of()
+    from pssf.io.images import save_kinds
+
+    save_kinds(pssf.simulate(built, protocol, engine="scanline"), tmp_path / "one", ("tif",))
+    after = pssf.simulate(operated(built, screw(built)), protocol, engine="scanline")
+    with pytest.raises(pssf.InputError, match="another surgery"):
+        save_kinds(after, tmp_path / "one", ("tif",))
+
+
+def test_a_knee_without_surgery_says_nothing_of_it(tmp_path):
+    radiograph = pssf.simulate(knee("right"), protocol_of(), engine="scanline")
+    assert radiograph.surgery == ()
+    from pssf.io.description import as_json
+
+    assert "surgery" not in as_json(radiograph)
+
+
+def test_of_two_knees_each_keeps_its_implants():
+    protocol = protocol_of("bilateral", pixels=128, field_mm=400.0)
+    right, left = (pssf.build(pssf.Knee(side=side), protocol) for side in ("right", "left"))
+    pair = (right.insert(rod((-30, 0, 20), (30, 0, 25), 3), "titanium_alloy", name="screw"), left)
+    radiograph = pssf.simulate(pair, protocol, keep=("masks",), engine="scanline")
+    assert [step["name"] for step in radiograph.surgery] == ["right_screw"]
+    assert "screw" in radiograph.truths[0].masks
+    assert "screw" not in radiograph.truths[1].masks
+
+
+def test_a_copied_knee_keeps_its_implants_or_says_why_not():
+    after = operated(knee("right"), screw(knee("right")))
+    try:
+        copied = pickle.loads(pickle.dumps(after))
+    except Exception:
+        return
+    assert copied.surgery_table() == after.surgery_table()
+    assert len(copied.scene.surfaces) == len(after.scene.surfaces)
+
+
+def test_an_inverted_implant_is_mended_with_a_notice():
+    inverted = rod((-40, 0, 12), (40, 0, 15), 3.0)
+    inverted.invert()
+    after = knee("right").insert(inverted, "titanium_alloy")
+    with pytest.warns(pssf.MeshNotice, match="implant: mesh is inside out"):
+        paths = pssf.trace(after, protocol_of(), engine="scanline")
+    assert paths.path_mm["titanium_alloy"].max() == pytest.approx(6.0, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "changes", "text"),
+    [
+        (trimesh.Trimesh(*(lambda m: (m.vertices, m.faces[1:]))(box((0, 0, 0), (5, 5, 5)))), {}, "edges of a hole"),
+        (trimesh.util.concatenate([box((0, 0, 0), (5, 5, 5)), box((3, 3, 3), (8, 8, 8))]), {}, "do not overlap"),
+        (box((0, 0, 0), (5, 5, 5)), {"name": "femur"}, "name must be new to the knee"),
+        (box((0, 0, 0), (5, 5, 5)), {"name": "medial_tibia_osteophyte"}, "name must be 1 to 50"),
+        (box((0, 0, 0), (5, 5, 5)), {"name": "a screw"}, "name must be 1 to 50"),
+        (box((0, 0, 0), (5, 5, 5)), {"material": ""}, "material must be the name"),
+        ("screw.stl", {}, "mesh must be a trimesh.Trimesh"),
+    ],
+)
+def test_what_is_no_implant_is_refused(mesh, changes, text):
+    with pytest.raises(pssf.InputError, match=text) as caught:
+        knee("right").insert(mesh, **{"material": "titanium_alloy", **changes})
+    assert "\n" not in str(caught.value)
+
+
+def test_a_resection_that_meets_no_bone_is_refused():
+    with pytest.raises(pssf.InputError, match="must meet bone"):
+        knee("right").resect(box((500, 0, 0), (505, 5, 5)))
+
+
+def test_a_mesh_changed_after_it_was_inserted_changes_nothing():
+    mesh = rod((-40, 0, 12), (40, 0, 15), 3.0)
+    after = knee("right").insert(mesh, "titanium_alloy")
+    table = after.surgery_table()
+    mesh.apply_translation((0, 0, 50))
+    assert after.surgery_table() == table
+
+
+@pytest.mark.parametrize("operation", OPERATIONS, ids=lambda one: one.__name__)
+def test_check_has_nothing_against_a_knee_with_implants(operation):
+    built = operated(knee("right"), operation(knee("right")))
+    assert str(pssf.check(built)) == "no faults"
+
+
+def test_bone_that_is_resected_around_an_implant_leaves_the_implant():
+    built = knee("right").insert(rod((-20, 0, 14), (20, 0, 14), 2), "titanium_alloy", name="pin")
+    after = built.resect(box((-60, -60, 5), (0, 60, 40)), name="cut")
+    steps = [(rod((-20, 0, 14), (20, 0, 14), 2), "titanium_alloy"), (box((-60, -60, 5), (0, 60, 40)), None)]
+    protocol, rays = brute("right", "straight")
+    wanted, even = rays.paths(steps, texture=True)
+    paths = pssf.trace(after, protocol, precision="float64")
+    for material, path_mm in paths.path_mm.items():
+        expected = wanted.get(material, np.zeros(len(even)))
+        assert np.abs(path_mm.ravel()[rays.pixels] - expected)[even].max() < 1e-6, material
