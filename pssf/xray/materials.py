@@ -1,6 +1,7 @@
 """Attenuation of tissues, metals and compounds (xraylib)."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from functools import cache
 from typing import NamedTuple
 
@@ -69,6 +70,12 @@ def attenuation_per_mm(material: Material, energies_kev: Array) -> Array:
     return material.density_g_per_cm3 * _mass_attenuation(material.elements, energies_kev) * _CM_PER_MM
 
 
+def edges_kev(materials: Iterable[Material]) -> tuple[float, ...]:
+    """List the energies of the K and L absorption edges of all elements of some materials, in keV, ascending."""
+    numbers = {z for material in materials for z, _ in material.elements}
+    return tuple(sorted({energy for z in numbers for energy in _edges_of(z)}))
+
+
 def absorbed_fraction(formula: str, mg_per_cm2: float, energies_kev: Array) -> Array:
     """(bins,)  photons that interact, other than coherently, in a layer of a compound
 
@@ -78,6 +85,16 @@ def absorbed_fraction(formula: str, mg_per_cm2: float, energies_kev: Array) -> A
     parts = zip(compound["Elements"], compound["massFractions"], strict=True)
     mu = sum(w * np.array([xraylib.CS_Photo(z, e) + xraylib.CS_Compt(z, e) for e in energies_kev]) for z, w in parts)
     return 1 - np.exp(-mu * mg_per_cm2 / 1000)
+
+
+@cache
+def _edges_of(z: int) -> tuple[float, ...]:
+    """K and L edges of an element, in keV; light elements have no L edges in xraylib's tables."""
+    energies = []
+    for shell in (xraylib.K_SHELL, xraylib.L1_SHELL, xraylib.L2_SHELL, xraylib.L3_SHELL):
+        with suppress(ValueError):
+            energies.append(float(xraylib.EdgeEnergy(z, shell)))
+    return tuple(energies)
 
 
 @cache

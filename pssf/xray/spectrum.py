@@ -1,6 +1,6 @@
 """The beam: photons a square millimetre and mAs, at one metre, by energy (SpekPy), and their weight in the detector."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
@@ -10,12 +10,14 @@ from scipy.interpolate import CubicSpline
 from ..core.checks import Array
 from ..data.detectors import Detector
 from ..data.store import Arrays, Origin, kept
-from .materials import absorbed_fraction, attenuation_per_mm
+from .materials import Material, absorbed_fraction, attenuation_per_mm, edges_kev
 from .quadrature import TOLERANCE, spectrum_quadrature
 from .technique import Technique
 
 _ORIGIN = Origin(sources=("xray/spectrum.py",), libraries=("spekpy", "numpy"))
 _ROUND_MM = 20.0
+# Width of the bins of a spectrum, and how near to its bounds an edge splits none, in keV.
+_BIN_KEV, _SLIVER_KEV = 0.5, 0.001
 _MONO_PHOTONS_PER_MM2_MAS = 1e6
 # Places along the anode-cathode axis between which the heel effect is interpolated.
 _HEEL_POINTS = 9
@@ -37,13 +39,18 @@ class Beam:
     square_kev2: Array
 
 
-def beam_of(technique: Technique) -> Beam:
-    """The beam of a technique in bins of 0.5 keV, or one when monochromatic."""
+def beam_of(technique: Technique, materials: Iterable[Material] = ()) -> Beam:
+    """Compute the beam of a technique in bins of 0.5 keV, or in one bin when it is monochromatic.
+
+    materials  a bin that holds one of their K or L edges is split there: a bin's attenuation is that at its middle, and
+               would be all of one side of the edge
+    """
     protocol = technique.protocol
     if protocol.mono_kev is not None:
         energies, photons = np.array([protocol.mono_kev]), np.array([_MONO_PHOTONS_PER_MM2_MAS])
     else:
         energies, photons = tube_spectrum(protocol.tube_kv, protocol.anode_angle_deg, protocol.filtration_mm_al)
+        energies, photons = _split_bins(energies, photons, edges_kev(materials))
     return Beam(energies, photons * protocol.mas, *_response(energies, technique.detector))
 
 
@@ -62,7 +69,7 @@ def beam_for(technique: Technique, most_mm: Mapping[str, float], tolerance: floa
 
 @lru_cache(maxsize=64)
 def _folded(technique: Technique, most_mm: tuple[tuple[str, float], ...], tolerance: float) -> Beam:
-    beam = beam_of(technique)
+    beam = beam_of(technique, [technique.material(name) for name, _ in most_mm])
     photons, signal, square = beam.photons_per_mm2, beam.signal_kev, beam.square_kev2
     mu = np.array([attenuation_per_mm(technique.material(name), beam.energies_kev) for name, _ in most_mm])
     mu = mu.reshape(-1, len(photons))
@@ -86,6 +93,23 @@ def heel_factor(technique: Technique) -> Array:
         energies, photons = tube_spectrum(*beam, off_axis=round(sign * float(slope), 9))
         signals.append((photons * _response(energies, technique.detector)[0]).sum() * (1 + slope**2))
     return np.asarray(CubicSpline(slopes, signals[:-1])(row) / signals[-1])
+
+
+def _split_bins(energies_kev: Array, photons: Array, edges_kev: Sequence[float]) -> tuple[Array, Array]:
+    """Split bins at edges into parts with their share of the photons, each at its own middle.
+
+    energies_kev, photons  (bins,)  middles of bins of 0.5 keV, and photons of any unit in them
+    returns                (parts,)  keV and (parts,)  photons of the same unit; the bins as they are if none has an edge
+    """
+    low, high = energies_kev - _BIN_KEV / 2, energies_kev + _BIN_KEV / 2
+    inside = [edge for edge in edges_kev if ((low < edge - _SLIVER_KEV) & (edge + _SLIVER_KEV < high)).any()]
+    if not inside:
+        return energies_kev, photons
+    bounds = np.unique(np.concatenate((low, high, inside)))
+    middles = (bounds[1:] + bounds[:-1]) / 2
+    bins = np.clip(np.searchsorted(high, middles), 0, len(high) - 1)
+    held = (low[bins] < middles) & (middles < high[bins])
+    return middles[held], (photons[bins] * np.diff(bounds) / _BIN_KEV)[held]
 
 
 @lru_cache(maxsize=64)
