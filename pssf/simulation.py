@@ -15,6 +15,14 @@ from .core.workers import one_blas_thread
 from .geometry.mesh import Mesh
 from .geometry.scene import Scene
 from .geometry.view import view_of
+from .image_faults import (
+    ImageNotice,
+    field_faults,
+    landmark_faults,
+    material_faults,
+    require_materials,
+    saturation_faults,
+)
 from .model.knee import Knee
 from .model.protocol import Protocol
 from .model.radiograph import Radiograph, Truth
@@ -22,7 +30,8 @@ from .precompile import compiling_aside
 from .raycast import ENGINES, Audit, Paths, shadow, trace, trace_strips
 from .raycast.room import require_room
 from .stages import Chain, LatentImage, expose
-from .xray.technique import technique_of
+from .xray.collimator import field_half_mm
+from .xray.technique import Technique, technique_of
 
 KEEP = ("path_mm", "primary", "scatter", "noise_free", "masks")
 Subject = Knee | BuiltKnee | BuiltPair | Scene | tuple[Knee | BuiltKnee, Knee | BuiltKnee]
@@ -33,7 +42,7 @@ _ALONG_THE_LEG = (
 
 
 class KernelNotice(UserWarning):
-    """The kernel of scatter was asked for in a view that it does not hold for; the message says by how much."""
+    """The kernel of scatter was asked for where it does not hold; the message says by how much."""
 
 
 @one_blas_thread()
@@ -56,7 +65,8 @@ def simulate(
     engine   "embree" or "scanline"
     workers  threads
     paths    what `trace` gave for this scene, where several protocols see it from the same place
-    warns    KernelNotice for the kernel of scatter along the leg
+    warns    KernelNotice for the kernel of scatter along the leg or in a small field; ImageNotice for saturation within
+             the object, a scene or landmarks that the image does not show, a formula that looks like an alloy's name
     raises   InputError for an unknown name in keep, an unknown engine or material, a scene that cannot be traced, paths
              of another scene or view, a detector that a knee has no room before
     """
@@ -65,24 +75,22 @@ def simulate(
     subject = _built(knee, protocol, engine, workers)
     # What a radiograph keeps is the beam as it was, not how it was found.
     protocol = subject.aimed(protocol) if isinstance(subject, BuiltKnee) else protocol
-    if protocol.scatter == "kernel" and protocol.projection == "axial":
-        warnings.warn(_ALONG_THE_LEG, KernelNotice, stacklevel=3)
     technique = technique_of(protocol)
     scene = subject if isinstance(subject, Scene) else subject.scene
     if not isinstance(subject, Scene):
         require_room(scene, protocol)
     clock.lap("anatomy")
-    for name in scene.materials:
-        technique.material(name)  # refused before rays are cast
+    require_materials(scene, technique)  # refused before rays are cast
     chain = Chain(technique=technique, engine=engine, seed=seed, keep=frozenset(keep), workers=workers)
     image, audit = _traced(scene, chain, paths)
     clock.lap("rays")
+    faults = [*material_faults(scene, technique), *(outside := field_faults(image.path_mm, technique))]
     with ThreadPoolExecutor(1) as aside:
         known = aside.submit(_known, subject, protocol, keep)
         seconds = expose(image, chain)
     wanted = [*keep, "scatter_error"] if "scatter" in keep else list(keep)
     assert image.pixels is not None
-    return Radiograph(
+    made = Radiograph(
         pixels=image.pixels,
         protocol=protocol,
         seed=seed,
@@ -93,6 +101,32 @@ def simulate(
         kept={name: image.kept[name] for name in wanted if name in image.kept},
         seconds={**clock.seconds, **seconds},
     )
+    faults += saturation_faults(made.pixels, scene, technique)
+    if not outside:
+        faults += landmark_faults((made.truth,) if made.truth else made.truths, technique)
+    for category, message in [*_off_kernel(technique), *((ImageNotice, fault) for fault in faults)]:
+        warnings.warn(message, category, stacklevel=3)
+    return made
+
+
+def _off_kernel(technique: Technique) -> list[tuple[type[UserWarning], str]]:
+    """What the kernel of scatter, if it is asked for, does not hold for, and by how much."""
+    protocol = technique.protocol
+    if protocol.scatter != "kernel":
+        return []
+    if protocol.projection == "axial":
+        return [(KernelNotice, _ALONG_THE_LEG)]
+    width_mm, height_mm = (2 * half for half in field_half_mm(technique))
+    off = technique.kernel.small_field(width_mm, height_mm)
+    if off is None:
+        return []
+    least = " x ".join(f"{side:g}" for side in technique.kernel.full_field_mm)
+    return [(
+        KernelNotice,
+        f"scatter = 'kernel' with a field of {width_mm:.0f} x {height_mm:.0f} mm, less than {least} mm, which it was not "
+        f"fitted to; scatter at the joint is {off.low:g} to {off.high:g} times that of a Monte Carlo; "
+        "scatter = 'monte_carlo' holds for every field",
+    )]  # fmt: skip
 
 
 def _check(knee: Subject, protocol: Protocol, seed: int, keep: Collection[str], engine: str, workers: int) -> None:

@@ -124,10 +124,13 @@ def _require_known(own: bool, subject: object, masks: bool, border: str) -> None
 
 def _tell_noted(scene: "Scene", protocol: "Protocol") -> None:
     """What is traced as it is, and may not be what was meant, a line each."""
-    from ..raycast import check
+    from ..raycast.check import COVERS_NO_PIXEL, check
 
-    for fault in check(scene, protocol).faults:
-        if fault.outcome == "noted":
+    faults = [fault for fault in check(scene, protocol).faults if fault.outcome == "noted"]
+    unseen = [fault for fault in faults if fault.what == COVERS_NO_PIXEL]
+    for fault in faults:
+        # Of a scene that is outside the field of view as a whole `simulate` warns once.
+        if fault not in unseen or len(unseen) < len(scene.surfaces):
             print(f"pssf: noted: {fault}", file=sys.stderr)
 
 

@@ -30,7 +30,7 @@ def alloy_mistaken_for_compound(name: str, tissues: Mapping[str, Tissue]) -> str
     str or None
         None for what is read as it was meant: a tissue, percent by mass, a compound.
     """
-    formula, at, density = name.partition("@")
+    formula, at, _ = name.partition("@")
     if not at or "=" in formula:
         return None
     try:
@@ -51,7 +51,7 @@ def alloy_mistaken_for_compound(name: str, tissues: Mapping[str, Tissue]) -> str
     meant = "" if known is None else f"material {known} ({_percents(tissues[known])}), or "
     return (
         f"{name} is read as numbers of atoms: {read} % by mass; an alloy is named by mass, and would attenuate "
-        f"otherwise; give {meant}percent by mass, such as Ti=90,Al=6,V=4@{density}"
+        f"otherwise; give {meant}percent by mass, as in Ti=90,Al=6,V=4@4.43"
     )
 
 
