@@ -1,4 +1,4 @@
-"""What may be wrong with a radiograph although it was made as asked: materials, field of view, saturation, landmarks."""
+"""Faults of a radiograph that was made as asked: materials, field of view, saturation, landmarks outside of it."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -62,13 +62,16 @@ def field_faults(path_mm: Mapping[str, Any], technique: Technique) -> list[str]:
     if seen or not path_mm:
         return []
     return [
-        "the scene is outside the field of view; the image shows the open beam alone; move the scene (a Scene stays where "
-        "its meshes are, in mm about the origin) or the beam (centre_x_mm, centre_z_mm)"
+        "the scene is outside the field of view; the image shows the open beam alone; move the scene (a Scene stays "
+        "where its meshes are, in mm about the origin) or the beam (centre_x_mm, centre_z_mm)"
     ]
 
 
 def saturation_faults(pixels: NDArray[np.uint16], scene: Scene, technique: Technique) -> list[str]:
-    """Describe saturation of more than a thousandth of the pixels that the object covers; nothing if there is less."""
+    """Describe saturation of more than a thousandth of the pixels that the object covers; nothing if there is less.
+
+    pixels  (rows, cols)  counts, as read out
+    """
     full = pixels >= MOST_DN
     if not full.any():
         return []
@@ -77,8 +80,8 @@ def saturation_faults(pixels: NDArray[np.uint16], scene: Scene, technique: Techn
     if not fraction > _SATURATED:
         return []
     return [
-        f"{100 * fraction:.1f} % of the object's pixels are saturated ({MOST_DN} DN); what they show is lost; lower mas "
-        f"(now {technique.protocol.mas:g}) or tube_kv"
+        f"{100 * fraction:.1f} % of the object's pixels are saturated ({MOST_DN} DN); what they show is lost; "
+        f"lower mas (now {technique.protocol.mas:g}) or tube_kv"
     ]
 
 
@@ -96,8 +99,8 @@ def landmark_faults(truths: Iterable[Truth], technique: Technique) -> list[str]:
     named = ", ".join(outside[:_NAMED]) + (", ..." if len(outside) > _NAMED else "")
     where = "irradiated field" if is_collimated(technique.protocol) else "image"
     return [
-        f"{len(outside)} landmarks are outside the {where} ({named}); their labels are of places that it does not show; "
-        "enlarge the field or move the beam (centre_x_mm, centre_z_mm)"
+        f"{len(outside)} landmarks are outside the {where} ({named}); their labels are of places that it does not "
+        "show; enlarge the field or move the beam (centre_x_mm, centre_z_mm)"
     ]
 
 

@@ -104,29 +104,30 @@ def simulate(
     faults += saturation_faults(made.pixels, scene, technique)
     if not outside:
         faults += landmark_faults((made.truth,) if made.truth else made.truths, technique)
-    for category, message in [*_off_kernel(technique), *((ImageNotice, fault) for fault in faults)]:
-        warnings.warn(message, category, stacklevel=3)
+    for notice in [*_off_kernel(technique), *map(ImageNotice, faults)]:
+        warnings.warn(notice, stacklevel=3)
     return made
 
 
-def _off_kernel(technique: Technique) -> list[tuple[type[UserWarning], str]]:
+def _off_kernel(technique: Technique) -> list[KernelNotice]:
     """What the kernel of scatter, if it is asked for, does not hold for, and by how much."""
     protocol = technique.protocol
     if protocol.scatter != "kernel":
         return []
     if protocol.projection == "axial":
-        return [(KernelNotice, _ALONG_THE_LEG)]
+        return [KernelNotice(_ALONG_THE_LEG)]
     width_mm, height_mm = (2 * half for half in field_half_mm(technique))
     off = technique.kernel.small_field(width_mm, height_mm)
     if off is None:
         return []
     least = " x ".join(f"{side:g}" for side in technique.kernel.full_field_mm)
-    return [(
-        KernelNotice,
-        f"scatter = 'kernel' with a field of {width_mm:.0f} x {height_mm:.0f} mm, less than {least} mm, which it was not "
-        f"fitted to; scatter at the joint is {off.low:g} to {off.high:g} times that of a Monte Carlo; "
-        "scatter = 'monte_carlo' holds for every field",
-    )]  # fmt: skip
+    return [
+        KernelNotice(
+            f"scatter = 'kernel' with a field of {width_mm:.0f} x {height_mm:.0f} mm, less than {least} mm, which it was "
+            f"not fitted to; scatter at the joint is {off.low:g} to {off.high:g} times that of a Monte Carlo; "
+            "scatter = 'monte_carlo' holds for every field"
+        )
+    ]
 
 
 def _check(knee: Subject, protocol: Protocol, seed: int, keep: Collection[str], engine: str, workers: int) -> None:

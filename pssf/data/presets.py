@@ -32,6 +32,8 @@ class Preset(Record, frozen=True):
     doses: tuple[float, ...] = (1.0,)
     tilts_deg: tuple[float, ...] = (0.0,)
     numbered: str = "by grade"
+    matrix: int = 0
+    settings: tuple[str, ...] = ()
 
 
 @cache

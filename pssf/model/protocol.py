@@ -12,8 +12,8 @@ from ..data.tables import read_protocol
 # A right leg's lateral side comes to the detector (ML, LM), or its foot (axial), before it is mirrored in y.
 _TURNS = {"AP": (2, 0.0), "PA": (2, 0.0), "ML": (2, -90.0), "LM": (2, -90.0), "axial": (0, -90.0)}
 
-# A field may reach so far towards the anode's cut-off, as a part of the tangent of the anode's angle (assumed: beyond, the
-# intensity is below two fifths of that on the central ray).
+# A field may reach so far towards the anode's cut-off, as a part of the tangent of the anode's angle (assumed: beyond,
+# the intensity is below two fifths of that on the central ray).
 _MOST_OF_CUT_OFF = 0.95
 
 
@@ -118,8 +118,8 @@ class Protocol:
         least_deg = math.degrees(math.atan(self.heel_slope / _MOST_OF_CUT_OFF))
         if self.anode_angle_deg < least_deg:
             raise InputError(
-                f"anode_angle_deg must be at least {math.ceil(10 * least_deg) / 10:g} deg with heel = {self.heel!r}, got "
-                f"{self.anode_angle_deg:g}: the anode cuts off the field; collimate it (field_height_mm) or raise sdd_mm"
+                f"anode_angle_deg must be at least {math.ceil(10 * least_deg) / 10:g} deg with heel = {self.heel!r}, "
+                f"got {self.anode_angle_deg:g}: the anode cuts off the field; give field_height_mm, or raise sdd_mm"
             )
 
     @property

@@ -1,11 +1,12 @@
 """check: what is wrong with a scene, before any image is made of it."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..core.checks import Array
-from ..data.tissues import DENSEST_GAS, tissues
+from ..data.tissues import DENSEST_GAS, Tissue, tissues
 from ..geometry.repair import Fault
 from ..geometry.scene import HasScene, Scene, Surface, scene_of
 from ..geometry.view import View, depth_of, view_of
@@ -62,7 +63,11 @@ def check(scene: Scene | HasScene, protocol: Protocol | View | None = None) -> R
         sample = _sample_view(scene.bounds_mm)
         for surface in scene.surfaces:
             faults += _crowded_edges(surface)
-        faults += [*_dense_ambient(scene), *_overlaps(scene, sample), *_negative_paths(scene, view or sample)]
+        faults += [
+            *_dense_ambient(scene, tissues()),
+            *_overlaps(scene, sample),
+            *_negative_paths(scene, view or sample),
+        ]
         if view is not None:
             faults += [fault for surface in scene.surfaces for fault in _places(surface, view)]
     return Report(tuple(faults))
@@ -85,9 +90,9 @@ def _crowded_edges(surface: Surface) -> list[Fault]:
     return [_noted(surface.name, "edges of more than two faces", len(crowded), first, "signs add up all the same")]
 
 
-def _dense_ambient(scene: Scene) -> list[Fault]:
+def _dense_ambient(scene: Scene, known: Mapping[str, Tissue]) -> list[Fault]:
     """An ambient material, where its density is known by its name, that would attenuate: `simulate` refuses it."""
-    tissue, _, given = tissues().get(scene.ambient), *scene.ambient.partition("@")[1:]
+    tissue, _, given = known.get(scene.ambient), *scene.ambient.partition("@")[1:]
     try:
         # A mix of tissues, which has no density of its own, is none of gases.
         density = float(given) if tissue is None else tissue.density or 1.0

@@ -1,4 +1,4 @@
-"""Surfaces that do not name the density of what surrounds them: their part of it would be taken away at another density."""
+"""Surfaces that do not name the density of what surrounds them: it would be taken away at another density."""
 
 from ..core.checks import InputError
 from ..geometry.density import Density
@@ -54,5 +54,5 @@ def _fault(surface: Surface, around: list[Surface]) -> Fault:
         count=0,
         first=(),
         outcome="refused",
-        hint="pass that surface's inside_density, or place the body in a built knee by built.insert(mesh, material, name=)",
+        hint="pass that surface's inside_density, or place the body by built.insert(mesh, material, name=)",
     )

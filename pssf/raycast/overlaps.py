@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..core.checks import Array
 from ..geometry.density import Density
-from ..geometry.scene import Scene, Surface
+from ..geometry.scene import Scene
 from ..geometry.view import View
 from . import scanline
 from .density_mismatch import is_same_density
@@ -239,16 +239,17 @@ def _along_pattern(scene: Scene, pattern: _Pattern) -> Iterator[tuple[Contradict
             right = [k for k in left if sides[pattern.surface[k], 1] == there[k]]
             k = (right or left)[0]
             if not right and run:
-                surface, owner = scene.surfaces[pattern.surface[k]], around[k][-1] if around[k] else None
+                owner = around[k][-1] if around[k] else None
                 shared = spans[k] if owner is None else _shared(spans[k], of_surface[owner], k)
-                yield _contradiction(surface, None if owner is None else scene.surfaces[owner], scene.ambient), run, shared
+                yield _contradiction(scene, pattern.surface[k], owner), run, shared
             left.remove(k)
             entered = [*around[k], pattern.surface[k]] if pattern.sign[k] < 0 else around[k]
 
 
-def _contradiction(surface: Surface, owner: Surface | None, ambient: str) -> Contradiction:
-    """What a surface says, against what is there: the inside of its owner, or the ambient material."""
-    there, name = (ambient, "") if owner is None else (owner.inside, owner.name)
+def _contradiction(scene: Scene, number: int, owner: int | None) -> Contradiction:
+    """What a surface says, against what is there: the inside of another surface, or the ambient material."""
+    surface, around = scene.surfaces[number], None if owner is None else scene.surfaces[owner]
+    there, name = (scene.ambient, "") if around is None else (around.inside, around.name)
     if there == surface.outside:
         there += " of another density"
     return Contradiction(surface=surface.name, says=surface.outside, there=there, owner=name)

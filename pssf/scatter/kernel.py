@@ -28,8 +28,8 @@ _LOOKS, _MIDDLE = 32, slice(12, 20)
 _GAP_STEP_MM = 20.0
 # How an object leans is told over so many mm (standard deviation).
 _LEANING_MM = 20.0
-# Side of the plane that the constants were fitted on. On a smaller one, scatter that leaves the object beside the beam and
-# reaches the detector would be lost, and Gaussians wider than the plane would come around to it again.
+# Side of the plane that the constants were fitted on. On a smaller one, scatter that leaves the object beside the beam
+# and reaches the detector would be lost, and Gaussians wider than the plane would come around to it again.
 _PLANE_MM = 307.2
 # Behind metal hardly anything is left; its logarithm is kept finite.
 _LEAST = 1e-5

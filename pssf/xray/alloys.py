@@ -8,9 +8,11 @@ from ..core.checks import InputError
 from ..data.tissues import Tissue
 from .materials import Material, compound_of
 
-# Elements that are no metals. Of these an alloy may hold some.
-_NO_METALS = frozenset("H He B C N O F Ne Si P S Cl Ar Ge As Se Br Kr Te I Xe At Rn".split())
-_ADDED = frozenset("B C N Si".split())
+# Elements that an alloy may hold beside its metals, and all that are no metals.
+_ADDED = frozenset(("B", "C", "N", "Si"))
+_NO_METALS = _ADDED | {
+    *("H", "He", "O", "F", "Ne", "P", "S", "Cl", "Ar", "Ge", "As", "Se", "Br", "Kr", "Te", "I", "Xe", "At", "Rn")
+}
 # So near, in percent by mass, a formula has the composition of a known alloy: who wrote it counted atoms.
 _SAME_PERCENT = 3.0
 

@@ -35,7 +35,8 @@ def material_of(name: str, tissues: Mapping[str, Tissue]) -> Material:
     """
     if "@" in name or name in _nist():
         return compound_of(name)
-    require_choice("material", name, (*tissues, "a name of NIST's compounds (xraylib)", "FORMULA@DENSITY", "Ti=90,Al=6,V=4@4.43"))
+    others = ("a name of NIST's compounds (xraylib)", "FORMULA@DENSITY", "Ti=90,Al=6,V=4@4.43")
+    require_choice("material", name, (*tissues, *others))
     if name not in tissues:
         raise InputError(f"material = {name!r}; allowed: {_FORMULA}")
     tissue = tissues[name]

@@ -21,8 +21,8 @@ _BIN_KEV, _FINE_KEV = 0.5, 0.1
 _MONO_PHOTONS_PER_MM2_MAS = 1e6
 # Places along the anode-cathode axis between which the heel effect is interpolated.
 _HEEL_POINTS = 9
-# Beyond this part of the anode's cut-off the intensity falls too steeply for evenly spaced places: 0.14 % off there, 2.5 % at
-# 0.9, where places that crowd towards the cut-off are 0.02 % off, and 0.06 % at 0.95 (6 and 12 degrees, 70 kV).
+# Beyond this part of the anode's cut-off the intensity falls too steeply for evenly spaced places: 0.14 % off there,
+# 2.5 % at 0.9, where places that crowd towards the cut-off are 0.02 % off, and 0.06 % at 0.95 (6 and 12 deg, 70 kV).
 _NEAR_CUT_OFF, _HEEL_POINTS_NEAR = 0.7, 13
 
 
@@ -121,9 +121,7 @@ def _slopes_near_cut_off(lit: float, cut_off: float) -> Array:
     return np.asarray(np.geomspace(cut_off - lit, cut_off + lit, _HEEL_POINTS_NEAR) - cut_off)
 
 
-def _split_bins(
-    energies_kev: Array, photons: Array, edges_kev: Sequence[float], bin_kev: float
-) -> tuple[Array, Array]:
+def _split_bins(energies_kev: Array, photons: Array, edges_kev: Sequence[float], bin_kev: float) -> tuple[Array, Array]:
     """Split bins at edges into parts with their share of the photons, each at its own middle.
 
     energies_kev, photons  (bins,)  middles of bins of `bin_kev`, and photons of any unit in them
