@@ -123,8 +123,8 @@ def _off_kernel(technique: Technique) -> list[KernelNotice]:
     least = " x ".join(f"{side:g}" for side in technique.kernel.full_field_mm)
     return [
         KernelNotice(
-            f"scatter = 'kernel' with a field of {width_mm:.0f} x {height_mm:.0f} mm, less than {least} mm, which it was "
-            f"not fitted to; scatter at the joint is {off.low:g} to {off.high:g} times that of a Monte Carlo; "
+            f"scatter = 'kernel' with a field of {width_mm:.0f} x {height_mm:.0f} mm, less than {least} mm, which it "
+            f"was not fitted to; scatter at the joint is {off.low:g} to {off.high:g} times that of a Monte Carlo; "
             "scatter = 'monte_carlo' holds for every field"
         )
     ]
