@@ -50,7 +50,9 @@ def test_a_body_with_the_density_around_it_takes_that_bone_away(built, coarse):
 def test_check_finds_a_body_that_names_the_density_of_another_bone(built, coarse):
     scene = screw(built, outside_density=density_of(built, "femur_trabecular"))
     said = str(pssf.check(scene, coarse))
-    assert "screw: outside is trabecular_bone, but trabecular_bone of another density (tibia_trabecular) is there" in said
+    assert (
+        "screw: outside is trabecular_bone, but trabecular_bone of another density (tibia_trabecular) is there" in said
+    )
 
 
 def test_without_texture_no_density_is_asked_for(built, coarse):

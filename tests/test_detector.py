@@ -17,8 +17,9 @@ from pssf.data.references import references
 from pssf.detector import blur, noise, panel
 from pssf.geometry.view import view_of
 from pssf.stages import Chain, LatentImage, expose
+from pssf.xray import spectrum
 from pssf.xray.primary import primary_of, transmit
-from pssf.xray.spectrum import Beam, beam_for, beam_of, heel_factor
+from pssf.xray.spectrum import Beam, beam_for, beam_of, heel_factor, tube_spectrum
 from pssf.xray.technique import technique_of
 
 SEED = np.random.SeedSequence(1)

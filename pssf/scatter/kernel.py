@@ -47,8 +47,9 @@ def scatter_kev(
     A sum of terms, each in three steps: photons scatter in proportion to powers of the mass crossed and of the primary
     that is left; they spread within the object and are weakened by what lies where they leave; and they spread
     on across the air gap, each as far as it is there. Where an object leans, what counts is its thickness, not the way
-    along the rays. Form, constants, and how far they hold: `data/scatter.toml` (limbs of 100 to 140 mm, gaps of 20 to
-    210 mm); for other objects there is `monte_carlo.scatter_monte_carlo`.
+    along the rays. What is irradiated is the collimator's field on the detector, as in the Monte Carlo
+    (`xray.collimator`). Form, constants, how far they hold, small fields too: `data/scatter.toml` (limbs of 100 to
+    140 mm, gaps of 20 to 210 mm); for other objects there is `monte_carlo.scatter_monte_carlo`.
     primary_kev  (rows, cols)
     path_mm      material -> (rows, cols)
     gaps_mm      (32, 32)  from where the object ends to the detector plane: of `exit_gaps_mm`, or one for all
