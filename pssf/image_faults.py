@@ -22,6 +22,8 @@ from .xray.technique import Technique
 # on the detector; and places at which it is looked at, along the shorter side.
 _SATURATED, _RIM_MM, _PLACES = 0.001, 5.0, 300
 _NAMED = 3
+# A view along the leg is taken of patella and trochlea; these bones may go on beyond it.
+_BESIDE_AXIAL = ("plateau", "fibula")
 
 
 class ImageNotice(UserWarning):
@@ -99,11 +101,13 @@ def saturation_faults(pixels: NDArray[np.uint16], scene: Scene, technique: Techn
 def landmark_faults(truths: Iterable[Truth], technique: Technique) -> list[str]:
     """Describe labels of places that the image does not show; nothing if it shows all."""
     rows, cols = _lit(technique)
+    beside = _BESIDE_AXIAL if technique.protocol.projection == "axial" else ()
     outside = [
         name
         for truth in truths
         for name, (row, col) in truth.landmarks_px.items()
-        if not (rows.start <= row + 0.5 < rows.stop and cols.start <= col + 0.5 < cols.stop)
+        if not any(part in name for part in beside)
+        and not (rows.start <= row + 0.5 < rows.stop and cols.start <= col + 0.5 < cols.stop)
     ]
     if not outside:
         return []
