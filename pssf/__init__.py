@@ -11,6 +11,7 @@ scatter     kernel, Monte Carlo, grid
 detector    blur, noise, panel, a view for eyes
 stages      the chain, stage by stage
 precompile  after an installation: kernels in two processes at once
+image_faults  radiograph         -> what may not be as it was meant
 simulation  knee, protocol       -> radiograph
 io          files; the one package that writes to the disk
 cohort      preset, seed         -> many radiographs and their manifest
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from .detector import present
     from .geometry.density import Density, PlaneWaves
     from .geometry.scene import MeshNotice, Scene, Surface
+    from .image_faults import ImageNotice
     from .io.description import UnverifiedNotice
     from .io.images import load, load_parameters, save
     from .io.masks import load_masks, save_masks
@@ -63,6 +65,7 @@ _WHERE = {
     "detector": ("present",),
     "geometry.density": ("Density", "PlaneWaves"),
     "geometry.scene": ("MeshNotice", "Scene", "Surface"),
+    "image_faults": ("ImageNotice",),
     "io.description": ("UnverifiedNotice",),
     "io.images": ("load", "load_parameters", "save"),
     "io.masks": ("load_masks", "save_masks"),
@@ -84,6 +87,7 @@ __all__ = [
     "BuiltKnee",
     "Cyst",
     "Density",
+    "ImageNotice",
     "InputError",
     "KernelNotice",
     "Knee",

@@ -17,6 +17,14 @@ from .core.workers import one_blas_thread
 from .geometry.mesh import Mesh
 from .geometry.scene import Scene
 from .geometry.view import view_of
+from .image_faults import (
+    ImageNotice,
+    field_faults,
+    landmark_faults,
+    material_faults,
+    require_materials,
+    saturation_faults,
+)
 from .model.knee import Knee
 from .model.protocol import Protocol, load_protocol
 from .model.radiograph import Radiograph, Truth
@@ -24,7 +32,8 @@ from .precompile import compiling_aside
 from .raycast import ENGINES, Audit, Paths, shadow, trace, trace_strips
 from .raycast.room import require_room
 from .stages import Chain, LatentImage, expose
-from .xray.technique import technique_of
+from .xray.collimator import field_half_mm
+from .xray.technique import Technique, technique_of
 
 KEEP = ("path_mm", "primary", "scatter", "noise_free", "masks")
 Subject = Knee | BuiltKnee | BuiltPair | Scene | tuple[Knee | BuiltKnee, Knee | BuiltKnee]
@@ -35,7 +44,7 @@ _ALONG_THE_LEG = (
 
 
 class KernelNotice(UserWarning):
-    """The kernel of scatter was asked for in a view that it does not hold for; the message says by how much."""
+    """The kernel of scatter was asked for where it does not hold; the message says by how much."""
 
 
 @keywords(seed="rng")
@@ -85,7 +94,10 @@ def simulate(
     Warns
     -----
     KernelNotice
-        For the scatter kernel along the leg.
+        For the scatter kernel along the leg or in a small field, with the factor by which it is off.
+    ImageNotice
+        For saturation within the object, a scene or landmarks outside the image, and a formula that looks like the name
+        of an alloy.
 
     Examples
     --------
@@ -103,24 +115,22 @@ def simulate(
     subject = _built(knee, protocol, engine, workers)
     # What a radiograph keeps is the beam as it was, not how it was found.
     protocol = subject.aimed(protocol) if isinstance(subject, BuiltKnee) else protocol
-    if protocol.scatter == "kernel" and protocol.projection == "axial":
-        warnings.warn(_ALONG_THE_LEG, KernelNotice, stacklevel=4)
     technique = technique_of(protocol)
     scene = subject if isinstance(subject, Scene) else subject.scene
     if not isinstance(subject, Scene):
         require_room(scene, protocol)
     clock.lap("anatomy")
-    for name in scene.materials:
-        technique.material(name)  # refused before rays are cast
+    require_materials(scene, technique)  # refused before rays are cast
     chain = Chain(technique=technique, engine=engine, seed=seed, keep=frozenset(keep), workers=workers)
     image, audit = _traced(scene, chain, paths)
     clock.lap("rays")
+    faults = [*material_faults(scene, technique), *(outside := field_faults(image.path_mm, technique))]
     with ThreadPoolExecutor(1) as aside:
         known = aside.submit(_known, subject, protocol, keep)
         seconds = expose(image, chain)
     wanted = [*keep, "scatter_error"] if "scatter" in keep else list(keep)
     assert image.pixels is not None
-    return Radiograph(
+    made = Radiograph(
         pixels=image.pixels,
         protocol=protocol,
         seed=seed,
@@ -131,6 +141,33 @@ def simulate(
         kept={name: image.kept[name] for name in wanted if name in image.kept},
         seconds={**clock.seconds, **seconds},
     )
+    faults += saturation_faults(made.pixels, scene, technique)
+    if not outside:
+        faults += landmark_faults((made.truth,) if made.truth else made.truths, technique)
+    for notice in [*_off_kernel(technique), *map(ImageNotice, faults)]:
+        warnings.warn(notice, stacklevel=4)
+    return made
+
+
+def _off_kernel(technique: Technique) -> list[KernelNotice]:
+    """What the kernel of scatter, if it is asked for, does not hold for, and by how much."""
+    protocol = technique.protocol
+    if protocol.scatter != "kernel":
+        return []
+    if protocol.projection == "axial":
+        return [KernelNotice(_ALONG_THE_LEG)]
+    width_mm, height_mm = (2 * half for half in field_half_mm(technique))
+    off = technique.kernel.small_field(width_mm, height_mm)
+    if off is None:
+        return []
+    least = " x ".join(f"{side:g}" for side in technique.kernel.full_field_mm)
+    return [
+        KernelNotice(
+            f"scatter = 'kernel' with a field of {width_mm:.0f} x {height_mm:.0f} mm, less than {least} mm, which it "
+            f"was not fitted to; scatter at the joint is {off.low:g} to {off.high:g} times that of a Monte Carlo; "
+            "scatter = 'monte_carlo' holds for every field"
+        )
+    ]
 
 
 def _check(knee: Subject, protocol: Protocol, keep: Collection[str], engine: str, workers: int) -> None:

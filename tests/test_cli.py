@@ -346,3 +346,38 @@ def test_too_little_memory_is_one_line(monkeypatch, capsys):
     told = capsys.readouterr().err
     assert told.startswith("pssf: memory = too little (Unable to allocate 1.00 GiB); allowed: fewer rows and cols")
     assert told.count("\n") == 1
+
+
+def test_a_matrix_keeps_the_field_of_a_radiograph(tmp_path):
+    given = ("simulate", "--engine", "scanline", "--out", tmp_path, "--set", "noise=none")
+    done = run(*given, "--matrix", 64)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    protocol = pssf.load(tmp_path / "knee_grade0_reference_seed0.tif").protocol
+    assert (protocol.rows, protocol.cols, protocol.pixel_mm) == (64, 64, 4.8)
+
+
+def test_rows_and_cols_set_alone_are_said_to_change_the_field(tmp_path):
+    done = run("simulate", "--engine", "scanline", "--out", tmp_path, "--set", "rows=64", "--set", "cols=64")
+    assert done.returncode == 0, done.stderr
+    (said,) = (line for line in done.stderr.splitlines() if "--matrix" in line)
+    assert said.startswith("pssf: noted: rows and cols without pixel_mm change the field")
+
+
+def test_a_cohort_takes_matrix_and_settings(tmp_path):
+    given = ("--knees", "1,0,0", "--protocols", "reference", "--workers", 1, "--out", tmp_path / "c")
+    done = run("cohort", *given, "--matrix", 64, "--set", "mas=3", "--set", "jsw_medial_mm=4.25")
+    assert done.returncode == 0, done.stderr
+    (path,) = (tmp_path / "c" / "images").glob("*.tif")
+    radiograph = pssf.load(path)
+    assert (radiograph.protocol.rows, radiograph.protocol.pixel_mm, radiograph.protocol.mas) == (64, 4.8, 3.0)
+    assert radiograph.knee.jsw_medial_mm == 4.25
+
+
+def test_a_scene_outside_the_field_of_view_is_told_once(protocol_file, tmp_path):
+    trimesh.creation.box((40, 40, 40)).apply_translation((900, 0, 0)).export(tmp_path / "box.stl")
+    (tmp_path / "scene.toml").write_text('[[surface]]\nfile = "box.stl"\ninside = "muscle"\noutside = "air"\n')
+    done = run("simulate", "--scene", tmp_path / "scene.toml", "--protocol", protocol_file, "--out", tmp_path / "o")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("outside the field of view") == 1
+    assert "covers no pixel" not in done.stderr

@@ -495,3 +495,37 @@ def test_the_frozen_cohort_is_of_1000_people_at_two_tilts_and_three_doses_each_g
     assert [one.beam_angle_deg for one in taken] == [10.0] * 3 + [5.0] * 3
     assert [one.mas for one in taken] == [20.0, 10.0, 5.0] * 2
     assert len({exposure.seed for case in plan.cases for exposure in case.exposures}) == 6600
+
+
+def test_a_matrix_changes_the_pixels_of_a_cohort_and_keeps_knees_and_field(small_protocols):
+    plain, fewer = (tiny(["reference", "fixed_flexion"], **more) for more in ({}, {"matrix": 512}))
+    assert [case.knee for case in fewer.cases] == [case.knee for case in plain.cases]
+    for one, other in zip(plain.cases, fewer.cases, strict=True):
+        for before, after in zip(one.exposures, other.exposures, strict=True):
+            assert after == dataclasses.replace(before, protocol=before.protocol.resampled(512))
+
+
+@pytest.mark.parametrize("exposures", ["fixed", "drawn"])
+def test_settings_of_a_cohort_hold_for_every_knee_and_protocol(exposures):
+    settings = ("mas=3", "sdd_mm=1200", "jsw_medial_mm=4.25")
+    plain, changed = (tiny(["reference", "low_dose"], exposures=exposures, settings=given) for given in ((), settings))
+    for one, other in zip(plain.cases, changed.cases, strict=True):
+        assert other.knee == dataclasses.replace(one.knee, jsw_medial_mm=4.25)
+        for before, after in zip(one.exposures, other.exposures, strict=True):
+            assert (after.protocol.mas, after.protocol.sdd_mm) == (3.0, 1200.0)
+            # What is not set is sampled as before.
+            for field in ("centre_x_mm", "beam_angle_deg", "tube_kv", "field_width_mm", "marker"):
+                assert getattr(after.protocol, field) == getattr(before.protocol, field)
+
+
+@pytest.mark.parametrize(
+    ("more", "why"),
+    [
+        ({"settings": ("mass=3",)}, "did you mean 'mas'"),
+        ({"settings": ("mas",)}, "FIELD=VALUE"),
+        ({"matrix": -1}, "matrix"),
+    ],
+)
+def test_settings_that_no_knee_or_protocol_has_are_refused(more, why):
+    with pytest.raises(pssf.InputError, match=why):
+        tiny(["reference"], **more)

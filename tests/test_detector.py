@@ -17,8 +17,9 @@ from pssf.data.references import references
 from pssf.detector import blur, noise, panel
 from pssf.geometry.view import view_of
 from pssf.stages import Chain, LatentImage, expose
+from pssf.xray import spectrum
 from pssf.xray.primary import primary_of, transmit
-from pssf.xray.spectrum import Beam, beam_for, beam_of, heel_factor
+from pssf.xray.spectrum import Beam, beam_for, beam_of, heel_factor, tube_spectrum
 from pssf.xray.technique import technique_of
 
 SEED = np.random.SeedSequence(1)
@@ -272,3 +273,32 @@ def test_the_data_files_say_where_their_numbers_come_from():
         text = path.read_text()
         assert tomllib.loads(text)
         assert text.startswith("#"), path.name
+
+
+@pytest.mark.parametrize("heel", ["anode_proximal", "anode_distal"])
+@pytest.mark.parametrize("angle_deg", [8.1, 9.0])
+def test_the_heel_effect_follows_spekpy_to_the_edge_of_the_field(heel, angle_deg):
+    protocol = dataclasses.replace(pssf.load_protocol("reference"), heel=heel, anode_angle_deg=angle_deg)
+    technique = technique_of(protocol)
+    rows = heel_factor(technique)[:: 1 if heel == "anode_proximal" else -1]
+    assert (rows > 0).all()
+    assert (np.diff(rows[: rows.argmax() + 1]) > 0).all()
+    for row in (3, 60, 700):
+        slope = (row - (protocol.rows - 1) / 2) * protocol.pixel_mm / protocol.sdd_mm
+        signals = []
+        for place in (slope, 0.0):
+            energies, photons = tube_spectrum(70.0, angle_deg, 3.0, off_axis=place)
+            signals.append((photons * spectrum._response(energies, technique.detector)[0]).sum())
+        assert_allclose(rows[row], signals[0] * (1 + slope**2) / signals[1], rtol=1e-3)
+
+
+def test_an_anode_that_cuts_off_the_field_is_refused_with_the_least_angle():
+    reference = pssf.load_protocol("reference")
+    for angle_deg in (6.0, 7.0, 8.0):
+        with pytest.raises(pssf.InputError, match=r"anode_angle_deg must be at least 8\.1 deg .*, got"):
+            dataclasses.replace(reference, heel="anode_distal", anode_angle_deg=angle_deg)
+    # A collimated field that ends before the cut-off is allowed, and rows beyond it have a finite factor.
+    narrow = dataclasses.replace(reference, heel="anode_distal", anode_angle_deg=6.0, field_height_mm=150.0)
+    rows = heel_factor(technique_of(narrow))
+    assert rows.min() > 0.3
+    assert rows.max() < 1.2

@@ -3,6 +3,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from pssf import InputError, load_protocol
 from pssf.data import tables
@@ -156,3 +158,27 @@ def test_numbers_of_any_kind_become_pythons(kind):
     protocol = dataclasses.replace(load_protocol("reference"), mono_kev=kind(60), rows=np.int64(64))
     assert (type(protocol.mono_kev), type(protocol.rows)) == (float, int)
     assert protocol == dataclasses.replace(load_protocol("reference"), mono_kev=60.0, rows=64)
+
+
+@given(st.sampled_from(protocol_names()), st.integers(64, 4096))
+def test_resampling_keeps_the_field_to_half_a_pixel(name, matrix):
+    before = load_protocol(name)
+    after = before.resampled(matrix)
+    assert max(after.rows, after.cols) == matrix
+    for side in ("rows", "cols"):
+        field_mm = [getattr(one, side) * one.pixel_mm for one in (before, after)]
+        assert abs(field_mm[1] - field_mm[0]) <= after.pixel_mm / 2 + 1e-6
+    same = {field: getattr(before, field) for field in ("rows", "cols", "pixel_mm")}
+    assert dataclasses.replace(after, **same) == before
+
+
+def test_resampling_to_the_same_matrix_changes_nothing():
+    for name in protocol_names():
+        protocol = load_protocol(name)
+        assert protocol.resampled(max(protocol.rows, protocol.cols)) == protocol
+
+
+@pytest.mark.parametrize("matrix", [0, -1, 512.5, "512", True, None, 8193])
+def test_a_matrix_of_no_pixels_is_refused(matrix):
+    with pytest.raises(InputError, match="matrix"):
+        load_protocol("reference").resampled(matrix)

@@ -9,11 +9,13 @@ from numpy.testing import assert_allclose
 
 import pssf
 from pssf.accuracy.scatter import CHECKED, CHECKED_PA, FITTED, FITTED_PA, case_of, scatter_rows, slab
+from pssf.core.blocks import block_mean
 from pssf.data.kernels import scatter_kernel
 from pssf.data.tissues import tissues
 from pssf.geometry.view import view_of
 from pssf.scatter.kernel import exit_gaps_mm, middle_gap_mm, scatter_kev
-from pssf.xray.primary import transmit
+from pssf.scatter.monte_carlo import count
+from pssf.xray.primary import primary_of, transmit
 from pssf.xray.spectrum import beam_of
 from pssf.xray.technique import technique_of
 
@@ -165,3 +167,52 @@ def test_the_kernel_says_so_where_it_does_not_hold(projection, scatter, said):
         warnings.simplefilter("always")
         pssf.simulate(pssf.Scene([pssf.Surface(trimesh.creation.box((60, 60, 60)), "muscle", "air")]), protocol)
     assert [one.category for one in caught].count(pssf.KernelNotice) == said
+
+
+def field_of(side_mm, **fields):
+    """Scatter over primary at the joint of an elliptic limb: a detector of so many mm, or a collimated field."""
+    protocol = dataclasses.replace(pssf.load_protocol("reference"), pixel_mm=1.2, texture="none", focal_spot_mm=0.0)
+    pixels = round(side_mm / 1.2)
+    technique = technique_of(dataclasses.replace(protocol, rows=pixels, cols=pixels, **fields))
+    scene = limb(120)
+    paths = pssf.trace(scene, technique.protocol, engine="scanline").path_mm
+    primary = primary_of(paths, technique).kev
+    scattered = scatter_kev(primary, paths, exit_gaps_mm(scene, technique.view), technique)
+    middle = (slice(pixels // 2 - 4, pixels // 2 + 4),) * 2
+    return float(scattered[middle].mean() / primary[middle].mean()), scene, technique, middle
+
+
+@pytest.mark.parametrize("cells", [2, 4, 8, 16])
+def test_a_small_detector_has_the_scatter_of_as_small_a_field(cells):
+    side_mm = 9.6 * cells
+    small, *_ = field_of(side_mm)
+    collimated, *_ = field_of(307.2, field_width_mm=side_mm, field_height_mm=side_mm)
+    assert_allclose(small, collimated, rtol=0.05)
+
+
+@pytest.mark.parametrize(("side_mm", "photons"), [(20.0, 300_000), (40.0, 300_000), (80.0, 600_000), (150.0, 600_000)])
+def test_small_fields_are_off_by_what_the_notice_says(side_mm, photons):
+    kernel_ratio, scene, technique, _ = field_of(307.2, field_width_mm=side_mm, field_height_mm=side_mm)
+    counts = count(scene, technique, photons=photons, seed=1, cell_mm=9.6)
+    paths = pssf.trace(scene, technique.protocol, engine="scanline").path_mm
+    primary = block_mean(primary_of(paths, technique).kev, counts.step)
+    cells = (slice(15, 17),) * 2
+    parts = (counts.scatter_kev / counts.pixels)[:, *cells].mean(axis=(1, 2)) / primary[cells].mean()
+    off, error = kernel_ratio / parts.mean(), parts.std(ddof=1) / np.sqrt(len(parts)) / parts.mean()
+    said = technique.kernel.small_field(side_mm, side_mm)
+    assert said.low - 3 * error * off <= off <= said.high + 3 * error * off
+
+
+def test_the_notice_of_small_fields_begins_below_those_of_acquisitions(small):
+    known = scatter_kernel()
+    assert known.small_field(180.0, 240.0) is None
+    assert known.small_field(307.2, 307.2) is None
+    for width_mm, height_mm, side_mm in ((179.0, 300.0, 180.0), (300.0, 239.0, 180.0), (20.0, 300.0, 30.0)):
+        assert known.small_field(width_mm, height_mm).side_mm == side_mm
+    crop = dataclasses.replace(small, rows=64, cols=64)
+    scene = pssf.Scene([pssf.Surface(trimesh.creation.box((60, 60, 60)), "muscle", "air")])
+    with pytest.warns(pssf.KernelNotice, match=r"a field of 77 x 77 mm.* is 0\.36 to 0\.96 times that"):
+        pssf.simulate(scene, crop, engine="scanline")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        pssf.simulate(scene, small, engine="scanline")

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from .options import Engine, Out, Processes, Scheduler
+from .options import Engine, Matrix, Out, Processes, Scheduler
 
 
 def benchmark(
@@ -18,6 +18,7 @@ def benchmark(
         str,
         typer.Option(help="Names or TOML files, with commas, instead of fixed_flexion: to try it with."),
     ] = "",
+    matrix: Matrix = 0,
     scheduler: Scheduler = None,
     engine: Engine = "scanline",
 ) -> None:
@@ -33,7 +34,7 @@ def benchmark(
     from .options import cohort_overrides
 
     execution = Execution(workers=workers, bar=bar, scheduler=scheduler)
-    overrides = cohort_overrides("", -1, protocols, "")
+    overrides = cohort_overrides("", -1, protocols, "", matrix=matrix)
     made = make_benchmark(out, execution, people=people, overrides=overrides, engine=engine)
     for row in made.baselines.to_dict("records"):
         where = f"{row['task']:<10} {row['model']:<10} {row['tested_on']:<28}"

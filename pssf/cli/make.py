@@ -15,6 +15,7 @@ from .options import (
     KneeChoice,
     KneeCounts,
     KneeFile,
+    Matrix,
     Out,
     Preset,
     Processes,
@@ -27,6 +28,7 @@ from .options import (
     knee_of,
     subject_of,
     taken_as,
+    tell_cropped,
 )
 
 if TYPE_CHECKING:
@@ -60,6 +62,7 @@ def simulate(
         bool, typer.Option("--masks", help="Masks of bones and osteophytes too: TIFF, and DICOM if that is asked for.")
     ] = False,
     settings: Settings = None,
+    matrix: Matrix = 0,
     scene: Annotated[
         Path | None,
         typer.Option(
@@ -82,6 +85,8 @@ def simulate(
     choice = KneeChoice(knee, grade, seed, grade_table, of_knee, scene)
     subject, name = subject_of(choice, with_changes(meant, of_protocol))
     technique = with_changes(taken_as(exposure, meant, subject, seed), of_protocol)
+    technique = technique.resampled(matrix) if matrix else technique
+    tell_cropped(of_protocol)
     require_workers(workers)
     _require_known(scene is not None, subject, masks, border)
     with waiting("simulating; the first run after an installation compiles for some seconds more"):
@@ -124,10 +129,13 @@ def _require_known(own: bool, subject: object, masks: bool, border: str) -> None
 
 def _tell_noted(scene: "Scene", protocol: "Protocol") -> None:
     """What is traced as it is, and may not be what was meant, a line each."""
-    from ..raycast import check
+    from ..raycast.check import COVERS_NO_PIXEL, check
 
-    for fault in check(scene, protocol).faults:
-        if fault.outcome == "noted":
+    faults = [fault for fault in check(scene, protocol).faults if fault.outcome == "noted"]
+    unseen = [fault for fault in faults if fault.what == COVERS_NO_PIXEL]
+    for fault in faults:
+        # Of a scene that is outside the field of view as a whole `simulate` warns once.
+        if fault not in unseen or len(unseen) < len(scene.surfaces):
             print(f"pssf: noted: {fault}", file=sys.stderr)
 
 
@@ -183,6 +191,8 @@ def cohort(
         str, typer.Option(help="fixed, or drawn: each taking a little other; instead of the preset's.")
     ] = "",
     masks: Annotated[bool, typer.Option("--masks", help="Masks of bones and osteophytes too, as TIFF.")] = False,
+    settings: Settings = None,
+    matrix: Matrix = 0,
     scheduler: Scheduler = None,
     engine: Engine = "scanline",
 ) -> None:
@@ -197,10 +207,12 @@ def cohort(
     from ..core.checks import InputError
     from ..core.execution import Execution
     from ..core.progress import bar
+    from ..model.listing import changes
 
     if out is None:
         raise InputError("out = none; allowed: a folder for the cohort (--out)")
-    overrides = cohort_overrides(knees, bilateral, protocols, grade_table, exposures)
+    tell_cropped(changes(settings or ())[1])
+    overrides = cohort_overrides(knees, bilateral, protocols, grade_table, exposures, matrix=matrix, settings=settings)
     plan = plan_cohort(preset, seed=seed, overrides=overrides, masks="tif" if masks else "none")
     total = sum(len(case.exposures) for case in plan.cases)
     with Execution(bar=bar).stage("radiographs", "radiographs", total) as stage:

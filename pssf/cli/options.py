@@ -1,5 +1,6 @@
 """Options that commands share, and what they become."""
 
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -76,6 +77,12 @@ Settings = Annotated[
         "several times. `pssf knees` and `pssf protocols` list the fields.",
     ),
 ]
+Matrix = Annotated[
+    int,
+    typer.Option(
+        help="Pixels along the detector's longer side; the field stays, and the pixel size follows. 0: the protocol's."
+    ),
+]
 KneeCounts = Annotated[
     str, typer.Option("--knees", help="Knees of each grade from 0 on, with commas, instead of the preset's: 10,10,10.")
 ]
@@ -88,7 +95,14 @@ CohortGrades = Annotated[
 
 
 def cohort_overrides(
-    knees: str, bilateral: int, protocols: str, grade_table: str, exposures: str = ""
+    knees: str,
+    bilateral: int,
+    protocols: str,
+    grade_table: str,
+    exposures: str = "",
+    *,
+    matrix: int = 0,
+    settings: "list[str] | None" = None,
 ) -> "dict[str, Any]":
     """Entries that replace a preset's, as `plan_cohort` takes them; those that are not given are left out.
 
@@ -110,7 +124,22 @@ def cohort_overrides(
         given["grade_table"] = grade_table
     if exposures:
         given["exposures"] = exposures
+    if matrix:
+        given["matrix"] = matrix
+    if settings:
+        given["settings"] = tuple(settings)
     return given
+
+
+def tell_cropped(of_protocol: "dict[str, Any]") -> None:
+    """Tell on standard error that fewer pixels of the same size are a smaller field, where a user sets those alone."""
+    sides = [name for name in ("rows", "cols") if name in of_protocol]
+    if sides and "pixel_mm" not in of_protocol:
+        print(
+            f"pssf: noted: {' and '.join(sides)} without pixel_mm change the field, since pixels keep their size; "
+            "--matrix changes the number of pixels and keeps the field",
+            file=sys.stderr,
+        )
 
 
 def numbers_of(name: str, listed: str) -> tuple[float, ...]:

@@ -10,6 +10,7 @@ from .options import (
     CohortGrades,
     Engine,
     KneeCounts,
+    Matrix,
     Out,
     Preset,
     Processes,
@@ -35,6 +36,7 @@ def study(
     grade_table: CohortGrades = "",
     scheduler: Scheduler = None,
     engine: Engine = "scanline",
+    matrix: Matrix = 0,
     protocols: Annotated[
         str, typer.Option(help="Names or TOML files, with commas, instead of the preset's; the first may be alone.")
     ] = "",
@@ -108,7 +110,9 @@ def study(
     settings: dict[str, Any] = {name: tuple(listed.split(",")) for name, listed in wanted.items() if listed}
     settings |= {"backend": backend} if backend else {}
     settings |= {"difference": difference, "strengths": numbers_of("strengths", strengths)}
-    overrides = cohort_overrides(knees, bilateral, protocols, grade_table)
+    overrides = cohort_overrides(knees, bilateral, protocols, grade_table, matrix=matrix)
+    # The region is as wide as by default: 512 of the 2048 pixels that the package's protocols have.
+    settings |= {"region_px": max(16, matrix // 4)} if matrix else {}
     own = _own_films(films, films_protocol, films_pixel_mm, films_region_mm)
     made = make_experiment(
         out,

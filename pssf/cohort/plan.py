@@ -15,6 +15,7 @@ from ..data.presets import Preset, presets
 from ..model.draw import DrawLaws, draw_body, draw_laws, drawn_knee
 from ..model.exposure import draw_exposure
 from ..model.knee import Knee, knee_table
+from ..model.listing import changes, with_changes
 from ..model.protocol import Protocol, load_protocol, protocol_table
 
 # Keys of the streams under a cohort's seed. A knee's index stands first, so the order of making changes nothing.
@@ -106,7 +107,8 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
     preset     a name of `data/presets.toml`
     Subjects and knees are numbered at random under the seed, so that no number and no file name predicts a grade.
 
-    overrides  entries that replace the preset's, such as {"knees": [2, 2, 2]} or {"protocols": ["reference"]}
+    overrides  entries that replace the preset's, such as {"knees": [2, 2, 2]}, {"protocols": ["reference"]},
+               {"matrix": 512} or {"settings": ["mas=3"]}
     masks      "tif" to have the masks of every radiograph written as well, or "none"
     raises     InputError for an unknown preset, entry or protocol, or counts that do not fit
     """
@@ -120,7 +122,9 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
         require_choice("preset entry", name, known.__struct_fields__)
     chosen = structs.replace(known, **given)
     require_choice("exposures", chosen.exposures, ("fixed", "drawn"))
-    protocols = [taken for name in chosen.protocols for taken in _variants(load_protocol(name), chosen)]
+    _, of_protocol = changes(chosen.settings)
+    meant = [_resampled(with_changes(load_protocol(name), of_protocol), chosen.matrix) for name in chosen.protocols]
+    protocols = [taken for protocol in meant for taken in _variants(protocol, chosen)]
     names = [protocol.name for protocol in protocols]
     if len(set(names)) < len(names) or not names:
         raise InputError(f"protocols = {', '.join(names) or 'none'}; allowed: one or more, each once")
@@ -230,6 +234,10 @@ def _people(knees: Sequence[int], bilateral: int) -> list[tuple[int, int, str | 
     return people
 
 
+def _resampled(protocol: Protocol, matrix: int) -> Protocol:
+    return protocol.resampled(matrix) if matrix else protocol
+
+
 def _variants(protocol: Protocol, preset: Preset) -> list[Protocol]:
     """The protocol at every tilt and, within one, at every dose, so that those of one geometry follow each other."""
     variants = []
@@ -258,14 +266,16 @@ def _case(place: _Place, protocols: list[Protocol], preset: Preset, laws: DrawLa
     if side is not None:
         fixed["side"] = side
     shape = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, _SHAPE)))
-    knee = drawn_knee(laws, grade=grade, rng=shape, **fixed)
+    of_knee, of_protocol = changes(preset.settings)
+    knee = with_changes(drawn_knee(laws, grade=grade, rng=shape, **fixed), of_knee)
     exposures = []
     for turn, protocol in enumerate(protocols):
         state = np.random.SeedSequence(seed, spawn_key=(number, _NOISE, turn)).generate_state(1, np.uint64)
         name = f"{stem(subject, number)}_{protocol.name}"
         if preset.exposures == "drawn":
             taking = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, _TAKING, turn)))
-            protocol = draw_exposure(protocol, rng=taking, side=knee.side)
+            set_to = {field: getattr(protocol, field) for field in of_protocol}
+            protocol = replace(draw_exposure(protocol, rng=taking, side=knee.side), **set_to)
         exposures.append(Exposure(name, protocol, int(state[0] >> np.uint64(1))))
     return Case(subject=subject, index=number, knee=knee, exposures=tuple(exposures), grade_table=preset.grade_table)
 

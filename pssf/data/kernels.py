@@ -29,6 +29,14 @@ class TermSum(Record, frozen=True):
     term: tuple[Term, ...]
 
 
+class SmallField(Record, frozen=True):
+    """Scatter by the kernel over that by the Monte Carlo, least and greatest, for fields up to so many mm."""
+
+    side_mm: float
+    low: float
+    high: float
+
+
 class ScatterKernel(Record, frozen=True):
     """All of `data/scatter.toml`; sums by projection."""
 
@@ -38,11 +46,21 @@ class ScatterKernel(Record, frozen=True):
     tube_kv: Pair
     most_mass: float
     logs: Pair
+    full_field_mm: Pair
+    small_fields: tuple[SmallField, ...]
     sums: tuple[TermSum, ...]
 
     def of(self, projection: str) -> TermSum:
         """The sum of a projection; the first for those that none was fitted for."""
         return next((one for one in self.sums if one.projection == projection), self.sums[0])
+
+    def small_field(self, width_mm: float, height_mm: float) -> SmallField | None:
+        """How far off the kernel is for a field on the detector that it was not fitted to; None for one that it was."""
+        width, height = self.full_field_mm
+        if width_mm >= width and height_mm >= height:
+            return None
+        side_mm = min(width_mm, height_mm * width / height)
+        return next((one for one in self.small_fields if side_mm <= one.side_mm), self.small_fields[-1])
 
 
 @cache

@@ -29,6 +29,8 @@ class Preset(Record, frozen=True):
     grade_table: str = "population"
     doses: tuple[float, ...] = (1.0,)
     tilts_deg: tuple[float, ...] = (0.0,)
+    matrix: int = 0
+    settings: tuple[str, ...] = ()
 
 
 @cache

@@ -6,6 +6,9 @@ from numpy.typing import NDArray
 from ..xray.technique import Technique
 from .noise import Map, in_bands
 
+# What a saturated pixel reads.
+MOST_DN = 65535
+
 
 def readout(
     kev: Map, technique: Technique, seed: np.random.SeedSequence | None, workers: int = 2
@@ -31,7 +34,7 @@ def readout(
     electrons /= np.float32(detector.electrons_per_dn_mm2 * protocol.pixel_mm**2)
     electrons += np.float32(detector.offset_dn)
     np.rint(electrons, out=electrons)
-    pixels = np.clip(electrons, 0, 65535, out=electrons).astype(np.uint16)
+    pixels = np.clip(electrons, 0, MOST_DN, out=electrons).astype(np.uint16)
     if protocol.dead_pixels:
         pixels[dead_pixels(technique)] = 0
     return pixels

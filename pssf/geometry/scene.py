@@ -35,10 +35,11 @@ class Surface:
     """A closed mesh (mm, outward normals) between two materials.
 
     mesh             a trimesh.Trimesh, or a Mesh, which becomes one when it is read
-    inside, outside  tissue names (`data/tissues.toml`), or "FORMULA@DENSITY" in g/cm3, such as "Ti@4.51"
+    inside, outside  tissue names (`data/tissues.toml`), "FORMULA@DENSITY" in g/cm3, such as "Ti@4.51", or percent by
+                     mass, such as "Ti=90,Al=6,V=4@4.43"
     name             how the surface is called in exports and refusals
     inside_density   relative density of what is inside, where it varies; path lengths become its integrals
-    outside_density  the same of what is outside: that of the surface around, where it has one
+    outside_density  the same of what is outside: that of the surface around, where it has one (`trace` refuses None)
     raises           InputError for a wrong type or name; the mesh itself is judged by `check` and `trace`
 
     The mesh is read once, when it is first needed. Two surfaces are equal if they are one.
@@ -107,6 +108,8 @@ class Surface:
 class Scene:
     """Surfaces in `ambient`. Each surface's `outside` is the material that immediately surrounds it.
 
+    ambient  air or another gas: it attenuates nothing, and `simulate` refuses a denser one. Water around a phantom is a
+             closed surface of water in air
     size_mm  least and greatest extent; outside of it the unit is doubted. (0, inf) allows any
              Without surfaces its radiograph is a flat field
     raises   InputError for wrong types; meshes and size are judged by `check` and `trace`

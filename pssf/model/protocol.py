@@ -1,16 +1,21 @@
 """Protocol: how a radiograph is taken. Technique, geometry, detector, and which stages of the chain are wanted."""
 
-from dataclasses import asdict, dataclass, fields
+import math
+from dataclasses import asdict, dataclass, fields, replace
 from os import PathLike
 from typing import Any
 
-from ..core.checks import InputError, from_table
+from ..core.checks import InputError, from_table, require_whole
 from ..core.keywords import keywords
 from ..data.fields import check_fields
 from ..data.tables import read_protocol
 
 # A right leg's lateral side comes to the detector (ML, LM), or its foot (axial), before it is mirrored in y.
 _TURNS = {"AP": (2, 0.0), "PA": (2, 0.0), "ML": (2, -90.0), "LM": (2, -90.0), "axial": (0, -90.0)}
+
+# A field may reach so far towards the anode's cut-off, as a part of the tangent of the anode's angle (assumed: beyond,
+# the intensity is below two fifths of that on the central ray).
+_MOST_OF_CUT_OFF = 0.95
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,6 +99,8 @@ class Protocol:
             raise InputError(f"sod_mm = {self.sod_mm!r} mm; allowed: less than sdd_mm = {self.sdd_mm!r} mm")
         if not self.posture.is_frontal:
             self._check_turned()
+        if self.heel != "none":
+            self._check_heel()
 
     def _check_turned(self) -> None:
         """What is told of a leg that is seen from the front has no meaning from its side or along it."""
@@ -107,6 +114,53 @@ class Protocol:
                 f"apart_mm = {self.apart_mm:g} mm with projection = {self.projection!r}; allowed: 0, since one knee "
                 "would hide the other, or AP, PA or axial"
             )
+
+    def _check_heel(self) -> None:
+        """Refuse a field that reaches beyond what the anode emits: there the intensity falls to nothing."""
+        least_deg = math.degrees(math.atan(self.heel_slope / _MOST_OF_CUT_OFF))
+        if self.anode_angle_deg < least_deg:
+            raise InputError(
+                f"anode_angle_deg must be at least {math.ceil(10 * least_deg) / 10:g} deg with heel = {self.heel!r}, "
+                f"got {self.anode_angle_deg:g}: the anode cuts off the field; give field_height_mm, or raise sdd_mm"
+            )
+
+    @property
+    def heel_slope(self) -> float:
+        """Tangent of the angle from the central ray to the upper and lower edge of the field."""
+        whole_mm = self.rows * self.pixel_mm
+        # Beside the collimated field lies half of its penumbra, less than 15 mm.
+        lit_mm = min(whole_mm, 1.1 * self.field_height_mm + 30.0) if self.field_height_mm > 0 else whole_mm
+        return lit_mm / 2 / self.sdd_mm
+
+    def resampled(self, matrix: int) -> "Protocol":
+        """Change the number of pixels and keep the field: the pixel size follows.
+
+        Parameters
+        ----------
+        matrix : int
+            Pixels along the longer side of the detector. The shorter side gets as many as keep its length to within
+            half a pixel.
+
+        Returns
+        -------
+        Protocol
+            The same protocol with other `rows`, `cols` and `pixel_mm`.
+
+        Raises
+        ------
+        InputError
+            For a number of pixels that is out of range.
+
+        Examples
+        --------
+        >>> small = load_protocol("reference").resampled(512)
+        >>> small.rows, small.cols, small.pixel_mm
+        (512, 512, 0.6)
+        """
+        require_whole("matrix", matrix, 1, 8192, "pixels")
+        most = max(self.rows, self.cols)
+        rows, cols = (max(1, round(side * matrix / most)) for side in (self.rows, self.cols))
+        return replace(self, rows=rows, cols=cols, pixel_mm=round(self.pixel_mm * most / matrix, 9))
 
     @property
     def posture(self) -> Posture:

@@ -6,6 +6,7 @@ raycast.check    scene            -> what is wrong with its meshes and what they
 paths      what comes back
 strips     the same without the air beside the object
 overlaps   where surfaces contradict each other or themselves
+density_mismatch  where they do not name the density that surrounds them
 negative   paths of less than nothing: why, and which are refused
 sheets     surfaces as a detector sees them
 clip       cut off in front of the source
@@ -37,6 +38,7 @@ from ..model.protocol import Protocol
 from . import scanline
 from .check import Report, check
 from .crossings import Crossings, chords, integrals, joined
+from .density_mismatch import require_densities
 from .negative import require_paths
 from .paths import Audit, Paths, total
 from .rays import add_box, to_mm
@@ -46,7 +48,7 @@ from .strips import Strips
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["Audit", "Paths", "Report", "check", "require_paths", "shadow", "trace", "trace_strips"]
+__all__ = ["Audit", "Paths", "Report", "check", "require_paths", "scene_shadow", "shadow", "trace", "trace_strips"]
 
 ENGINES = ("embree", "scanline")
 PRECISIONS = ("float32", "float64")
@@ -115,6 +117,8 @@ def _filled(scene: Scene, view: View, path_mm: Mapping[str, Any], engine: str, s
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(lambda surface: surface.solid, scene.surfaces))
         require_traceable(scene)
+        if not smooth:
+            require_densities(scene)
         asked = [surface for surface in scene.surfaces if {surface.inside, surface.outside} & path_mm.keys()]
         layers = _layers(asked, view, engine, smooth, pool)
         audit = total(pool.map(partial(_band, scene, view, layers, path_mm), range(0, view.rows, BAND_ROWS)))
@@ -145,13 +149,26 @@ def shadow(mesh: "trimesh.Trimesh | Mesh", protocol: Protocol | View) -> NDArray
         return seen
     solid = Surface(mesh, "solid", "air").solid
     require_sound(solid)
-    sheet = sheet_of(solid, view)
+    _add_shadow(seen, sheet_of(solid, view))
+    return seen
+
+
+def scene_shadow(scene: Scene, view: View) -> NDArray[np.bool_]:
+    """(rows, cols)  where any of a scene is seen that the ambient material surrounds"""
+    seen = np.zeros((view.rows, view.cols), np.bool_)
+    for surface in scene.surfaces:
+        if surface.outside == scene.ambient:
+            _add_shadow(seen, sheet_of(surface.solid, view))
+    return seen
+
+
+def _add_shadow(seen: NDArray[np.bool_], sheet: Sheet) -> None:
+    """Mark the pixels (rows, cols) that see a surface."""
     columns = slice(*sheet.cols)
-    for first in range(0, view.rows, BAND_ROWS):
+    for first in range(0, len(seen), BAND_ROWS):
         top, bottom = max(first, sheet.rows[0]), min(first + BAND_ROWS, sheet.rows[1])
         if top < bottom:
-            seen[top:bottom, columns] = scanline.counts(sheet, top, bottom) > 0
-    return seen
+            seen[top:bottom, columns] |= scanline.counts(sheet, top, bottom) > 0
 
 
 @dataclass(frozen=True)

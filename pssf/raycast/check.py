@@ -1,15 +1,18 @@
 """check: what is wrong with a scene, before any image is made of it."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..core.checks import Array
+from ..data.tissues import DENSEST_GAS, Tissue, tissues
 from ..geometry.repair import Fault
 from ..geometry.scene import HasScene, Scene, Surface, scene_of
 from ..geometry.view import View, depth_of, view_of
 from ..model.protocol import Protocol
 from .clip import NEAREST
+from .density_mismatch import density_faults
 from .negative import least_paths, why_negative
 from .overlaps import contradictions, folded
 from .paths import FOLD_MM
@@ -18,6 +21,8 @@ from .sheets import sheet_of
 # Sample rays across the box of a scene, and how many times its size the source is away from it.
 _SIDE = 128
 _AWAY = 7.3
+# Of a surface that is outside the field of view.
+COVERS_NO_PIXEL = "covers no pixel"
 _SHOWN = "sample rays that show it"
 
 
@@ -52,11 +57,17 @@ def check(scene: Scene | HasScene, protocol: Protocol | View | None = None) -> R
     scene = scene_of(scene)
     view = None if protocol is None else view_of(protocol)
     faults = list(scene.faults)
+    if not isinstance(protocol, Protocol) or protocol.texture != "none":
+        faults += density_faults(scene)
     if scene.surfaces and not any(fault.outcome == "refused" for fault in faults):
         sample = _sample_view(scene.bounds_mm)
         for surface in scene.surfaces:
             faults += _crowded_edges(surface)
-        faults += [*_overlaps(scene, sample), *_negative_paths(scene, view or sample)]
+        faults += [
+            *_dense_ambient(scene, tissues()),
+            *_overlaps(scene, sample),
+            *_negative_paths(scene, view or sample),
+        ]
         if view is not None:
             faults += [fault for surface in scene.surfaces for fault in _places(surface, view)]
     return Report(tuple(faults))
@@ -77,6 +88,20 @@ def _crowded_edges(surface: Surface) -> list[Fault]:
     number = surface.solid.vertices
     first = tuple(f"{number[edge >> 32]}-{number[edge & 0xFFFFFFFF]}" for edge in crowded[:3])
     return [_noted(surface.name, "edges of more than two faces", len(crowded), first, "signs add up all the same")]
+
+
+def _dense_ambient(scene: Scene, known: Mapping[str, Tissue]) -> list[Fault]:
+    """An ambient material, where its density is known by its name, that would attenuate: `simulate` refuses it."""
+    tissue, _, given = known.get(scene.ambient), *scene.ambient.partition("@")[1:]
+    try:
+        # A mix of tissues, which has no density of its own, is none of gases.
+        density = float(given) if tissue is None else tissue.density or 1.0
+    except ValueError:
+        return []
+    if density <= DENSEST_GAS:
+        return []
+    hint = "simulate refuses it; put the scene into a closed surface of that material in air"
+    return [_noted("ambient", f"{scene.ambient} attenuates nothing outside of all surfaces", 0, (), hint)]
 
 
 def _overlaps(scene: Scene, sample: View) -> list[Fault]:
@@ -135,5 +160,5 @@ def _places(surface: Surface, view: View) -> list[Fault]:
         if count:
             faults.append(_noted(surface.name, what, count, (), "that part is not on the way of any ray"))
     if sheet.rows[0] >= sheet.rows[1] or sheet.cols[0] >= sheet.cols[1]:
-        faults.append(_noted(surface.name, "covers no pixel", 0, (), "it is not in the image"))
+        faults.append(_noted(surface.name, COVERS_NO_PIXEL, 0, (), "it is not in the image"))
     return faults

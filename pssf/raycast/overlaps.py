@@ -17,9 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.checks import Array
+from ..geometry.density import Density
 from ..geometry.scene import Scene
 from ..geometry.view import View
 from . import scanline
+from .density_mismatch import is_same_density
 from .paths import FOLD_MM
 from .rays import to_mm
 from .sheets import BAND_ROWS, Sheet, frame_of, sheet_of
@@ -159,10 +161,28 @@ def _stretch_mm(ray: NDArray[np.int64], at_mm: Array) -> Array:
 def _wrong(scene: Scene, along: _Along) -> NDArray[np.bool_]:
     """(n,)  whether some material is there less than not at all, behind each crossing"""
     wrong = np.zeros(len(along.ray), np.bool_)
-    for material in scene.materials:
-        gained = np.array([(s.inside == material) - (s.outside == material) * 1 for s in scene.surfaces])
-        wrong |= (material == scene.ambient) - np.cumsum(along.sign * gained[along.surface]) < 0
+    sides, ambient = _contents(scene)
+    for content in np.unique(np.append(sides, ambient)):
+        gained = (sides[:, 0] == content) - (sides[:, 1] == content) * 1
+        wrong |= (content == ambient) - np.cumsum(along.sign * gained[along.surface]) < 0
     return wrong
+
+
+def _contents(scene: Scene) -> tuple[NDArray[np.int64], int]:
+    """Numbers of contents, which are materials each with the density that it has: (surfaces, 2) inside and outside, and
+    the ambient one.
+    """
+    known: list[tuple[str, Density | None]] = [(scene.ambient, None)]
+
+    def number(material: str, density: Density | None) -> int:
+        for place, (name, other) in enumerate(known):
+            if name == material and is_same_density(density, other):
+                return place
+        known.append((material, density))
+        return len(known) - 1
+
+    sides = [(number(s.inside, s.inside_density), number(s.outside, s.outside_density)) for s in scene.surfaces]
+    return np.array(sides), 0
 
 
 class _Pattern(NamedTuple):
@@ -203,6 +223,7 @@ def _along_pattern(scene: Scene, pattern: _Pattern) -> Iterator[tuple[Contradict
     Crossings within FOLD_MM are taken in whatever order makes sense of them, as where surfaces share a wall.
     """
     spans, runs, of_surface = _spans(pattern), _runs(pattern), defaultdict[int, list[_Span]](list)
+    sides, ambient = _contents(scene)
     for k, span in spans.items():
         of_surface[pattern.surface[k]].append(span)
     entered, first = list[int](), 0
@@ -214,17 +235,24 @@ def _along_pattern(scene: Scene, pattern: _Pattern) -> Iterator[tuple[Contradict
         first = last + 1
         while left:
             around = {k: [n for n in entered if n != pattern.surface[k]] for k in left}
-            there = {k: scene.surfaces[around[k][-1]].inside if around[k] else scene.ambient for k in left}
-            right = [k for k in left if scene.surfaces[pattern.surface[k]].outside == there[k]]
+            there = {k: sides[around[k][-1], 0] if around[k] else ambient for k in left}
+            right = [k for k in left if sides[pattern.surface[k], 1] == there[k]]
             k = (right or left)[0]
             if not right and run:
-                surface, owner = scene.surfaces[pattern.surface[k]], around[k][-1] if around[k] else None
+                owner = around[k][-1] if around[k] else None
                 shared = spans[k] if owner is None else _shared(spans[k], of_surface[owner], k)
-                name = "" if owner is None else scene.surfaces[owner].name
-                what = Contradiction(surface=surface.name, says=surface.outside, there=there[k], owner=name)
-                yield what, run, shared
+                yield _contradiction(scene, pattern.surface[k], owner), run, shared
             left.remove(k)
             entered = [*around[k], pattern.surface[k]] if pattern.sign[k] < 0 else around[k]
+
+
+def _contradiction(scene: Scene, number: int, owner: int | None) -> Contradiction:
+    """What a surface says, against what is there: the inside of another surface, or the ambient material."""
+    surface, around = scene.surfaces[number], None if owner is None else scene.surfaces[owner]
+    there, name = (scene.ambient, "") if around is None else (around.inside, around.name)
+    if there == surface.outside:
+        there += " of another density"
+    return Contradiction(surface=surface.name, says=surface.outside, there=there, owner=name)
 
 
 def _spans(pattern: _Pattern) -> dict[int, _Span]:

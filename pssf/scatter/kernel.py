@@ -28,6 +28,9 @@ _LOOKS, _MIDDLE = 32, slice(12, 20)
 _GAP_STEP_MM = 20.0
 # How an object leans is told over so many mm (standard deviation).
 _LEANING_MM = 20.0
+# Side of the plane that the constants were fitted on. On a smaller one, scatter that leaves the object beside the beam
+# and reaches the detector would be lost, and Gaussians wider than the plane would come around to it again.
+_PLANE_MM = 307.2
 # Behind metal hardly anything is left; its logarithm is kept finite.
 _LEAST = 1e-5
 
@@ -44,8 +47,9 @@ def scatter_kev(
     A sum of terms, each in three steps: photons scatter in proportion to powers of the mass crossed and of the primary
     that is left; they spread within the object and are weakened by what lies where they leave; and they spread
     on across the air gap, each as far as it is there. Where an object leans, what counts is its thickness, not the way
-    along the rays. Form, constants, and how far they hold: `data/scatter.toml` (limbs of 100 to 140 mm, gaps of 20 to
-    210 mm); for other objects there is `monte_carlo.scatter_monte_carlo`.
+    along the rays. What is irradiated is the collimator's field on the detector, as in the Monte Carlo
+    (`xray.collimator`). Form, constants, how far they hold, small fields too: `data/scatter.toml` (limbs of 100 to
+    140 mm, gaps of 20 to 210 mm); for other objects there is `monte_carlo.scatter_monte_carlo`.
     primary_kev  (rows, cols)
     path_mm      material -> (rows, cols)
     gaps_mm      (32, 32)  from where the object ends to the detector plane: of `exit_gaps_mm`, or one for all
@@ -57,8 +61,33 @@ def scatter_kev(
         return np.zeros(primary_kev.shape, np.float32)
     state = Crossed(opened=opened / most, mass=mass, passed=passed, cell_mm=step * technique.protocol.pixel_mm)
     gaps = gaps_in_cells(gaps_mm, mass.shape, step, technique.view)
-    share = shares(state, gaps, technique.protocol, technique.kernel)
+    share = _shares_on_plane(state, gaps, technique)
     return enlarge(np.maximum(share, 0) * most, step, primary_kev.shape)
+
+
+def _shares_on_plane(crossed: "Crossed", gaps_mm: Array, technique: Technique) -> Array:
+    """Compute `shares` on a plane no smaller than the fitted one, unirradiated around a smaller detector.
+
+    gaps_mm  (rows, cols)  from where the object ends to the detector plane; those at the edge go on beyond it
+    """
+    shape = crossed.opened.shape
+    missing = [max(int(_PLANE_MM / crossed.cell_mm + 1e-6) - n, 0) for n in shape]
+    if not any(missing):
+        return shares(crossed, gaps_mm, technique.protocol, technique.kernel)
+    around = [(more // 2, more - more // 2) for more in missing]
+    # The last cells may reach beyond the detector, where nothing is irradiated.
+    sides = zip(shape, (technique.view.rows, technique.view.cols), strict=True)
+    pixels = crossed.cell_mm / technique.view.pixel_mm
+    covered = np.outer(*(np.minimum(count / pixels - np.arange(n), 1.0) for n, count in sides))
+    wide = Crossed(
+        opened=np.pad(crossed.opened * covered, around),
+        mass=np.pad(crossed.mass, around),
+        passed=np.pad(crossed.passed, around, constant_values=1.0),
+        cell_mm=crossed.cell_mm,
+    )
+    gaps_mm = np.pad(gaps_mm, around, mode="edge")
+    inner = tuple(slice(before, before + n) for (before, _), n in zip(around, shape, strict=True))
+    return np.asarray(shares(wide, gaps_mm, technique.protocol, technique.kernel)[inner])
 
 
 def coarse(

@@ -55,6 +55,7 @@ def scatter_monte_carlo(
 ) -> tuple[NDArray[np.float32], float]:
     """Scatter by Monte Carlo, in the units of `scatter.scatter_kev`, and how sure it is.
 
+    What is irradiated is the collimator's field on the detector (`xray.collimator`), with sharp edges.
     photons  aimed at what the field sees of the scene; the error falls as the root of their number
     seed     the same seed gives the same bytes on any number of workers
     returns  (rows, cols)  mean energy absorbed from scattered photons, keV a pixel, smoothed over 8 mm; and its

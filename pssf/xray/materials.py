@@ -1,6 +1,7 @@
 """Attenuation of tissues, metals and compounds (xraylib)."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from functools import cache
 from typing import NamedTuple
 
@@ -11,7 +12,9 @@ from ..core.checks import Array, InputError, require, require_choice
 from ..data.tissues import Tissue
 
 _CM_PER_MM = 0.1
-_FORMULA = "a formula and a density in g/cm3, such as Ti@4.51"
+_FORMULA = "a formula and a density in g/cm3, such as Ti@4.51, or percent by mass, such as Ti=90,Al=6,V=4@4.43"
+# How far percentages by mass may be from 100 in all; they are brought to it.
+_OFF_PERCENT = 1.0
 
 
 class Material(NamedTuple):
@@ -25,13 +28,15 @@ def material_of(name: str, tissues: Mapping[str, Tissue]) -> Material:
     """The material that a name stands for.
 
     name     a tissue or metal, a compound of NIST's list by its name, such as "Gypsum", or "FORMULA@DENSITY" in g/cm3;
-             a name of NIST's too may have a density of its own, such as "Polyethylene@0.94"
+             a name of NIST's too may have a density of its own, such as "Polyethylene@0.94". A formula counts atoms;
+             "Ti=90,Al=6,V=4@4.43" gives percent by mass, as alloys are named
     tissues  name -> tissue or metal
     raises   InputError for what is neither
     """
     if "@" in name or name in _nist():
         return compound_of(name)
-    require_choice("material", name, (*tissues, "a name of NIST's compounds (xraylib)", "FORMULA@DENSITY"))
+    others = ("a name of NIST's compounds (xraylib)", "FORMULA@DENSITY", "Ti=90,Al=6,V=4@4.43")
+    require_choice("material", name, (*tissues, *others))
     if name not in tissues:
         raise InputError(f"material = {name!r}; allowed: {_FORMULA}")
     tissue = tissues[name]
@@ -45,7 +50,8 @@ def material_of(name: str, tissues: Mapping[str, Tissue]) -> Material:
 
 
 def compound_of(name: str) -> Material:
-    """The compound of NIST's list, with a density of its own if it is given one, or of "FORMULA@DENSITY" in g/cm3.
+    """The compound of NIST's list, with a density of its own if it is given one, or of "FORMULA@DENSITY" in
+    g/cm3, by atoms or by mass.
 
     raises  InputError for neither
     """
@@ -54,6 +60,8 @@ def compound_of(name: str) -> Material:
         compound = xraylib.GetCompoundDataNISTByName(formula)
         density = _density(name) if "@" in name else float(compound["density"])
         return Material(density, tuple(zip(compound["Elements"], compound["massFractions"], strict=True)))
+    if "=" in formula:
+        return Material(_density(name), _by_mass(formula))
     try:
         parsed = xraylib.CompoundParser(formula)
     except ValueError:
@@ -69,6 +77,12 @@ def attenuation_per_mm(material: Material, energies_kev: Array) -> Array:
     return material.density_g_per_cm3 * _mass_attenuation(material.elements, energies_kev) * _CM_PER_MM
 
 
+def edges_kev(materials: Iterable[Material]) -> tuple[float, ...]:
+    """List the energies of the K and L absorption edges of all elements of some materials, in keV, ascending."""
+    numbers = {z for material in materials for z, _ in material.elements}
+    return tuple(sorted({energy for z in numbers for energy in _edges_of(z)}))
+
+
 def absorbed_fraction(formula: str, mg_per_cm2: float, energies_kev: Array) -> Array:
     """(bins,)  photons that interact, other than coherently, in a layer of a compound
 
@@ -78,6 +92,16 @@ def absorbed_fraction(formula: str, mg_per_cm2: float, energies_kev: Array) -> A
     parts = zip(compound["Elements"], compound["massFractions"], strict=True)
     mu = sum(w * np.array([xraylib.CS_Photo(z, e) + xraylib.CS_Compt(z, e) for e in energies_kev]) for z, w in parts)
     return 1 - np.exp(-mu * mg_per_cm2 / 1000)
+
+
+@cache
+def _edges_of(z: int) -> tuple[float, ...]:
+    """K and L edges of an element, in keV; light elements have no L edges in xraylib's tables."""
+    energies = []
+    for shell in (xraylib.K_SHELL, xraylib.L1_SHELL, xraylib.L2_SHELL, xraylib.L3_SHELL):
+        with suppress(ValueError):
+            energies.append(float(xraylib.EdgeEnergy(z, shell)))
+    return tuple(energies)
 
 
 @cache
@@ -93,6 +117,28 @@ def _mixture(volumes: Mapping[str, float], tissues: Mapping[str, Tissue]) -> Mat
         for z, w in part.elements:
             masses[z] = masses.get(z, 0.0) + share * part.density_g_per_cm3 * w
     return Material(density, tuple((z, mass / density) for z, mass in masses.items()))
+
+
+def _by_mass(listed: str) -> tuple[tuple[int, float], ...]:
+    """Atomic numbers and mass fractions of a list such as "Ti=90,Al=6,V=4".
+
+    raises  InputError for what is no element, an element twice, or percentages that do not add up to 100
+    """
+    percents: dict[int, float] = {}
+    for part in listed.split(","):
+        symbol, _, text = part.partition("=")
+        try:
+            z, percent = xraylib.SymbolToAtomicNumber(symbol.strip()), float(text)
+        except ValueError:
+            raise InputError(f"material must be percent by mass, such as Ti=90,Al=6,V=4@4.43, got {part!r}") from None
+        require(f"percent by mass of {symbol.strip()}", percent, 0, 100, "%")
+        if z in percents:
+            raise InputError(f"material must name each element once, got {symbol.strip()} twice in {listed!r}")
+        percents[z] = percent
+    total = sum(percents.values())
+    if not abs(total - 100) <= _OFF_PERCENT:
+        raise InputError(f"percent by mass of {listed!r} must add up to 100, got {total:g}")
+    return tuple((z, percent / total) for z, percent in percents.items() if percent > 0)
 
 
 def _density(material: str) -> float:

@@ -1,0 +1,152 @@
+"""Warnings and refusals of `simulate`: alloys, ambient material, field of view, saturation, landmarks, small fields."""
+
+import dataclasses
+import warnings
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+import pssf
+from pssf.data.tissues import tissues
+from pssf.xray.alloys import alloy_mistaken_for_compound
+from pssf.xray.materials import attenuation_per_mm, material_of
+
+ENERGIES = np.array([30.0, 50.0, 70.0])
+
+
+def box(x_mm=0.0, side_mm=40.0):
+    return trimesh.creation.box((side_mm, side_mm, side_mm)).apply_translation((x_mm, 0, 0))
+
+
+def told(subject, protocol, **how):
+    """Messages of the warnings of a simulation."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        pssf.simulate(subject, protocol, engine="scanline", **how)
+    return [str(one.message) for one in caught if issubclass(one.category, pssf.ImageNotice)]
+
+
+@pytest.fixture(scope="module")
+def coarse():
+    return pssf.load_protocol("reference").resampled(96)
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [
+        ("Ti6Al4V@4.43", "titanium_alloy"), ("Ti3Al2.5V@4.48", "titanium_alloy"), ("CoCr28Mo6@8.3", "cobalt_chromium"),
+        ("Co28Cr6Mo@8.3", "cobalt_chromium"), ("CoCrMo@8.3", "cobalt_chromium"), ("CoCr@8.3", "cobalt_chromium"),
+        ("Fe18Cr14Ni2.5Mo@7.95", "stainless_steel"), ("Fe18Cr14NiC@7.9", "stainless_steel"), ("Ti6Al7Nb@4.52", ""),
+        ("Ti13Nb13Zr@5", ""), ("CuZn37@8.4", ""), ("AlMg3@2.7", ""), ("Zr2.5Nb@6.5", ""),
+    ],
+)  # fmt: skip
+def test_names_of_alloys_by_mass_are_noticed(name, meant):
+    said = alloy_mistaken_for_compound(name, tissues())
+    assert said.startswith(f"{name} is read as numbers of atoms")
+    assert "percent by mass, as in Ti=90,Al=6,V=4@4.43" in said
+    assert f"material {meant} (" in said if meant else "material" not in said
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "NiTi@6.45", "CsI@4.51", "CaCO3@2.71", "Ca10P6O26H2@3.16", "Gd2O2S@7.3", "BaSO4@4.5", "Ti@4.51", "Fe3C@7.7",
+        "C5H8O2@1.18", "Ti86.2Al10.2V3.6@4.43", "Ti=90,Al=6,V=4@4.43", "titanium_alloy", "Gypsum", "Polyethylene@0.94",
+    ],
+)  # fmt: skip
+def test_compounds_and_tissues_are_no_alloys(name):
+    assert alloy_mistaken_for_compound(name, tissues()) is None
+
+
+def test_percent_by_mass_is_the_alloy_of_the_table():
+    written = attenuation_per_mm(material_of("Ti=90,Al=6,V=4@4.43", tissues()), ENERGIES)
+    assert_allclose(written, attenuation_per_mm(material_of("titanium_alloy", tissues()), ENERGIES), rtol=1e-12)
+    assert (attenuation_per_mm(material_of("Ti6Al4V@4.43", tissues()), ENERGIES) < 0.8 * written).all()
+
+
+@given(st.lists(st.floats(0.1, 100.0), min_size=2, max_size=4))
+def test_percents_by_mass_mix_attenuation_by_mass(parts):
+    percents = [100 * part / sum(parts) for part in parts]
+    symbols = ("Ca", "O", "Zr", "H")[: len(parts)]
+    name = ",".join(f"{symbol}={percent}" for symbol, percent in zip(symbols, percents, strict=True)) + "@2"
+    pure = [attenuation_per_mm(material_of(f"{symbol}@2", tissues()), ENERGIES) for symbol in symbols]
+    mixed = sum(percent / 100 * one for percent, one in zip(percents, pure, strict=True))
+    assert_allclose(attenuation_per_mm(material_of(name, tissues()), ENERGIES), mixed, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("Ti=90,Al=6@4.43", "must add up to 100, got 96"), ("Ti=90,Xx=10@4", "got 'Xx=10'"), ("Ti=a@4", "got 'Ti=a'"),
+        ("Ti=50,Ti=50@4", "once"), ("Ti=-10,Al=110@4", "percent by mass of Ti"), ("Ti=nan@4", "percent by mass of Ti"),
+        ("Ti=100@", "material"), ("=100@4", "got '=100'"),
+    ],
+)  # fmt: skip
+def test_percents_that_are_none_are_refused_in_a_line(name, why):
+    with pytest.raises(pssf.InputError, match=why) as refused:
+        material_of(name, tissues())
+    assert "\n" not in str(refused.value)
+
+
+def test_simulate_warns_once_of_an_alloy_read_as_atoms(coarse):
+    scene = pssf.Scene([pssf.Surface(box(), "Ti6Al4V@4.43", "air", "plate")])
+    assert ["titanium_alloy" in one for one in told(scene, coarse)] == [True]
+
+
+@pytest.mark.parametrize("ambient", ["water", "trabecular_bone", "H2O@1"])
+def test_an_ambient_material_that_would_attenuate_is_refused(coarse, ambient):
+    scene = pssf.Scene([pssf.Surface(box(), "Ti@4.51", ambient)], ambient=ambient)
+    with pytest.raises(pssf.InputError, match=f"ambient must be air or another gas, got '{ambient}'"):
+        pssf.simulate(scene, coarse, engine="scanline")
+    assert "simulate refuses it" in str(pssf.check(scene))
+
+
+@pytest.mark.parametrize("ambient", ["air", "Nitrogen", "He@0.00018"])
+def test_gases_may_be_around_a_scene(coarse, ambient):
+    scene = pssf.Scene([pssf.Surface(box(), "muscle", ambient)], ambient=ambient)
+    assert told(scene, coarse) == []
+    assert str(pssf.check(scene)) == "no faults"
+
+
+def test_simulate_warns_once_of_a_scene_outside_the_field_of_view(coarse):
+    scene = pssf.Scene([pssf.Surface(box(900.0), "muscle", "air")])
+    (said,) = told(scene, coarse)
+    assert said.startswith("the scene is outside the field of view")
+
+
+def test_simulate_warns_of_a_scene_behind_the_collimator(coarse):
+    scene = pssf.Scene([pssf.Surface(box(100.0), "muscle", "air")])
+    assert told(scene, coarse) == []
+    (said,) = told(scene, dataclasses.replace(coarse, field_width_mm=100.0, field_height_mm=240.0))
+    assert said.startswith("the scene is outside the field of view")
+
+
+def test_simulate_warns_of_saturation_within_the_limb_and_not_along_its_outline(built, coarse):
+    assert told(built, dataclasses.replace(coarse, mas=4.0)) == []
+    (said,) = told(built, dataclasses.replace(coarse, mas=20.0))
+    assert "% of the object's pixels are saturated (65535 DN)" in said
+    assert "mas (now 20)" in said
+
+
+def test_simulate_warns_of_landmarks_that_the_image_does_not_show(built, coarse):
+    crop = dataclasses.replace(coarse, rows=20, cols=20)
+    (said,) = told(built, crop)
+    assert "landmarks are outside the image (" in said
+    (said,) = told(built, dataclasses.replace(coarse, field_width_mm=60.0, field_height_mm=240.0))
+    assert "landmarks are outside the irradiated field (" in said
+    assert told(built, dataclasses.replace(coarse, field_width_mm=180.0, field_height_mm=240.0)) == []
+
+
+def test_a_knee_outside_the_field_of_view_has_one_warning(built, coarse):
+    (said,) = told(built, dataclasses.replace(coarse, rows=16, cols=16, centre_x_mm=150.0))
+    assert said.startswith("the scene is outside")
+
+
+def test_a_warning_names_the_line_of_the_user(coarse):
+    with pytest.warns(pssf.ImageNotice) as caught:
+        pssf.simulate(pssf.Scene([pssf.Surface(box(900.0), "muscle", "air")]), coarse, engine="scanline")
+    assert caught[0].filename == __file__
