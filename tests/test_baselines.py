@@ -33,6 +33,6 @@ def test_chance_gives_the_shares_of_the_grades_in_training():
 
 
 def test_a_cohort_without_measures_has_chance_alone():
-    table = measured_cohort().drop(columns=["sex", "age_years", "jsw_medial_mm"])
+    table = measured_cohort().drop(columns=["sex", "age_years", "nominal_jsw_medial_mm"])
     assert list(baselines_of(with_measures(table), SHAKY_NAMES)) == ["chance"]
     assert measures_of(with_measures(table)) == ["stature_mm"]

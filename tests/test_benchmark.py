@@ -257,7 +257,12 @@ def made_up(per_grade=12):
             signal = grade + 0.3 * rng.normal()
             for protocol in ("one", "two"):
                 row = {"radiograph": f"{subject}_{knee}_{protocol}", "knee": 2 * subject + knee, "subject": subject}
-                row |= {"grade": grade, "protocol": protocol, "jsw_medial_mm": 5.0 - grade, "jsw_lateral_mm": 5.0}
+                row |= {
+                    "grade": grade,
+                    "protocol": protocol,
+                    "nominal_jsw_medial_mm": 5.0 - grade,
+                    "nominal_jsw_lateral_mm": 5.0,
+                }
                 rows.append(row | {"signal": signal + (4.0 if protocol == "two" else 0.0), "noise": rng.normal()})
     return pd.DataFrame(rows)
 
@@ -265,7 +270,7 @@ def made_up(per_grade=12):
 def test_baselines_learn_from_one_protocol_and_from_training_people_alone():
     usable = made_up()
     splits = splits_of(usable, LIGHT)
-    parameters = usable.drop_duplicates("knee")[["knee", "jsw_medial_mm", "jsw_lateral_mm"]]
+    parameters = usable.drop_duplicates("knee")[["knee", "nominal_jsw_medial_mm", "nominal_jsw_lateral_mm"]]
 
     def scores(table):
         predictions = predict(films_of(table, ["signal", "noise"], parameters, LIGHT), splits, LIGHT, Execution())
@@ -291,7 +296,7 @@ def test_baselines_learn_from_one_protocol_and_from_training_people_alone():
 def test_baselines_of_nothing_to_learn_from_are_refused():
     usable = made_up()
     splits, names = splits_of(usable, LIGHT), ["signal", "noise"]
-    parameters = usable.drop_duplicates("knee")[["knee", "jsw_medial_mm", "jsw_lateral_mm"]]
+    parameters = usable.drop_duplicates("knee")[["knee", "nominal_jsw_medial_mm", "nominal_jsw_lateral_mm"]]
     for found in (usable[usable["protocol"] == "two"], usable[:0]):
         with pytest.raises(pssf.InputError, match="regions found under one = 0; allowed: 1 or more"):
             films_of(found, names, parameters, LIGHT)

@@ -41,7 +41,7 @@ def test_what_an_axis_is_not_of_stays_as_it_is():
 
 def test_a_plan_takes_the_same_knees_at_every_step_each_with_noise_of_its_own():
     plan = plan_curves(PLAN, knees=4, reference="reference")
-    assert [case.knee.grade for case in plan.cases] == [0, 0, 2, 2]
+    assert sorted(case.knee.grade for case in plan.cases) == [0, 0, 2, 2]
     known = {case.index: case.knee for case in PLAN.cases}
     assert all(known[case.index] == case.knee for case in plan.cases)
     exposures = [exposure for case in plan.cases for exposure in case.exposures]

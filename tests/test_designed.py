@@ -17,7 +17,7 @@ from pssf.study.design import AXES
 from pssf.study.space import SPACE
 from pssf.study.statistics import space as statistics
 
-BOUNDS = {"jsw_medial_mm": (2.0, 5.0), "mas": (1.0, 4.0), "chance": (0.0, 1.0)}
+BOUNDS = {"nominal_jsw_medial_mm": (2.0, 5.0), "mas": (1.0, 4.0), "chance": (0.0, 1.0)}
 SAMPLES = 2
 COARSE = AXES["pixel_size"].steps.index(2.0) + 1
 
@@ -28,7 +28,7 @@ class Taken:
     def __init__(self) -> None:
         self.cohort = Cohort(5)
         rows = [row for row in self.cohort.rows if row["protocol"] == "reference" and row["grade"] != 1]
-        self.manifest = pd.DataFrame(rows).assign(jsw_medial_mm=lambda t: 5.0 - t["grade"], mas=2.0)
+        self.manifest = pd.DataFrame(rows).assign(nominal_jsw_medial_mm=lambda t: 5.0 - t["grade"], mas=2.0)
         # Subjects and knees are called by texts, as in tables from elsewhere.
         self.manifest[["subject", "knee"]] = "P" + self.manifest[["subject", "knee"]].astype(str)
         self.known = {row["file"]: row for row in rows}

@@ -33,7 +33,7 @@ def table(per_grade: int, *, noise: float = 0.5, seed: int = 0) -> pd.DataFrame:
         for protocol in PROTOCOLS:
             row = {"radiograph": f"{subject}_{protocol}", "knee": subject, "subject": subject, "grade": subject % 3}
             values = dict(zip(NAMES, own + 0.1 * noise * rng.normal(size=4), strict=True))
-            rows.append(row | {"protocol": protocol, "jsw_medial_mm": 5.0 - subject % 3, **values})
+            rows.append(row | {"protocol": protocol, "nominal_jsw_medial_mm": 5.0 - subject % 3, **values})
     return pd.DataFrame(rows)
 
 

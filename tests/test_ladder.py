@@ -30,7 +30,7 @@ def cohort(seed: int, *, texture: float, subjects: int = 120, narrowed: float = 
     grade = 2 * (rng.permutation(subjects) % 2)
     narrow = 4.5 - narrowed * (grade == 2) + 0.5 * rng.normal(size=subjects)
     parameters = pd.DataFrame({"knee": range(subjects), "subject": range(subjects), "grade": grade})
-    parameters = parameters.assign(jsw_medial_mm=narrow, jsw_lateral_mm=5.0 + rng.normal(size=subjects))
+    parameters = parameters.assign(nominal_jsw_medial_mm=narrow, nominal_jsw_lateral_mm=5.0 + rng.normal(size=subjects))
     usable = parameters[["knee", "subject", "grade"]].assign(protocol="reference", firstorder_a=narrow**2)
     usable["glcm_a"] = texture * (grade == 2) + rng.normal(size=subjects)
     usable["glcm_b"] = rng.normal(size=subjects)
@@ -84,7 +84,7 @@ def test_a_reading_errs_as_its_source_says_and_is_the_knees_own():
     assert_allclose(errors.std(), ladder.READING_SD_MM, rtol=0.05)
     assert abs(errors.corr().iloc[0, 1]) < 0.1
     usable = known[["knee", "subject", "grade", *NAMES]].assign(protocol="reference")
-    parameters = known[["knee", "jsw_medial_mm", "jsw_lateral_mm"]].assign(subject=known["subject"])
+    parameters = known[["knee", "nominal_jsw_medial_mm", "nominal_jsw_lateral_mm"]].assign(subject=known["subject"])
     fewer = ladder.known_of(usable.iloc[5:], NAMES, parameters, SETTINGS)
     assert_allclose(fewer["measured_medial_mm"], known["measured_medial_mm"].iloc[5:])
 
@@ -134,7 +134,7 @@ def test_without_joint_spaces_only_features_are_asked():
 
 def test_the_report_shows_every_question_with_its_picture():
     known = cohort(0, texture=1.0)
-    manifest = known[["knee", "subject", "grade", "jsw_medial_mm", "jsw_lateral_mm"]]
+    manifest = known[["knee", "subject", "grade", "nominal_jsw_medial_mm", "nominal_jsw_lateral_mm"]]
     answers = asked(manifest, known[["knee", "subject", "grade", *NAMES]].assign(protocol="reference"))
     assert set(answers.tables) == {"ladder", "ladder_differences", "learning", "power"}
     assert len(answers.sections[0].table) == len(tables.QUESTIONS)
@@ -146,7 +146,7 @@ def test_the_report_shows_every_question_with_its_picture():
 def test_a_grade_of_one_or_two_subjects_is_left_out_and_stops_nothing(rare):
     known = cohort(0, texture=1.0)
     asked_of = known[["knee", "subject", "grade", *NAMES]].assign(protocol="reference")
-    manifest = known[["knee", "subject", "grade", "jsw_medial_mm", "jsw_lateral_mm"]]
+    manifest = known[["knee", "subject", "grade", "nominal_jsw_medial_mm", "nominal_jsw_lateral_mm"]]
     whole = asked(manifest, asked_of).tables["ladder"]
     few = asked_of["subject"].isin(known.loc[known["grade"] == 2, "subject"].iloc[:rare])
     grades = np.where(few, 1, asked_of["grade"])

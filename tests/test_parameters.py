@@ -19,7 +19,11 @@ def manifest() -> pd.DataFrame:
         beaks = [{"site": "medial_tibia", "size_mm": 0.5 * k} for k in range(knee % 4)]
         for protocol in ("reference", "low_dose"):
             row = {"radiograph": f"{knee}_{protocol}", "subject": knee // 2, "knee": knee, "grade": knee // 4}
-            row |= {"protocol": protocol, "sex": "female" if knee % 3 else "male", "jsw_medial_mm": 5.5 - 0.1 * knee}
+            row |= {
+                "protocol": protocol,
+                "sex": "female" if knee % 3 else "male",
+                "nominal_jsw_medial_mm": 5.5 - 0.1 * knee,
+            }
             rows.append(row | {"osteophytes": json.dumps(beaks), "age_years": 50.0 + knee})
     return pd.DataFrame(rows)
 
@@ -43,12 +47,12 @@ def test_what_was_drawn_stands_beside_the_range_of_its_grade():
 
 def test_a_feature_follows_what_it_was_made_of():
     told, rng = manifest(), np.random.default_rng(0)
-    features = {"glcm_a": -told["jsw_medial_mm"], "glcm_b": rng.normal(size=len(told)), "glcm_c": 1.0}
+    features = {"glcm_a": -told["nominal_jsw_medial_mm"], "glcm_b": rng.normal(size=len(told)), "glcm_c": 1.0}
     usable = told[["knee", "grade", "protocol"]].assign(**features)
     table = follows(usable, list(features), parameters_of(told), "reference")
     first = usable[usable["protocol"] == "reference"]
     for name in ("glcm_a", "glcm_b"):
-        for column, label in (("age_years", "age, years"), ("jsw_medial_mm", "JSW medial, mm")):
+        for column, label in (("age_years", "age, years"), ("nominal_jsw_medial_mm", "nominal JSW medial, mm")):
             known = parameters_of(told)[column]
             rho = table[(table["feature"] == name) & (table["parameter"] == label)]["rho"].item()
             assert rho == pytest.approx(spearmanr(first[name], known).statistic, abs=1e-12)

@@ -30,7 +30,7 @@ def test_a_sample_spans_the_cohorts_knees_and_has_a_row_a_group_and_two():
     low, high = np.array(list(BOUNDS.values())).T
     assert ((low <= points) & (points <= high)).all()
     medial = [case.knee.jsw_medial_mm for case in PLAN.cases]
-    assert min(medial) <= BOUNDS["jsw_medial_mm"][0] < BOUNDS["jsw_medial_mm"][1] <= max(medial)
+    assert min(medial) <= BOUNDS["nominal_jsw_medial_mm"][0] < BOUNDS["nominal_jsw_medial_mm"][1] <= max(medial)
 
 
 def test_a_group_after_the_other_comes_from_the_second_of_two_samples_that_are_even_and_do_not_correlate():
@@ -96,8 +96,8 @@ def sampled(samples: int, lost: tuple[int, ...] = ()) -> pd.DataFrame:
     low, high = np.array(list(BOUNDS.values())).T
     unit = pd.DataFrame((points - low) / (high - low) - 0.5, columns=list(BOUNDS))
     table = pd.DataFrame({"turn": np.arange(1, len(points) + 1)})
-    table["sum"] = 2 * unit["jsw_medial_mm"] + unit["beam_angle_deg"]
-    table["product"] = unit["jsw_medial_mm"] * unit["beam_angle_deg"]
+    table["sum"] = 2 * unit["nominal_jsw_medial_mm"] + unit["beam_angle_deg"]
+    table["product"] = unit["nominal_jsw_medial_mm"] * unit["beam_angle_deg"]
     table["constant"] = 1.0
     return table[~table["turn"].isin(lost)]
 
@@ -122,7 +122,8 @@ def analytic(points: np.ndarray) -> tuple[pd.DataFrame, dict[tuple[str, str], tu
     unit = pd.DataFrame((points - low) / (high - low), columns=list(BOUNDS))
     of = {name: space.SPACE[name].group for name in BOUNDS}
     pairs = [
-        ("jsw_medial_mm", "mas"), ("mas", "bone_density"), ("bone_density", "limb_ap_mm"), ("beam_angle_deg", "mas"),
+        ("nominal_jsw_medial_mm", "mas"), ("mas", "bone_density"), ("bone_density", "limb_ap_mm"),
+        ("beam_angle_deg", "mas"),
         ("limb_ap_mm", "subchondral_plate"), ("flexion_deg", "largest_osteophyte_mm"),
     ]  # fmt: skip
     chance = np.array([np.random.default_rng(int(2**53 * value)).standard_normal() for value in unit["chance"]])
@@ -166,10 +167,10 @@ def paired() -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
     """Three knees whose feature rises by 2 a mm of joint space and by nothing with dose."""
     rng = np.random.default_rng(0)
     manifest = pd.DataFrame({"knee": range(6), "subject": range(6), "grade": [0, 2] * 3, "mas": 2.0})
-    manifest["jsw_medial_mm"] = rng.uniform(2, 5, 6)
-    base = manifest.assign(feature=2.0 * manifest["jsw_medial_mm"] + rng.normal(size=6))
+    manifest["nominal_jsw_medial_mm"] = rng.uniform(2, 5, 6)
+    base = manifest.assign(feature=2.0 * manifest["nominal_jsw_medial_mm"] + rng.normal(size=6))
     first = base.iloc[:3].assign(of_knee=range(3))
-    wider = first.assign(kind="jsw_medial_mm", jsw_medial_mm=first["jsw_medial_mm"] + 0.2)
+    wider = first.assign(kind="nominal_jsw_medial_mm", nominal_jsw_medial_mm=first["nominal_jsw_medial_mm"] + 0.2)
     wider["feature"] += 0.4
     brighter = first.assign(kind="mas", mas=2.4)
     return base, pd.concat([wider, brighter], ignore_index=True), manifest
@@ -184,7 +185,7 @@ def test_a_feature_of_too_few_whole_samples_has_no_shares():
 def test_slopes_are_of_one_parameter_in_spreads_of_both():
     base, pairs, manifest = paired()
     table = statistics.slopes(base, pairs, manifest, ["feature"], BOUNDS).set_index("parameter")
-    span = np.ptp(BOUNDS["jsw_medial_mm"]) / np.sqrt(12)
+    span = np.ptp(BOUNDS["nominal_jsw_medial_mm"]) / np.sqrt(12)
     row = table.loc["JSW medial, mm"]
     assert row["slope"] == pytest.approx(2 * span / base["feature"].std())
     assert_allclose([row["slope_low"], row["slope_high"]], row["slope"])
