@@ -105,7 +105,7 @@ def test_an_ambient_material_that_would_attenuate_is_refused(coarse, ambient):
     assert "simulate refuses it" in str(pssf.check(scene))
 
 
-@pytest.mark.parametrize("ambient", ["air", "Nitrogen", "He@0.00018"])
+@pytest.mark.parametrize("ambient", ["air", "Carbon Dioxide", "He@0.00018"])
 def test_gases_may_be_around_a_scene(coarse, ambient):
     scene = pssf.Scene([pssf.Surface(box(), "muscle", ambient)], ambient=ambient)
     assert told(scene, coarse) == []
