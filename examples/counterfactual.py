@@ -24,7 +24,7 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
         "two osteophytes": dataclasses.replace(knee, osteophytes=osteophytes),
     }
     reference = pssf.load_protocol("reference")
-    protocol = dataclasses.replace(reference, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
+    protocol = reference.resampled(pixels)
     joint = (slice(pixels * 5 // 16, pixels * 11 // 16), slice(pixels * 5 // 16, pixels * 11 // 16))
     before = pssf.simulate(knee, protocol, rng=1).pixels
     shown = [panel(pssf.present(before, look="processed")[joint], SIDE, SIDE, "healthy")]

@@ -1,6 +1,5 @@
 """A page to inspect a knee: its solids, to turn and to take apart, beside its radiograph; opens in any browser."""
 
-import dataclasses
 from pathlib import Path
 
 import pssf
@@ -11,7 +10,7 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
     """Write a drawn grade 2 knee as one HTML page; `pixels` is the side of the detector."""
     knee = pssf.draw_knee(grade=2, rng=7)
     reference = pssf.load_protocol("reference")
-    protocol = dataclasses.replace(reference, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
+    protocol = reference.resampled(pixels)
     built = pssf.build(knee)
     radiograph = pssf.simulate(built, protocol, rng=7)
     return [write_viewer(built.scene, radiograph, out / "inspect_knee.html", title="Knee 7, inspected")]

@@ -1,6 +1,5 @@
 """What is known of every radiograph: outlines of bones and osteophytes, landmarks, and the joint spaces."""
 
-import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +24,7 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
     """Write a radiograph and its labels side by side as one PNG; `pixels` is the side of the detector."""
     knee = pssf.draw_knee(grade=2, rng=3, side="right", sex="female")
     reference = pssf.load_protocol("reference")
-    protocol = dataclasses.replace(reference, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
+    protocol = reference.resampled(pixels)
     radiograph = pssf.simulate(knee, protocol, rng=2, keep=("masks",))
     truth = radiograph.truth
     plain = pssf.present(radiograph.pixels, look="processed")

@@ -1,6 +1,5 @@
 """A drawn knee under the reference protocol: TIFF, PNG, and what is known about it."""
 
-import dataclasses
 from pathlib import Path
 
 import pssf
@@ -10,7 +9,7 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
     """Write a grade 2 knee as TIFF and PNG; `pixels` is the side of the detector, which keeps its 307 mm."""
     knee = pssf.draw_knee(grade=2, rng=7)
     reference = pssf.load_protocol("reference")
-    protocol = dataclasses.replace(reference, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
+    protocol = reference.resampled(pixels)
     radiograph = pssf.simulate(knee, protocol, rng=7)
     print(f"medial joint space {radiograph.truth.jsw_medial_mm} mm at pixel {radiograph.truth.medial_joint_line_px}")
     print(f"rays {radiograph.audit}")

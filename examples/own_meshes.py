@@ -1,6 +1,5 @@
 """Anybody's closed meshes: a water-filled leg with a bone and a titanium screw across it."""
 
-import dataclasses
 from pathlib import Path
 
 import trimesh
@@ -25,7 +24,7 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
         ]
     )
     reference = pssf.load_protocol("reference")
-    protocol = dataclasses.replace(reference, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
+    protocol = reference.resampled(pixels)
     print(pssf.check(scene, protocol))
     radiograph = pssf.simulate(scene, protocol, rng=1, keep=("path_mm",))
     part = (slice(pixels * 3 // 8, pixels * 5 // 8), slice(pixels // 4, pixels * 3 // 4))

@@ -1,6 +1,5 @@
 """What the rays see: path length in each tissue, in millimetres, and the audit of the rays."""
 
-import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ SHOWN = {"cortical_bone": 25.0, "trabecular_bone": 70.0, "marrow": 25.0, "muscle
 def run(out: Path, pixels: int = 2048) -> list[Path]:
     """Write the path lengths in five tissues as one PNG; `pixels` is the side of the detector."""
     reference = pssf.load_protocol("reference")
-    protocol = dataclasses.replace(reference, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
+    protocol = reference.resampled(pixels)
     scene = pssf.build(pssf.Knee()).scene
     maps = {engine: pssf.trace(scene, protocol, engine=engine) for engine in ("embree", "scanline")}
     for engine, paths in maps.items():

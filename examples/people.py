@@ -1,6 +1,5 @@
 """Fifteen drawn knees in fixed flexion: three of each KL grade, as different from one another as people are."""
 
-import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ ROWS, COLS, HALF_MM = 360, 330, (60.0, 55.0)
 def run(out: Path, pixels: int = 1024, each: int = 3) -> list[Path]:
     """Write the picture; `pixels` is the side of the detector, `each` how many knees of a grade."""
     view = pssf.load_protocol("fixed_flexion")
-    protocol = dataclasses.replace(view, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
+    protocol = view.resampled(pixels)
     columns = []
     for grade in range(5):
         chance = [np.random.default_rng(10 * number + grade) for number in range(each)]

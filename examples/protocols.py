@@ -1,6 +1,5 @@
 """One knee, five ways to take it: what a technique changes while the knee stays the same."""
 
-import dataclasses
 from pathlib import Path
 
 import pssf
@@ -16,12 +15,10 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
     built = pssf.build(knee)
     shown = []
     for name in PROTOCOLS:
-        known = pssf.load_protocol(name)
-        pixel_mm = known.pixel_mm * known.cols / pixels
-        protocol = dataclasses.replace(known, rows=pixels, cols=pixels, pixel_mm=pixel_mm)
+        protocol = pssf.load_protocol(name).resampled(pixels)
         radiograph = pssf.simulate(built, protocol, rng=1)
         row, col = (round(place) for place in radiograph.truth.medial_joint_line_px)
-        half = round(30.0 / pixel_mm)
+        half = round(30.0 / protocol.pixel_mm)
         near = pssf.present(radiograph.pixels, look="processed")[row - half : row + half, col - half : col + half]
         shown.append(panel(near, SIDE, SIDE, name.replace("_", " ")))
     return [side_by_side(shown, out / "protocols.png")]

@@ -1,6 +1,5 @@
 """The picture at the top of the README: one woman's knee as grade 0, 1 and 2, and the path through cortical bone."""
 
-import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ COLS, MOST_MM = 400, 20.0
 def run(out: Path, pixels: int = 2048) -> list[Path]:
     """Write the picture: whole knees, below them the medial joint; `pixels` is the side of the detector."""
     reference = pssf.load_protocol("reference")
-    protocol = dataclasses.replace(reference, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
+    protocol = reference.resampled(pixels)
     columns = []
     for grade in (0, 1, 2):
         knee = pssf.draw_knee(grade=grade, rng=3, side="right", sex="female")

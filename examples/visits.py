@@ -1,6 +1,5 @@
 """One knee at three visits, each taken anew: joint space, osteophytes and plate go on, the rest is the same knee."""
 
-import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ ROWS, COLS, HALF_MM = 520, 480, (60.0, 55.0)
 def run(out: Path, pixels: int = 1024) -> list[Path]:
     """Write the visits side by side as one PNG; `pixels` is the side of the detector."""
     view = pssf.load_protocol("fixed_flexion")
-    protocol = dataclasses.replace(view, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
+    protocol = view.resampled(pixels)
     first = pssf.draw_knee(grade=2, rng=8, grade_table="population", side="right")
     shown = []
     for visit, years in enumerate(YEARS):

@@ -65,7 +65,7 @@ def test_compounds_and_tissues_are_no_alloys(name):
 def test_percent_by_mass_is_the_alloy_of_the_table():
     written = attenuation_per_mm(material_of("Ti=90,Al=6,V=4@4.43", tissues()), ENERGIES)
     assert_allclose(written, attenuation_per_mm(material_of("titanium_alloy", tissues()), ENERGIES), rtol=1e-12)
-    assert (attenuation_per_mm(material_of("Ti6Al4V@4.43", tissues()), ENERGIES) < 0.8 * written).all()
+    assert (attenuation_per_mm(material_of("Ti6Al4V@4.43", tissues()), ENERGIES) < 0.95 * written).all()
 
 
 @given(st.lists(st.floats(0.1, 100.0), min_size=2, max_size=4))
@@ -105,7 +105,7 @@ def test_an_ambient_material_that_would_attenuate_is_refused(coarse, ambient):
     assert "simulate refuses it" in str(pssf.check(scene))
 
 
-@pytest.mark.parametrize("ambient", ["air", "Nitrogen", "He@0.00018"])
+@pytest.mark.parametrize("ambient", ["air", "Carbon Dioxide", "He@0.00018"])
 def test_gases_may_be_around_a_scene(coarse, ambient):
     scene = pssf.Scene([pssf.Surface(box(), "muscle", ambient)], ambient=ambient)
     assert told(scene, coarse) == []

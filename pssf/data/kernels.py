@@ -59,8 +59,7 @@ class ScatterKernel(Record, frozen=True):
         width, height = self.full_field_mm
         if width_mm >= width and height_mm >= height:
             return None
-        side_mm = min(width_mm, height_mm * width / height)
-        return next((one for one in self.small_fields if side_mm <= one.side_mm), self.small_fields[-1])
+        return next(one for one in self.small_fields if min(width_mm, height_mm) <= one.side_mm)
 
 
 @cache

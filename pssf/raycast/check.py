@@ -57,7 +57,8 @@ def check(scene: Scene | HasScene, protocol: Protocol | View | None = None) -> R
     scene = scene_of(scene)
     view = None if protocol is None else view_of(protocol)
     faults = list(scene.faults)
-    if not isinstance(protocol, Protocol) or protocol.texture != "none":
+    smooth = isinstance(protocol, Protocol) and protocol.texture == "none"
+    if not smooth:
         faults += density_faults(scene)
     if scene.surfaces and not any(fault.outcome == "refused" for fault in faults):
         sample = _sample_view(scene.bounds_mm)
@@ -65,7 +66,7 @@ def check(scene: Scene | HasScene, protocol: Protocol | View | None = None) -> R
             faults += _crowded_edges(surface)
         faults += [
             *_dense_ambient(scene, tissues()),
-            *_overlaps(scene, sample),
+            *_overlaps(scene, sample, smooth),
             *_negative_paths(scene, view or sample),
         ]
         if view is not None:
@@ -104,14 +105,17 @@ def _dense_ambient(scene: Scene, known: Mapping[str, Tissue]) -> list[Fault]:
     return [_noted("ambient", f"{scene.ambient} attenuates nothing outside of all surfaces", 0, (), hint)]
 
 
-def _overlaps(scene: Scene, sample: View) -> list[Fault]:
-    """Meshes that overlap themselves, and surfaces that contradict each other, on sample rays."""
+def _overlaps(scene: Scene, sample: View, smooth: bool) -> list[Fault]:
+    """Meshes that overlap themselves, and surfaces that contradict each other, on sample rays.
+
+    smooth  whether every material is taken at its own density, whatever surfaces say of theirs
+    """
     faults = []
     for fold in folded(scene, sample):
         what = f"mesh overlaps itself or has a body inside out, over up to {fold.longest_mm:.3g} mm of a ray; {_SHOWN}"
         name, hint = scene.surfaces[fold.surface].name, "path counts as often as the mesh goes around"
         faults.append(_noted(name, what, fold.rays, (), hint))
-    contrary = contradictions(scene, sample)
+    contrary = [one for one in contradictions(scene, sample) if not (smooth and one.is_of_density)]
     pairs = {(one.surface, one.owner) for one in contrary}
     for one in contrary:
         mutual = (one.owner, one.surface) in pairs

@@ -26,6 +26,9 @@ from .paths import FOLD_MM
 from .rays import to_mm
 from .sheets import BAND_ROWS, Sheet, frame_of, sheet_of
 
+# What follows a material whose density is not the one that a surface names.
+_OTHER_DENSITY = " of another density"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Contradiction:
@@ -45,6 +48,11 @@ class Contradiction:
     owner: str
     rays: int = 0
     longest_mm: float = 0.0
+
+    @property
+    def is_of_density(self) -> bool:
+        """Whether the material is the one that the surface names, and its density alone is another."""
+        return self.there == self.says + _OTHER_DENSITY
 
     def __str__(self) -> str:
         whose = f" ({self.owner})" if self.owner else ""
@@ -251,7 +259,7 @@ def _contradiction(scene: Scene, number: int, owner: int | None) -> Contradictio
     surface, around = scene.surfaces[number], None if owner is None else scene.surfaces[owner]
     there, name = (scene.ambient, "") if around is None else (around.inside, around.name)
     if there == surface.outside:
-        there += " of another density"
+        there += _OTHER_DENSITY
     return Contradiction(surface=surface.name, says=surface.outside, there=there, owner=name)
 
 

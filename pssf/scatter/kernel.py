@@ -57,7 +57,7 @@ def scatter_kev(
     """
     opened, mass, passed, step = coarse(primary_kev, path_mm, technique, workers)
     most = float(opened.max())
-    if most == 0 or not mass.any():
+    if not (opened * mass).any():  # nothing of the object is irradiated
         return np.zeros(primary_kev.shape, np.float32)
     state = Crossed(opened=opened / most, mass=mass, passed=passed, cell_mm=step * technique.protocol.pixel_mm)
     gaps = gaps_in_cells(gaps_mm, mass.shape, step, technique.view)
