@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from .model.radiograph import Radiograph, Truth
     from .raycast import Paths, Report, check, trace
     from .simulation import KernelNotice, simulate
+    from .study.own_images import features
 
 _WHERE = {
     "anatomy": ("BuiltKnee", "build"),
@@ -69,6 +70,7 @@ _WHERE = {
     "model.radiograph": ("Radiograph", "Truth"),
     "raycast": ("Paths", "Report", "check", "trace"),
     "simulation": ("KernelNotice", "simulate"),
+    "study.own_images": ("features",),
 }
 
 __all__ = [
@@ -95,6 +97,7 @@ __all__ = [
     "draw_look",
     "draw_pair",
     "export_meshes",
+    "features",
     "load",
     "load_masks",
     "load_parameters",

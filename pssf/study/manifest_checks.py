@@ -1,6 +1,7 @@
 """Checks of the values of a manifest, row by row, whoever made it: the same as of tables on the command line."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -49,8 +50,8 @@ def require_manifest(manifest: Any, called: str = "manifest") -> pd.DataFrame:
         _require_one_kind(manifest, name, called)
     _each(manifest, "grade", called, _require_grade)
     _each(manifest, "side", called, lambda name, value: require_choice(name, value, SIDES))
-    for name, (low, high) in _LENGTHS_MM.items():
-        _each(manifest, name, called, lambda name, value, low=low, high=high: require(name, value, low, high, "mm"))
+    for name, (low_mm, high_mm) in _LENGTHS_MM.items():
+        _each(manifest, name, called, partial(_require_length, low_mm, high_mm))
     for name in _OPTIONAL:
         _each(manifest, name, called, _require_number)
     return manifest.assign(grade=manifest["grade"].astype("int64")) if "grade" in manifest else manifest
@@ -86,6 +87,10 @@ def _require_one_kind(manifest: pd.DataFrame, column: str, called: str) -> None:
 def _require_grade(name: str, value: Any) -> None:
     whole = isinstance(value, float | np.floating) and float(value).is_integer()
     require_choice(name, int(value) if whole else value, GRADES)
+
+
+def _require_length(low_mm: float, high_mm: float, name: str, value: Any) -> None:
+    require(name, value, low_mm, high_mm, "mm")
 
 
 def _require_number(name: str, value: Any) -> None:

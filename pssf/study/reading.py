@@ -15,8 +15,8 @@ from ..core.execution import Execution
 from ..detector import present
 from ..io import images
 from ..io.films import Film, FilmImage, read_film
-from ..io.linear_pixels import read_linear, says_what_pixels_are
 from ..io.pictures import framed
+from ..io.stored_pixels import read_linear, says_what_pixels_are
 from ..model.radiograph import Radiograph
 from ..radiomics.display import UNREADABLE, DisplayHow, measure_display, measure_linear, require_plateau
 from ..radiomics.table import Job, Measured, extract_all
