@@ -104,7 +104,7 @@ def test_an_array_a_radiograph_and_a_file_of_one_image_have_the_same_features(tm
 @pytest.mark.parametrize(
     ("given", "why"),
     [
-        ((IMAGE, MASK), "pixel_mm must be given"),
+        ((IMAGE, MASK), "pixel_mm = None; allowed: the side"),
         ((IMAGE, MASK, 0.0), "pixel_mm = 0.0 mm"),
         ((IMAGE, MASK[1:], 0.1), r"mask must be \(40, 40\) of numbers, as the image is, got \(39, 40\) of bool"),
         ((IMAGE, np.zeros_like(MASK), 0.1), "mask must have 4 pixels or more that are not zero, got 0"),

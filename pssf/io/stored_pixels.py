@@ -61,14 +61,14 @@ def read_values(path: str | Path) -> StoredPixels:
     path = Path(path)
     require_film(path)
     with reading(path, _GREY, "damaged"):
-        found = _dicom(path) if is_dicom(path) else StoredPixels(_picture(path))
-        pixels = found.pixels
+        stored = _dicom(path) if is_dicom(path) else StoredPixels(_picture(path))
+        pixels = stored.pixels
         if pixels.ndim != 2 or pixels.dtype.kind not in "iub":
             raise InputError(f"file {path}: pixels = {pixels.shape} of {pixels.dtype}; allowed: {_GREY}")
         least, most = int(pixels.min()), int(pixels.max())
         if not _LEAST <= least <= most <= _MOST:
             raise InputError(f"file {path}: pixels = {least} to {most}; allowed: {_LEAST} to {_MOST}")
-        return found
+        return stored
 
 
 def read_linear(path: str | Path) -> StoredPixels:
@@ -86,15 +86,15 @@ def read_linear(path: str | Path) -> StoredPixels:
         logarithms, fall with the signal, or are for presentation.
     """
     path = Path(path)
-    found = read_values(path)
-    bits = 8 * found.pixels.dtype.itemsize
-    if bits == 8 or int(found.pixels.min()) < 0:
-        least, most = int(found.pixels.min()), int(found.pixels.max())
+    stored = read_values(path)
+    bits = 8 * stored.pixels.dtype.itemsize
+    if bits == 8 or int(stored.pixels.min()) < 0:
+        least, most = int(stored.pixels.min()), int(stored.pixels.max())
         raise InputError(f"file {path}: pixels = {least} to {most} of {bits} bit; allowed: {_ALLOWED}")
     for name, refused in _NOT_LINEAR.items():
-        if found.said.get(name, "") == refused:
+        if stored.said.get(name, "") == refused:
             raise InputError(f"file {path}: {name} = {refused}; allowed with linear pixels: any other value")
-    return found._replace(pixels=found.pixels.astype(np.uint16))
+    return stored._replace(pixels=stored.pixels.astype(np.uint16))
 
 
 def says_what_pixels_are(path: Path) -> bool:

@@ -9,6 +9,7 @@ import pandas as pd
 
 from ..core.checks import InputError, require, require_choice
 from ..io.film_list import GRADES, SIDES
+from .design import Designed
 
 # What names a thing: neither nothing nor NaN, which would be one subject, or many.
 _NAMES = ("radiograph", "subject", "knee", "protocol", "file", "sha256")
@@ -97,6 +98,20 @@ def _require_number(name: str, value: Any) -> None:
     is_number = isinstance(value, int | np.integer | float | np.floating) and not isinstance(value, bool)
     if not is_number or np.isinf(value):
         raise InputError(f"{name} must be a number, or nan where it is not known, got {value!r}")
+
+
+def require_designed(designed: Designed) -> None:
+    """Refuse manifests of radiographs taken by design with a value that cannot be meant.
+
+    Raises
+    ------
+    InputError
+        As `require_manifest`, but for grades, which samples of the space of all parameters do not have.
+    """
+    for name, table in (("curves", designed.curves), ("shares", designed.shares), ("pairs", designed.pairs)):
+        if table is not None:
+            without_grade = table.drop(columns="grade", errors="ignore") if isinstance(table, pd.DataFrame) else table
+            require_manifest(without_grade, f"manifest of {name}")
 
 
 def require_files_once(manifest: pd.DataFrame, called: str = "manifest") -> None:

@@ -44,7 +44,7 @@ def features(
     image : (rows, cols) integer array, Radiograph, str or Path
         Grey values; a float array of whole numbers will do. A file may be PNG, JPEG, TIFF or DICOM of 8 to 16 bit; its
         stored values are measured, of a DICOM after its rescale.
-    mask : (rows, cols) array, str or Path, optional
+    mask : (rows, cols) array of any unit, str or Path, optional
         Pixels to measure: those that are not zero. A file may be a picture, or the masks of one bone that
         `save_masks` wrote. By default the whole image is measured, as pyradiomics does with a mask of ones, and shape
         features are those of its rectangle.
@@ -91,7 +91,7 @@ def features(
     values, known_mm = _values(image)
     pitch_mm = known_mm if pixel_mm is None else pixel_mm
     if pitch_mm is None:
-        raise InputError("pixel_mm must be given in mm, as the image does not say it, got None")
+        raise InputError("pixel_mm = None; allowed: the side of a pixel in mm, which this image does not say")
     require("pixel_mm", pitch_mm, *_PITCH_MM, "mm")
     inside = np.ones(values.shape, np.bool_) if mask is None else _mask(mask, values.shape)
     return extract(values, float(pitch_mm), ibsi_tags(), bins, tuple(families), backend, inside)
@@ -109,8 +109,8 @@ def read_image(path: Path) -> tuple[NDArray[Any], float | None]:
         radiograph = load(path)
         return radiograph.pixels, radiograph.protocol.pixel_mm
     except InputError:
-        found = read_values(path)
-        return found.pixels, found.pixel_mm
+        stored = read_values(path)
+        return stored.pixels, stored.pixel_mm
 
 
 def read_masks(path: Path) -> dict[str, NDArray[np.bool_]]:
@@ -142,7 +142,7 @@ def _values(image: Any) -> tuple[NDArray[Any], float | None]:
     if values.dtype.kind == "f":
         if not np.isfinite(values).all() or not (values == np.rint(values)).all():
             raise InputError(
-                "image must hold whole numbers, got others: bins of floats depend on their last bit; round"
+                f"image must hold whole numbers, got {_fraction(values)}: bins depend on the last bit; round"
             )
         values = values.astype(np.int64)
     return values, known_mm
@@ -167,6 +167,11 @@ def _mask(mask: Any, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     if inside.sum() < _LEAST_PX:
         raise InputError(f"mask must have {_LEAST_PX} pixels or more that are not zero, got {int(inside.sum())}")
     return np.asarray(inside)
+
+
+def _fraction(values: NDArray[Any]) -> float:
+    """The first value that is no whole number."""
+    return float(values[~np.isfinite(values) | (values != np.rint(values))][0])
 
 
 def _kind(values: NDArray[Any]) -> str:
