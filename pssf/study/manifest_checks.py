@@ -100,7 +100,7 @@ def _require_number(name: str, value: Any) -> None:
         raise InputError(f"{name} must be a number, or nan where it is not known, got {value!r}")
 
 
-def require_designed(designed: Designed) -> None:
+def require_designed(designed: Designed) -> Designed:
     """Refuse manifests of radiographs taken by design with a value that cannot be meant.
 
     Raises
@@ -112,6 +112,7 @@ def require_designed(designed: Designed) -> None:
         if table is not None:
             without_grade = table.drop(columns="grade", errors="ignore") if isinstance(table, pd.DataFrame) else table
             require_manifest(without_grade, f"manifest of {name}")
+    return designed
 
 
 def require_files_once(manifest: pd.DataFrame, called: str = "manifest") -> None:

@@ -58,8 +58,7 @@ def run_study(
     designed: Designed | None = None,
 ) -> StudyResult:
     """See `pssf.study.run`."""
-    settings, timer, designed = run.settings, run.execution.timer, designed or Designed()
-    require_designed(designed)
+    settings, timer, designed = run.settings, run.execution.timer, require_designed(designed or Designed())
     laws = laws_of(manifest := check_manifest(manifest, settings))
     if films is not None:
         check_films(films, manifest, settings, run.templates)
