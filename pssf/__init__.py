@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from .model.radiograph import Radiograph, Truth
     from .raycast import Paths, Report, check, trace
     from .simulation import KernelNotice, simulate
+    from .study.own_images import features
 
 _WHERE = {
     "anatomy": ("BuiltKnee", "SurgeryNotice", "build"),
@@ -81,6 +82,7 @@ _WHERE = {
     "model.radiograph": ("Radiograph", "Truth"),
     "raycast": ("Paths", "Report", "check", "trace"),
     "simulation": ("KernelNotice", "simulate"),
+    "study.own_images": ("features",),
 }
 
 __all__ = [
@@ -110,6 +112,7 @@ __all__ = [
     "draw_look",
     "draw_pair",
     "export_meshes",
+    "features",
     "load",
     "load_masks",
     "load_parameters",

@@ -13,7 +13,7 @@ from test_read import files, film_of, linear, model_of, run  # noqa: F401 (fixtu
 import pssf
 from pssf.core.checks import InputError
 from pssf.data.code import code_digest
-from pssf.io.linear_pixels import read_linear, says_what_pixels_are
+from pssf.io.stored_pixels import read_linear, says_what_pixels_are
 from pssf.radiomics.display import DisplayHow, measure_linear
 from pssf.radiomics.patches import density_of
 from pssf.radiomics.second_knee import shows_other_knee
@@ -105,7 +105,7 @@ def test_linear_pixels_come_as_they_are_from_each_kind_of_file(tmp_path):
             ),
             "PixelIntensityRelationship = LOG",
         ),
-        (lambda path: _tiff(path, np.ones((80, 80), np.float32)), "of float32; allowed: one image of linear"),
+        (lambda path: _tiff(path, np.ones((80, 80), np.float32)), "of float32; allowed: one grey image"),
         (lambda path: _tiff(path, np.ones((80, 80, 3), np.uint16)), r"\(80, 80, 3\) of uint16"),
         (lambda path: _tiff(path, np.full((80, 80), -3, np.int16)), "-3 to -3 of 16 bit"),
     ],

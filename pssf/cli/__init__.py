@@ -1,11 +1,12 @@
-"""The command line: pssf simulate | meshes | cohort | benchmark | study | read | accuracy | quality | realism |
-grades | protocols | knees | explore.
+"""The command line: pssf simulate | meshes | cohort | benchmark | study | read | features | accuracy | quality |
+realism | grades | protocols | knees | explore.
 
 options    what commands share
 make       simulate, meshes, cohort
 benchmark  benchmark
 study      study
 read       read
+features   features
 measure    accuracy, quality, realism, grades, protocols, knees
 look       explore
 
@@ -22,6 +23,7 @@ import typer
 
 from . import make, measure
 from .benchmark import benchmark
+from .features import features
 from .look import explore
 from .read import read
 from .study import study
@@ -36,7 +38,7 @@ _PYTHONS = warnings.formatwarning
 # Earlier name of an option -> its name.
 _EARLIER = {"--grades": "--grade-table", "--table": "--grade-table"}
 _COMMANDS = (
-    *(make.simulate, make.meshes, benchmark, study, read),
+    *(make.simulate, make.meshes, benchmark, study, read, features),
     *(measure.accuracy, measure.quality, measure.realism, measure.grades, measure.protocols, measure.knees),
     explore,
 )

@@ -56,7 +56,7 @@ class Film:
     def __post_init__(self) -> None:
         for name in ("file", "subject", "sha256"):
             value = getattr(self, name)
-            if not isinstance(value, str) or not value:
+            if not isinstance(value, str) or not (value or name == "sha256"):
                 raise InputError(f"film {name} must be text, got {value!r}")
         if self.grade is not None:
             require_choice(f"film {self.file}: grade", self.grade, GRADES)

@@ -4,6 +4,7 @@ families.family       feature               -> its family, one of FAMILIES
 tables                the package's tables  -> what finding and measuring read, as one record
 locate.find_joint     pixels, templates     -> medial joint line of a radiograph of known side and pitch, or why not
 locate.locate         film, templates       -> the same of any film, with side, way up, polarity and pitch
+second_knee           joint, pixels         -> whether the other knee is on the radiograph too
 aspect.locate_film    film, templates       -> the same where pixels may be higher than wide, as of resized crops
 search, patches, edges  correlation, what is looked for, and what both are seen as
 region.cut_region     pixels, row, col      -> region (size, size)

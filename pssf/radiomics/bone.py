@@ -31,8 +31,8 @@ def bone_mask(region: NDArray[np.generic], pixel_mm: float) -> NDArray[np.bool_]
 
     Parameters
     ----------
-    region : (rows, cols) array
-        Linear signal, in DN, or any signal whose logarithm falls with attenuation; the joint line is at the middle row.
+    region : (rows, cols) array, DN
+        Linear signal, or any signal whose logarithm falls with attenuation; the joint line is at the middle row.
     pixel_mm : float
         Side of a pixel, in mm.
 

@@ -53,14 +53,20 @@ class Mirp:
     tags: Tags
 
     def first_order(
-        self, values: NDArray[np.generic], pixel_mm: float, bins: int, leave_out: Collection[str] = ()
+        self,
+        values: NDArray[np.generic],
+        pixel_mm: float,
+        bins: int,
+        leave_out: Collection[str] = (),
+        mask: NDArray[np.bool_] | None = None,
     ) -> dict[str, float]:
-        """Name -> value, first order of all pixels.
+        """Name -> value, first order of all pixels, or of those of a mask.
 
         values     (rows, cols) any unit
         leave_out  names that are not given
+        mask       (rows, cols) True where it is
         """
-        known = self._named("firstorder", measure(values, bins, ("firstorder",)))
+        known = self._named("firstorder", measure(values, bins, ("firstorder",), mask))
         known["Kurtosis"] += 3  # not excess in pyradiomics
         known["TotalEnergy"] = known["Energy"] * pixel_mm**2
         return _in_order({name: value for name, value in known.items() if name not in leave_out})
@@ -73,14 +79,20 @@ class Mirp:
         return shape(mask, pixel_mm)
 
     def textures(
-        self, values: NDArray[np.generic], pixel_mm: float, bins: int, families: Collection[str]
+        self,
+        values: NDArray[np.generic],
+        pixel_mm: float,
+        bins: int,
+        families: Collection[str],
+        mask: NDArray[np.bool_] | None = None,
     ) -> dict[str, dict[str, float]]:
-        """Family -> name -> value, of all pixels.
+        """Family -> name -> value, of all pixels, or of those of a mask.
 
         values    (rows, cols) any unit, in equal bins from their minimum to their maximum
         families  of textures
+        mask      (rows, cols) True where it is
         """
-        theirs = measure(values, bins, families) if families else {}
+        theirs = measure(values, bins, families, mask) if families else {}
         return {name: _in_order(self._named(name, theirs)) for name in families}
 
     def beside(self, family: str, values: NDArray[np.generic], bins: int) -> list[str]:
@@ -102,10 +114,13 @@ class Mirp:
         return values
 
 
-def measure(values: NDArray[np.generic], bins: int, families: Collection[str]) -> dict[str, float]:
+def measure(
+    values: NDArray[np.generic], bins: int, families: Collection[str], mask: NDArray[np.bool_] | None = None
+) -> dict[str, float]:
     """All that MIRP measures of these families, by its own names.
 
     values  (rows, cols) any unit
+    mask    (rows, cols) True where it is; None: everywhere
     """
     import mirp  # seconds, which only those wait for who measure by it
 
@@ -113,7 +128,7 @@ def measure(values: NDArray[np.generic], bins: int, families: Collection[str]) -
         warnings.simplefilter("ignore")
         (table,) = mirp.extract_features(
             image=values[None].astype(np.float64),
-            mask=np.ones((1, *values.shape), np.uint8),
+            mask=(np.ones(values.shape, np.uint8) if mask is None else mask.astype(np.uint8))[None],
             base_feature_families=[theirs for name in families for theirs in _FAMILIES[name][0]],
             base_discretisation_n_bins=bins,
             **_SETTINGS,

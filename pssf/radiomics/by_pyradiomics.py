@@ -51,15 +51,20 @@ class _FirstOrder(firstorder.RadiomicsFirstOrder):  # type: ignore[misc]
 
 
 def first_order(
-    values: NDArray[np.generic], pixel_mm: float, bins: int, leave_out: Collection[str] = ()
+    values: NDArray[np.generic],
+    pixel_mm: float,
+    bins: int,
+    leave_out: Collection[str] = (),
+    mask: NDArray[np.bool_] | None = None,
 ) -> dict[str, float]:
-    """Name -> value, first order of all pixels.
+    """Name -> value, first order of all pixels, or of those of a mask.
 
     values     (rows, cols) any unit
     leave_out  names that are not measured
+    mask       (rows, cols) True where it is
     """
     kind = type("FirstOrder", (_FirstOrder,), {"left_out": tuple(leave_out), "__module__": firstorder.__name__})
-    return measure(kind, values, _everywhere(values), pixel_mm, binCount=bins)
+    return measure(kind, values, _inside(values, mask), pixel_mm, binCount=bins)
 
 
 def shape(mask: NDArray[np.bool_], pixel_mm: float) -> dict[str, float]:
@@ -71,14 +76,19 @@ def shape(mask: NDArray[np.bool_], pixel_mm: float) -> dict[str, float]:
 
 
 def textures(
-    values: NDArray[np.generic], pixel_mm: float, bins: int, families: Collection[str]
+    values: NDArray[np.generic],
+    pixel_mm: float,
+    bins: int,
+    families: Collection[str],
+    mask: NDArray[np.bool_] | None = None,
 ) -> dict[str, dict[str, float]]:
-    """Family -> name -> value, of all pixels.
+    """Family -> name -> value, of all pixels, or of those of a mask.
 
     values    (rows, cols) any unit, in equal bins from their minimum to their maximum
     families  of TEXTURES
+    mask      (rows, cols) True where it is
     """
-    square = _everywhere(values)
+    square = _inside(values, mask)
     kinds = {name: kind for name, kind in TEXTURES.items() if name in families}
     binned: dict[str, Any] = {}
     return {
@@ -120,8 +130,8 @@ def measure(
     return {name: float(value) for name, value in features.execute().items()}
 
 
-def _everywhere(values: NDArray[np.generic]) -> NDArray[np.uint8]:
-    return np.ones(values.shape, dtype=np.uint8)
+def _inside(values: NDArray[np.generic], mask: NDArray[np.bool_] | None) -> NDArray[np.uint8]:
+    return np.ones(values.shape, dtype=np.uint8) if mask is None else mask.astype(np.uint8)
 
 
 def _image(values: NDArray[np.generic], pixel_mm: float, outside: int | None) -> sitk.Image:

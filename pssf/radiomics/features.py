@@ -21,12 +21,18 @@ class Measures(Protocol):
     """What a backend measures, each name -> value."""
 
     def first_order(
-        self, values: NDArray[np.generic], pixel_mm: float, bins: int, leave_out: Collection[str] = ()
+        self,
+        values: NDArray[np.generic],
+        pixel_mm: float,
+        bins: int,
+        leave_out: Collection[str] = (),
+        mask: NDArray[np.bool_] | None = None,
     ) -> dict[str, float]:
-        """First order of all pixels.
+        """First order of all pixels, or of those of a mask.
 
         values     (rows, cols) any unit
         leave_out  names that are not wanted
+        mask       (rows, cols) True where it is
         """
 
     def shape(self, mask: NDArray[np.bool_], pixel_mm: float) -> dict[str, float]:
@@ -36,11 +42,17 @@ class Measures(Protocol):
         """
 
     def textures(
-        self, values: NDArray[np.generic], pixel_mm: float, bins: int, families: Collection[str]
+        self,
+        values: NDArray[np.generic],
+        pixel_mm: float,
+        bins: int,
+        families: Collection[str],
+        mask: NDArray[np.bool_] | None = None,
     ) -> dict[str, dict[str, float]]:
-        """Family -> its features, of all pixels.
+        """Family -> its features, of all pixels, or of those of a mask.
 
         values  (rows, cols) any unit, in equal bins from their minimum to their maximum
+        mask    (rows, cols) True where it is
         """
 
 
@@ -51,6 +63,7 @@ def extract(
     bins: int = 64,
     families: Collection[str] = FAMILIES,
     backend: str | None = None,
+    mask: NDArray[np.bool_] | None = None,
 ) -> dict[str, float]:
     """The features of a region, by names such as `glcm_Contrast`; see `families`.
 
@@ -63,6 +76,7 @@ def extract(
     bins     a power of two keeps the edges of the bins exact
     families of FAMILIES; one that is not asked for costs nothing
     backend  of BACKENDS; None: the first that is installed
+    mask     (size, size) pixels that are measured, and whose shape is; None: all pixels, and the shape of the bone
     raises   InputError for grey values that are not integers, an unknown family, or a backend that is not there
     """
     if not np.issubdtype(region.dtype, np.integer):
@@ -72,12 +86,14 @@ def extract(
     by = measures(default_backend() if backend is None else backend, tags)
     values: dict[str, float] = {}
     if "firstorder" in families:
-        values |= _named("firstorder_linear", by.first_order(region, pixel_mm, bins))
-        values |= _named("firstorder_z", by.first_order(_z_score(region), pixel_mm, bins, _AFFINE_INVARIANT))
+        values |= _named("firstorder_linear", by.first_order(region, pixel_mm, bins, mask=mask))
+        values |= _named(
+            "firstorder_z", by.first_order(_z_score(region, mask), pixel_mm, bins, _AFFINE_INVARIANT, mask)
+        )
     if "shape2D" in families:
-        values |= _named("shape2D", by.shape(bone_mask(region, pixel_mm), pixel_mm))
+        values |= _named("shape2D", by.shape(bone_mask(region, pixel_mm) if mask is None else mask, pixel_mm))
     of_texture = [name for name in TEXTURES if name in families]
-    for name, of_family in by.textures(region, pixel_mm, bins, of_texture).items():
+    for name, of_family in by.textures(region, pixel_mm, bins, of_texture, mask).items():
         values |= _named(name, of_family)
     return values
 
@@ -102,8 +118,9 @@ def _named(prefix: str, values: dict[str, float]) -> dict[str, float]:
     return {f"{prefix}_{name}": value for name, value in values.items()}
 
 
-def _z_score(region: NDArray[np.generic]) -> Array:
-    """(size, size) with mean 0 and standard deviation 1; zeros for a region of one grey value."""
+def _z_score(region: NDArray[np.generic], mask: NDArray[np.bool_] | None) -> Array:
+    """(size, size) with mean 0 and standard deviation 1 over the mask; zeros for a region of one grey value."""
     values = region.astype(np.float64)
-    spread = values.std()
-    return (values - values.mean()) / spread if spread > 0 else np.zeros(region.shape)
+    measured = values if mask is None else values[mask]
+    spread = measured.std()
+    return (values - measured.mean()) / spread if spread > 0 else np.zeros(region.shape)

@@ -22,8 +22,8 @@ def shows_other_knee(
 
     Parameters
     ----------
-    density : (rows, cols) array
-        Square pixels in any unit that rises or falls with attenuation.
+    density : (rows, cols) array, any unit
+        Square pixels of values that rise or fall with attenuation.
     side : str
         Of the knee that was found, "right" or "left".
     col : float
@@ -44,5 +44,5 @@ def shows_other_knee(
     step = max(1, int(LINEAR_MM / pixel_mm))
     if beside.shape[1] * pixel_mm < _KNEE_MM or np.ptp(beside) == 0:
         return False
-    found = locate(block_mean(beside, step), templates, table, side=other, pixel_mm=pixel_mm * step)
-    return found.status == "found" and found.side_evidence > 0
+    match = locate(block_mean(beside, step), templates, table, side=other, pixel_mm=pixel_mm * step)
+    return match.status == "found" and match.side_evidence > 0

@@ -58,11 +58,13 @@ external       films, a cohort                 -> models of the cohort as displa
 report/        figures, cost, environment, checklist, and one HTML page with all of it
 
 tables         the package's tables            -> what a study reads of them
+manifest_checks  manifest                      -> refused, or with grades as integers
 measuring      manifest                        -> regions and features
 segmentation   regions, true masks             -> how the bone that is found agrees with the true one
 questions      manifest, features              -> what only a simulator can ask: ladder, learning and response curves
 pipeline       all of these in order; what `run` calls
 reading        a model's file, films           -> features and probabilities
+own_images     image, mask                     -> features without a model; feature_folder: of a folder
 finished       folder, key                     -> what an earlier run ended with, if nothing has changed
 """
 

@@ -9,6 +9,7 @@ import pandas as pd
 
 from ..core.checks import InputError, require, require_choice
 from ..io.film_list import GRADES, SIDES
+from .design import Designed
 
 # What names a thing: neither nothing nor NaN, which would be one subject, or many.
 _NAMES = ("radiograph", "subject", "knee", "protocol", "file", "sha256")
@@ -50,15 +51,11 @@ def require_manifest(manifest: Any, called: str = "manifest") -> pd.DataFrame:
         _require_one_kind(manifest, name, called)
     _each(manifest, "grade", called, _require_grade)
     _each(manifest, "side", called, lambda name, value: require_choice(name, value, SIDES))
-    for name, (low, high) in _LENGTHS_MM.items():
-        _each(manifest, name, called, partial(_require_length, low=low, high=high))
+    for name, (low_mm, high_mm) in _LENGTHS_MM.items():
+        _each(manifest, name, called, partial(_require_length, low_mm, high_mm))
     for name in _OPTIONAL:
         _each(manifest, name, called, _require_number)
     return manifest.assign(grade=manifest["grade"].astype("int64")) if "grade" in manifest else manifest
-
-
-def _require_length(name: str, value: Any, *, low: float, high: float) -> None:
-    require(name, value, low, high, "mm")
 
 
 def _each(manifest: pd.DataFrame, column: str, called: str, check: Callable[[str, Any], None]) -> None:
@@ -93,10 +90,29 @@ def _require_grade(name: str, value: Any) -> None:
     require_choice(name, int(value) if whole else value, GRADES)
 
 
+def _require_length(low_mm: float, high_mm: float, name: str, value: Any) -> None:
+    require(name, value, low_mm, high_mm, "mm")
+
+
 def _require_number(name: str, value: Any) -> None:
     is_number = isinstance(value, int | np.integer | float | np.floating) and not isinstance(value, bool)
     if not is_number or np.isinf(value):
         raise InputError(f"{name} must be a number, or nan where it is not known, got {value!r}")
+
+
+def require_designed(designed: Designed) -> Designed:
+    """Refuse manifests of radiographs taken by design with a value that cannot be meant.
+
+    Raises
+    ------
+    InputError
+        As `require_manifest`, but for grades, which samples of the space of all parameters do not have.
+    """
+    for name, table in (("curves", designed.curves), ("shares", designed.shares), ("pairs", designed.pairs)):
+        if table is not None:
+            without_grade = table.drop(columns="grade", errors="ignore") if isinstance(table, pd.DataFrame) else table
+            require_manifest(without_grade, f"manifest of {name}")
+    return designed
 
 
 def require_files_once(manifest: pd.DataFrame, called: str = "manifest") -> None:

@@ -18,7 +18,7 @@ from .learn.modelfile import SUFFIX, pack
 from .learn.refit import refitted
 from .learn.training import train
 from .libraries import XGBOOST
-from .manifest_checks import require_manifest
+from .manifest_checks import require_designed
 from .measuring import Run, check_manifest, measured
 from .predictions import Outcome, joined
 from .questions import ask
@@ -59,13 +59,8 @@ def run_study(
     designed: Designed | None = None,
 ) -> StudyResult:
     """See `pssf.study.run`."""
-    settings, timer = run.settings, run.execution.timer
-    manifest = check_manifest(manifest, settings)
-    laws = laws_of(manifest)
-    for name in ("curves", "shares", "pairs"):
-        table = getattr(designed or Designed(), name)
-        if table is not None:  # samples of the space of all parameters have no grade
-            require_manifest(table.drop(columns="grade", errors="ignore"), f"manifest of {name}")
+    settings, timer, designed = run.settings, run.execution.timer, require_designed(designed or Designed())
+    laws = laws_of(manifest := check_manifest(manifest, settings))
     if films is not None:
         check_films(films, manifest, settings, run.templates)
     table, names, work = measured(run, manifest, retest)
@@ -91,7 +86,7 @@ def run_study(
     tables["segmentation"] = segmentation(repeated, retest, run)
     with timer.stage("models refitted"):
         models = _models(run, usable, names, manifest)
-    answers, external = ask(run, manifest, usable, names, tables, designed or Designed(), laws), None
+    answers, external = ask(run, manifest, usable, names, tables, designed, laws), None
     tables |= answers.tables
     pictures |= answers.pictures()
     if films is not None:

@@ -15,8 +15,8 @@ from ..core.execution import Execution
 from ..detector import present
 from ..io import images
 from ..io.films import Film, FilmImage, read_film
-from ..io.linear_pixels import read_linear, says_what_pixels_are
 from ..io.pictures import framed
+from ..io.stored_pixels import read_linear, says_what_pixels_are
 from ..model.radiograph import Radiograph
 from ..radiomics.display import UNREADABLE, DisplayHow, measure_display, measure_linear, require_plateau
 from ..radiomics.table import Job, Measured, extract_all
@@ -105,23 +105,23 @@ def _warning(reads: str, path: Path, record: Mapping[str, Any], is_shown: bool, 
     """Say of one film what may make its result wrong; "" of one that is refused, and where nothing does."""
     if record["status"] != "found":
         return ""
-    told = []
+    notes: list[str] = []
     unsaid = is_shown and not linear and not says_what_pixels_are(path)
     if unsaid:
-        told.append(
+        notes.append(
             "the file does not say what its pixels are, and is taken for a display; linear pixels give a wrong result "
             "so; say that they are linear (--linear)"
         )
     if is_shown and reads == "linear":
-        told.append(
+        notes.append(
             "a display is read by a model that has learnt from linear pixels; its grey values get the histogram of a "
             "standard knee; a model of a study with --films has learnt from displays"
         )
     if record.get("film_knees") == "two":
-        told.append(
+        notes.append(
             f"the film shows two knees; only the {record['film_side']} one is read; cut the film in two to read both"
         )
-    return " | ".join(told)
+    return " | ".join(notes)
 
 
 def picture(model: SavedModel, row: pd.Series, folder: Path, *, linear: bool = False) -> NDArray[np.uint8]:
@@ -188,10 +188,10 @@ def _as_pixels(folder: Path, job: Job, linear: bool, by_display: bool) -> Job | 
 def _others(folder: Path, job: Job, by_display: bool) -> Job | str | None:
     """`_as_pixels` of a file of another source whose pixels are linear."""
     try:
-        found = read_linear(folder / job.file)
+        own = read_linear(folder / job.file)
     except InputError:
         return UNREADABLE
-    side, pixel_mm = job.side or found.side, job.pixel_mm or found.pixel_mm
+    side, pixel_mm = job.side or own.side, job.pixel_mm or own.pixel_mm
     if pixel_mm is None:
         return NO_PITCH
     if by_display:
@@ -217,9 +217,9 @@ def _display(folder: Path, pitch_of: Mapping[str, float], file: str) -> FilmImag
     """
     if file not in pitch_of:
         return read_film(folder / file)
-    found, pixel_mm = read_linear(folder / file), pitch_of[file]
-    shown = present(found.pixels, bits=16, look="processed", pixel_mm=pixel_mm)
-    return FilmImage(pixels=shown / 65535.0, pixel_mm=pixel_mm, side=found.side)
+    own, pixel_mm = read_linear(folder / file), pitch_of[file]
+    shown = present(own.pixels, bits=16, look="processed", pixel_mm=pixel_mm)
+    return FilmImage(pixels=shown / 65535.0, pixel_mm=pixel_mm, side=own.side)
 
 
 def _pitch_mm(folder: Path, job: Job) -> float:

@@ -1,0 +1,196 @@
+"""Features of own images and masks, in Python and on the command line."""
+
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+import tifffile
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from PIL import Image
+from test_films import dicom, grey
+from test_radiomics import texture
+
+import pssf
+from pssf import cli
+from pssf.core.checks import InputError
+from pssf.data.ibsi import ibsi_tags
+from pssf.radiomics.backends import is_installed
+from pssf.radiomics.families import family
+from pssf.radiomics.features import extract
+
+IMAGE = texture(40, 3)
+MASK = np.hypot(*np.mgrid[-20:20, -20:20]) < 13
+
+
+def run(monkeypatch, capsys, *arguments) -> tuple[int, str, str]:
+    """Exit code, output and errors of the command line."""
+    monkeypatch.setattr(sys, "argv", ["pssf", *map(str, arguments)])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    said = capsys.readouterr()
+    return ended.value.code or 0, said.out, said.err
+
+
+def test_features_inside_a_mask_are_those_of_pyradiomics():
+    pytest.importorskip("radiomics", reason="no pyradiomics")
+    import SimpleITK as sitk  # noqa: N813
+    from radiomics.featureextractor import RadiomicsFeatureExtractor
+
+    extractor = RadiomicsFeatureExtractor(force2D=True, force2Ddimension=0, binCount=64, additionalInfo=False)
+    extractor.enableFeatureClassByName("shape2D")
+    volumes = [sitk.GetImageFromArray(of[None]) for of in (IMAGE, MASK.astype(np.uint8))]
+    for volume in volumes:
+        volume.SetSpacing((0.15, 0.15, 1.0))
+    theirs = {name.removeprefix("original_"): float(value) for name, value in extractor.execute(*volumes).items()}
+    ours = pssf.features(IMAGE, MASK, 0.15, backend="pyradiomics")
+    compared = {name: theirs.get(name.replace("firstorder_linear_", "firstorder_")) for name in ours}
+    compared = {name: value for name, value in compared.items() if value is not None}
+    assert {family(name) for name in compared} >= {"firstorder", "shape2D", "glcm", "glrlm", "glszm", "ngtdm", "gldm"}
+    assert len(compared) > 90
+    assert_allclose([ours[name] for name in compared], list(compared.values()), rtol=1e-9)
+
+
+def test_both_backends_agree_inside_a_mask():
+    if not (is_installed("mirp") and is_installed("pyradiomics")):
+        pytest.skip("one backend alone")
+    one, other = (pssf.features(IMAGE, MASK, 0.15, backend=name) for name in ("pyradiomics", "mirp"))
+    # NGTDM of pyradiomics counts pixels without neighbours; see by_pyradiomics.
+    both = [name for name in one if name in other and family(name) != "ngtdm"]
+    assert len(both) > 80
+    assert_allclose([other[name] for name in both], [one[name] for name in both], rtol=1e-6)
+
+
+def test_without_a_mask_the_whole_image_is_measured():
+    whole = pssf.features(IMAGE, pixel_mm=0.2)
+    assert whole == pssf.features(IMAGE, np.ones(IMAGE.shape), 0.2)
+    assert whole["shape2D_PixelSurface"] == pytest.approx(IMAGE.size * 0.04)
+    region = extract(IMAGE, 0.2, ibsi_tags())
+    assert {name: value for name, value in whole.items() if family(name) != "shape2D"} == {
+        name: value for name, value in region.items() if family(name) != "shape2D"
+    }
+
+
+@settings(max_examples=8)
+@given(outside=st.integers(0, 60000), pad=st.integers(0, 5))
+def test_pixels_outside_the_mask_change_nothing(outside, pad):
+    image, mask = np.pad(IMAGE, pad), np.pad(MASK, pad)
+    image[~mask] = outside
+    families = ["firstorder", "glcm", "glszm"]
+    measured, alone = (pssf.features(*of, 0.15, bins=16, families=families) for of in ((image, mask), (IMAGE, MASK)))
+    assert_allclose(list(measured.values()), list(alone.values()), rtol=1e-9)
+
+
+def test_an_array_a_radiograph_and_a_file_of_one_image_have_the_same_features(tmp_path, small):
+    pixels = np.tile(texture(32, 1), (8, 8))
+    radiograph = pssf.Radiograph(pixels=pixels, protocol=small, seed=0)
+    own = pssf.save(radiograph, tmp_path / "own.tif")
+    tifffile.imwrite(tmp_path / "plain.tif", pixels)
+    Image.fromarray(pixels).save(tmp_path / "plain.png")
+    mask = np.zeros(pixels.shape, np.uint8)
+    mask[40:90, 60:120] = 255
+    Image.fromarray(mask).save(tmp_path / "mask.png")
+    how = {"families": ["firstorder", "shape2D"]}
+    wanted = pssf.features(pixels, mask, small.pixel_mm, **how)
+    assert pssf.features(radiograph, mask, **how) == wanted
+    assert pssf.features(own, tmp_path / "mask.png", **how) == wanted
+    for name in ("plain.tif", "plain.png"):
+        assert pssf.features(str(tmp_path / name), mask, small.pixel_mm, **how) == wanted
+    assert pssf.features(pixels.astype(float), mask, small.pixel_mm, **how) == wanted
+
+
+@pytest.mark.parametrize(
+    ("given", "why"),
+    [
+        ((IMAGE, MASK), "pixel_mm = None; allowed: the side"),
+        ((IMAGE, MASK, 0.0), "pixel_mm = 0.0 mm"),
+        ((IMAGE, MASK[1:], 0.1), r"mask must be \(40, 40\) of numbers, as the image is, got \(39, 40\) of bool"),
+        ((IMAGE, np.zeros_like(MASK), 0.1), "mask must have 4 pixels or more that are not zero, got 0"),
+        ((IMAGE[None], None, 0.1), r"image must be \(rows, cols\) of numbers, .* got \(1, 40, 40\)"),
+        ((IMAGE / 3, None, 0.1), "image must hold whole numbers"),
+        ((IMAGE * np.nan, None, 0.1), "image must hold whole numbers"),
+        ((None, None, 0.1), "image must be"),
+        (("nothing.png", None, 0.1), "nothing.png: No such file"),
+    ],
+)
+def test_what_cannot_be_measured_is_refused_in_one_line(given, why):
+    with pytest.raises(InputError, match=why):
+        pssf.features(*given)
+
+
+@pytest.mark.parametrize(
+    ("how", "why"),
+    [({"families": ["glcmm"]}, "did you mean 'glcm'"), ({"bins": 4}, "bins = 4"), ({"backend": "x"}, "backend")],
+)
+def test_a_misspelt_choice_is_refused(how, why):
+    with pytest.raises(InputError, match=why):
+        pssf.features(IMAGE, MASK, 0.1, **how)
+
+
+@pytest.mark.parametrize("rows", [slice(3, 4), slice(3, 5)])
+def test_a_mask_of_a_line_of_pixels_has_features(rows):
+    thin = np.zeros(IMAGE.shape, bool)
+    thin[rows, 5:20] = True
+    assert pssf.features(IMAGE, thin, 0.1, families=["firstorder", "glcm"])["firstorder_linear_Mean"] > 0
+
+
+def test_the_command_measures_a_folder_by_the_rule_of_names(tmp_path, monkeypatch, capsys):
+    folder = tmp_path / "mine"
+    (folder / "masks").mkdir(parents=True)
+    for name in ("a", "b", "c"):
+        Image.fromarray(IMAGE).save(folder / f"{name}.png")
+    Image.fromarray(MASK.astype(np.uint8)).save(folder / "a_mask.png")
+    tifffile.imwrite(folder / "masks" / "b.tif", MASK.astype(np.uint8))
+    (folder / "._a.png").write_bytes(b"resource fork")
+    (folder / "torn.png").write_bytes(b"torn")
+    dicom(folder / "d.dcm", grey(8), ImagerPixelSpacing=[0.3, 0.3])
+    code, said, warned = run(
+        monkeypatch, capsys, "features", folder, "--out", tmp_path / "o", "--pixel-mm", 0.2, "--workers", 1,
+        "--families", "firstorder,shape2D",
+    )  # fmt: skip
+    assert code == 0
+    table = pd.read_csv(tmp_path / "o" / "features.csv")
+    assert [name.rsplit("/", 1)[1] for name in table["file"]] == ["a.png", "b.png", "c.png", "d.dcm", "torn.png"]
+    assert table["mask"].tolist() == ["mask", "mask", "whole image", "whole image", "whole image"]
+    assert (table["status"] == "measured").tolist() == [True, True, True, True, False]
+    wanted = pssf.features(IMAGE, MASK, 0.2, families=["firstorder", "shape2D"])
+    assert_allclose(table.loc[0, list(wanted)].astype(float), list(wanted.values()))
+    assert_allclose(table.loc[1, list(wanted)].astype(float), list(wanted.values()))
+    assert "torn.png" in warned
+    assert "2 of 4 rows are of whole images" in warned
+    assert "4 of 5 rows measured" in said
+
+
+def test_every_mask_of_a_file_of_the_package_has_a_row(tmp_path, knee, small):
+    radiograph = pssf.simulate(knee, small, engine="scanline", keep=("masks",), seed=1)
+    (tmp_path / "images").mkdir()
+    pssf.save(radiograph, tmp_path / "images" / "k.tif")
+    pssf.save_masks(radiograph, tmp_path / "masks" / "k.tif")
+    from pssf.study.feature_folder import measure_folder
+
+    table = measure_folder(tmp_path / "images", families=["shape2D"])
+    assert radiograph.truth is not None
+    assert table["mask"].tolist() == list(radiograph.truth.masks)
+    measured = table.set_index("mask").loc["femur"]
+    assert measured["shape2D_PixelSurface"] == pytest.approx(radiograph.truth.masks["femur"].sum() * small.pixel_mm**2)
+    with pytest.raises(InputError, match="mask must be one mask, got"):
+        pssf.features(radiograph, tmp_path / "masks" / "k.tif")
+
+
+@pytest.mark.parametrize(
+    ("names", "why"),
+    [
+        ((), "must hold images"),
+        (("a_mask.png",), "must have an image a, got none"),
+        (("a.png", "a_mask.png", "a_mask.tif"), "must have one mask, got"),
+        (("a.png",), "no image could be measured"),
+    ],
+)
+def test_a_folder_that_cannot_be_measured_is_refused(names, why, tmp_path, monkeypatch, capsys):
+    for name in names:
+        Image.fromarray(IMAGE).save(tmp_path / name)
+    code, _, said = run(monkeypatch, capsys, "features", tmp_path, "--out", tmp_path / "o", "--workers", 1)
+    assert code == 2
+    assert why in said
