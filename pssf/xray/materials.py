@@ -11,6 +11,8 @@ from ..core.checks import Array, InputError, require, require_choice
 from ..data.tissues import Tissue
 
 _CM_PER_MM = 0.1
+# Californium, the last that xraylib has cross sections of.
+_LAST_ELEMENT = 98
 _FORMULA = "a formula and a density in g/cm3, such as Ti@4.51"
 
 
@@ -58,6 +60,12 @@ def compound_of(name: str) -> Material:
         parsed = xraylib.CompoundParser(formula)
     except ValueError:
         raise InputError(f"material = {name!r}; allowed: {_FORMULA}") from None
+    beyond = [xraylib.AtomicNumberToSymbol(z) for z in parsed["Elements"] if z > _LAST_ELEMENT]
+    if beyond:
+        raise InputError(
+            f"material {name!r} must be of elements up to Cf ({_LAST_ELEMENT}), got {', '.join(beyond)}: xraylib has "
+            "no cross sections beyond"
+        )
     return Material(_density(name), tuple(zip(parsed["Elements"], parsed["massFractions"], strict=True)))
 
 
