@@ -13,6 +13,7 @@ look       explore
 Commands import what they need when they run, so that help does not wait for what computes.
 """
 
+import errno
 import re
 import sys
 import warnings
@@ -132,6 +133,9 @@ def _refused(error: Exception) -> int:
         reason = one_line(str(error)) or "of this process"
         print(f"pssf: memory = too little ({reason}); allowed: fewer rows and cols, or fewer workers", file=sys.stderr)
         return 1
+    if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
+        print(f"pssf: {one_line(f'file {error.filename}: {error.strerror}')}; allowed: a shorter path", file=sys.stderr)
+        return 2
     # A misused option: the parser's own classes are private, their one-line message is not.
     by_parser = getattr(error, "format_message", None)
     if by_parser is None and not isinstance(error, InputError):

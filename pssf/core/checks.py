@@ -1,5 +1,8 @@
 """Checks of input: every refusal names the thing, its value and what is allowed."""
 
+import math
+import re
+import sys
 from collections.abc import Collection, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from difflib import get_close_matches
@@ -12,6 +15,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
+# A word of so many characters is no path or number of anybody's; so many are kept at either end.
+_LONG, _KEPT = 600, 80
 
 
 class InputError(ValueError):
@@ -22,8 +27,23 @@ class InputError(ValueError):
 
 
 def one_line(text: str) -> str:
-    """Text with what is no character for eyes, such as the end of a line in a file's name, written out."""
-    return "".join(one if one.isprintable() else repr(one)[1:-1] for one in text)
+    """Write out what is no character for eyes, such as the end of a line in a file's name; shorten endless words."""
+    whole = "".join(one if one.isprintable() else repr(one)[1:-1] for one in text)
+    return re.sub(rf"\S{{{_LONG},}}", _shortened, whole)
+
+
+def _shortened(word: re.Match[str]) -> str:
+    return f"{word[0][:_KEPT]}...({len(word[0])} characters)...{word[0][-_KEPT:]}"
+
+
+def shown(value: Any) -> str:
+    """Give the representation of a value; of an integer that Python does not write out, how many digits it has."""
+    try:
+        return repr(value)
+    except ValueError:  # more digits than sys.get_int_max_str_digits()
+        if isinstance(value, int):
+            return f"an integer of some {round(abs(value).bit_length() * math.log10(2))} digits"
+        return f"a {type(value).__name__} with an integer of more than {sys.get_int_max_str_digits()} digits"
 
 
 def require_path(path: Any, what: str = "path") -> Path:
@@ -32,7 +52,7 @@ def require_path(path: Any, what: str = "path") -> Path:
     raises  InputError for anything but text or a path of text, and for a null byte in it
     """
     if not isinstance(path, str | Path) or "\0" in str(path):
-        raise InputError(f"{what} = {path!r}; allowed: text or a Path, without a null byte")
+        raise InputError(f"{what} = {shown(path)}; allowed: text or a Path, without a null byte")
     return Path(path)
 
 
@@ -43,7 +63,7 @@ def require(name: str, value: float, low: float, high: float, unit: str) -> None
     """
     number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
     if not number or not low <= value <= high:  # this way round, so that NaN is refused too
-        raise InputError(f"{name} = {value!r} {unit}; allowed: {low:g} to {high:g} {unit}")
+        raise InputError(f"{name} = {shown(value)} {unit}; allowed: {low:g} to {high:g} {unit}")
 
 
 def require_whole(name: str, value: int, low: int, high: int, unit: str) -> None:
@@ -52,7 +72,7 @@ def require_whole(name: str, value: int, low: int, high: int, unit: str) -> None
     raises  InputError
     """
     if not isinstance(value, Integral) or isinstance(value, bool) or not low <= value <= high:
-        given, allowed = (f"{text} {unit}".rstrip() for text in (repr(value), f"{low} to {high}"))
+        given, allowed = (f"{text} {unit}".rstrip() for text in (shown(value), f"{low} to {high}"))
         raise InputError(f"{name} = {given}; allowed: whole numbers from {allowed}")
 
 
@@ -102,14 +122,8 @@ def seed_of(rng: Chance) -> int:
     if isinstance(rng, np.random.Generator):
         return int(rng.integers(2**63))
     if not isinstance(rng, Integral) or isinstance(rng, bool) or not 0 <= rng < 2**63:
-        raise InputError(f"rng must be a whole number from 0 to 2**63 - 1 or a numpy Generator, got {_shown(rng)}")
+        raise InputError(f"rng must be a whole number from 0 to 2**63 - 1 or a numpy Generator, got {shown(rng)}")
     return int(rng)
-
-
-def _shown(value: Any, most: int = 80) -> str:
-    """A value as text, cut where it is long."""
-    text = repr(value)
-    return text if len(text) <= most else f"{text[:most]}..."
 
 
 def require_choice(name: str, value: Any, allowed: Collection[Any]) -> None:
@@ -118,7 +132,7 @@ def require_choice(name: str, value: Any, allowed: Collection[Any]) -> None:
     raises  InputError
     """
     if not any(_same(value, one) for one in allowed):
-        raise InputError(f"{name} = {value!r}; allowed: {', '.join(map(str, allowed))}{hint(value, allowed)}")
+        raise InputError(f"{name} = {shown(value)}; allowed: {', '.join(map(str, allowed))}{hint(value, allowed)}")
 
 
 def _same(value: Any, one: Any) -> bool:

@@ -7,7 +7,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from ..core.checks import InputError, require_path
+from ..core.checks import InputError, require_path, shown
 from .userfiles import parsed, read_text, refusing
 
 _MOST_TOML = 2**20  # bytes of a file of parameters
@@ -67,7 +67,17 @@ def read_toml(path: Path) -> dict[str, Any]:
     table: dict[str, Any] = parsed(
         path, read_text(path, _MOST_TOML, allowed), tomllib.loads, fault="not TOML", allowed=allowed
     )
+    _require_known_size(table, path)
     return table
+
+
+def _require_known_size(value: Any, path: Path) -> None:
+    """Refuse integers beyond 64 bits, as TOML has none (specification 1.0, Integer)."""
+    parts = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    for part in parts:
+        _require_known_size(part, path)
+    if isinstance(value, int) and not -(2**63) <= value < 2**63:
+        raise InputError(f"file {path}: an integer must be within 64 bits, got {shown(value)}")
 
 
 def _protocol_folder() -> Path:

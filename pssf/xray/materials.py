@@ -15,6 +15,8 @@ _CM_PER_MM = 0.1
 _FORMULA = "a formula and a density in g/cm3, such as Ti@4.51, or percent by mass, such as Ti=90,Al=6,V=4@4.43"
 # How far percentages by mass may be from 100 in all; they are brought to it.
 _OFF_PERCENT = 1.0
+# Californium, the last that xraylib has cross sections of.
+_LAST_ELEMENT = 98
 
 
 class Material(NamedTuple):
@@ -66,6 +68,12 @@ def compound_of(name: str) -> Material:
         parsed = xraylib.CompoundParser(formula)
     except ValueError:
         raise InputError(f"material = {name!r}; allowed: {_FORMULA}") from None
+    beyond = [xraylib.AtomicNumberToSymbol(z) for z in parsed["Elements"] if z > _LAST_ELEMENT]
+    if beyond:
+        raise InputError(
+            f"material {name!r} must be of elements up to Cf ({_LAST_ELEMENT}), got {', '.join(beyond)}: xraylib has "
+            "no cross sections beyond"
+        )
     return Material(_density(name), tuple(zip(parsed["Elements"], parsed["massFractions"], strict=True)))
 
 

@@ -1,0 +1,114 @@
+"""Input of absurd length ends in one readable line: integers of thousands of digits, endless paths, far elements."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import trimesh
+from command import run
+
+import pssf
+from pssf.core.checks import one_line, require_whole, shown
+from pssf.io.images import save_parameters
+
+NUMBERS = ["9" * 5000, "0x" + "f" * 5000, "9" * 4000, "-" + "9" * 5000, "9" * 400, "1e" + "9" * 5000]
+PATH = "p" * 5000
+
+
+def refused(*arguments):
+    """The one line that a command ends in."""
+    done = run(*arguments)
+    assert done.returncode == 2, done.stderr
+    line = done.stderr.strip()
+    assert line.startswith("pssf: ")
+    assert "\n" not in line
+    assert len(line) < 1200
+    return line
+
+
+@pytest.mark.parametrize("number", NUMBERS, ids=lambda text: f"{text[:3]}_{len(text)}")
+@pytest.mark.parametrize("field", ["rows", "tube_kv", "texture_seed", "jsw_medial_mm"])
+def test_a_setting_of_thousands_of_digits_is_refused_in_one_line(tmp_path, number, field):
+    assert field in refused("simulate", "--out", tmp_path, "--set", f"{field}={number}")
+
+
+@pytest.mark.parametrize("number", NUMBERS, ids=lambda text: f"{text[:3]}_{len(text)}")
+@pytest.mark.parametrize(
+    ("option", "text"),
+    [
+        ("--knee", "texture_seed = {}"),
+        ("--knee", "jsw_medial_mm = {}"),
+        ("--knee", "osteophytes = [{{ site = 'medial_tibia', size_mm = {} }}]"),
+        ("--protocol", "base = 'reference'\nname = 'x'\nrows = {}"),
+        ("--scene", "[[surface]]\nfile = 'a.stl'\ninside = {}\noutside = 'air'"),
+    ],
+)
+def test_a_number_of_thousands_of_digits_in_a_file_is_refused_in_one_line(tmp_path, number, option, text):
+    (tmp_path / "a.toml").write_text(text.format(number) + "\n")
+    assert "a.toml" in refused("simulate", "--out", tmp_path, option, tmp_path / "a.toml")
+
+
+@pytest.mark.parametrize("number", ["9" * 5000, "9" * 400, "1e400"])
+@pytest.mark.parametrize("field", ["seed", "rows", "tube_kv"])
+def test_a_number_of_thousands_of_digits_in_json_is_refused_in_one_line(tmp_path, number, field):
+    small = dataclasses.replace(
+        pssf.load_protocol("reference"), rows=32, cols=32, pixel_mm=9.6, scatter="none", texture="none"
+    )
+    box = pssf.Scene([pssf.Surface(trimesh.creation.box(extents=(20, 20, 20)), "water", "air")])
+    path = save_parameters(pssf.simulate(box, small, engine="scanline"), tmp_path / "a.json")
+    text = path.read_text()
+    value = text.partition(f'"{field}": ')[2].split(",")[0].split("\n")[0]
+    path.write_text(text.replace(f'"{field}": {value}', f'"{field}": {number}', 1))
+    with pytest.raises(pssf.InputError) as error:
+        pssf.load_parameters(path)
+    assert len(str(error.value)) < 1200
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        *(("simulate", "--out", "o", option, PATH) for option in ("--knee", "--protocol", "--scene", "--grades")),
+        *((command, "--out", PATH) for command in ("simulate", "meshes", "cohort", "quality")),
+        *(
+            ("cohort", command, PATH, *(("--out", "o") if command == "labels" else ()))
+            for command in ("verify", "labels")
+        ),
+        ("cohort", "--out", "o", "--knees", "1", "--protocols", PATH),
+        ("cohort", "--out", "o", "--preset", PATH),
+        ("protocols", PATH),
+        ("read", PATH, "x.png", "--out", "o"),
+    ],
+    ids=lambda arguments: " ".join(word[:12] for word in arguments),
+)
+def test_a_path_of_thousands_of_characters_is_refused_in_one_line(tmp_path, monkeypatch, arguments):
+    monkeypatch.chdir(tmp_path)
+    refused(*arguments)
+
+
+def test_long_words_are_shortened_and_usual_paths_are_not():
+    usual = "/".join(["folder_of_a_long_name"] * 20)
+    assert one_line(usual) == usual
+    assert one_line(f"file {PATH} is") == f"file {'p' * 80}...(5000 characters)...{'p' * 80} is"
+
+
+def test_an_integer_that_python_does_not_write_out_is_told_by_its_digits():
+    assert shown(7) == "7"
+    assert shown(16**5000) == "an integer of some 6021 digits"
+    assert "more than 4300 digits" in shown([16**5000])
+    with pytest.raises(pssf.InputError, match="seed = an integer of some 6021 digits"):
+        require_whole("seed", 16**5000, 0, 9, "")
+
+
+@pytest.mark.parametrize("material", ["Es@8", "Lr@5", "Fm2O3@5"])
+@pytest.mark.parametrize("scatter", ["none", "kernel", "monte_carlo"])
+def test_an_element_beyond_the_tables_of_cross_sections_is_named(small, material, scatter):
+    box = pssf.Scene([pssf.Surface(trimesh.creation.box(extents=(20, 20, 20)), material, "air")])
+    symbol = material[:2]
+    with pytest.raises(pssf.InputError, match=rf"must be of elements up to Cf \(98\), got {symbol}"):
+        pssf.simulate(box, dataclasses.replace(small, scatter=scatter), engine="scanline")
+
+
+def test_the_last_element_of_the_tables_is_known(small):
+    box = pssf.Scene([pssf.Surface(trimesh.creation.box(extents=(20, 20, 20)), "Cf@8", "air")])
+    assert np.isfinite(pssf.simulate(box, small, engine="scanline").pixels).all()
