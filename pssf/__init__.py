@@ -50,6 +50,8 @@ if TYPE_CHECKING:
     from .raycast import Paths, Report, check, trace
     from .simulation import KernelNotice, simulate
 
+    __version__: str
+
 _WHERE = {
     "anatomy": ("BuiltKnee", "SurgeryNotice", "build"),
     "core.checks": ("InputError",),
@@ -89,6 +91,7 @@ __all__ = [
     "Surface",
     "SurgeryNotice",
     "Truth",
+    "__version__",
     "build",
     "check",
     "draw_exposure",
@@ -113,6 +116,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return import_module("importlib.metadata").version(__name__)
     for module, names in _WHERE.items():
         if name in names:
             value = getattr(import_module(f".{module}", __name__), name)

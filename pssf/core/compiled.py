@@ -9,6 +9,8 @@ from functools import partial
 
 from numba import njit
 
+from . import compile_notice  # noqa: F401  logs a line where a kernel has to be compiled
+
 # Called from Python. Of a division by 0 numpy's rule is taken, which needs no branch.
 kernel = partial(njit, cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
 # Called from compiled functions alone, and kept as a part of these. There is no entry: a call from Python crashes.
