@@ -128,7 +128,7 @@ def own_picture(folder, name):
 @pytest.mark.parametrize("read", [pssf.load, pssf.load_parameters])
 def test_a_picture_from_elsewhere_is_refused_with_what_reads_it(tmp_path, name, read):
     with pytest.raises(
-        pssf.InputError, match="from elsewhere: pssf read, pssf.features and pssf study --films"
+        pssf.InputError, match=r"from elsewhere: pssf read, pssf\.features and pssf study --films"
     ) as said:
         read(own_picture(tmp_path, name))
     assert "\n" not in str(said.value)
