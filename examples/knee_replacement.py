@@ -1,4 +1,4 @@
-"""A total knee replacement: femoral component, tibial tray and polyethylene bearing, shaped to the bones."""
+"""A total knee replacement: femoral component, tibial tray and polyethylene bearing, shaped to their bones."""
 
 import dataclasses
 import warnings

@@ -60,6 +60,8 @@ if TYPE_CHECKING:
     from .simulation import KernelNotice, simulate
     from .study.own_images import features
 
+    __version__: str
+
 _WHERE = {
     "anatomy": ("BuiltKnee", "SurgeryNotice", "build"),
     "core.checks": ("InputError",),
@@ -105,6 +107,7 @@ __all__ = [
     "SurgeryNotice",
     "Truth",
     "UnverifiedNotice",
+    "__version__",
     "build",
     "check",
     "draw_exposure",
@@ -130,6 +133,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return import_module("importlib.metadata").version(__name__)
     for module, names in _WHERE.items():
         if name in names:
             value = getattr(import_module(f".{module}", __name__), name)

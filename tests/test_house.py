@@ -53,7 +53,7 @@ DOORS = {
     "accuracy/side_pattern.py": "main",
     "benchmark/make.py": "make_benchmark",
     "cohort/plan.py": "plan_cohort preset_names",
-    "quality/exposure.py": "exposure_quantities",
+    "quality/exposure.py": "exposure_quantities exposure_index_of entrance_kerma_of",
     "quality/measure.py": "measure_quality",
     "realism/run.py": "measure",
     "realism/shape_fit.py": "main",

@@ -142,3 +142,55 @@ def test_after_an_installation_rays_are_compiled_aside_and_pixels_are_the_same(t
     assert "pssf.geometry.within" in compiled
     rays = {kernel.py_func.__module__ for kernel in kernels("embree", True)}
     assert not rays & set(compiled)
+
+
+def said_by(code, folder):
+    """Standard error of a process with an empty cache of compiled code."""
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"NUMBA_CACHE_DIR": str(folder)},
+        cwd=Path(__file__).parents[1],
+        stderr=subprocess.PIPE,
+        text=True,
+        check=True,
+    ).stderr
+
+
+REPAIR = """
+import numpy as np
+from pssf.geometry.repair import repair
+corners = np.array([[0.0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]])
+faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+def mend():
+    repair(corners, faces, "tetrahedron")
+"""
+WORKER = """
+import multiprocessing, sys
+sys.path.insert(0, {folder!r})
+if __name__ == "__main__":
+    from mending import mend
+    worker = multiprocessing.get_context("spawn").Process(target=mend)
+    worker.start()
+    worker.join()
+    assert worker.exitcode == 0
+"""
+
+
+def test_the_first_compilation_after_an_installation_is_announced_in_one_line(tmp_path):
+    cold, warm = (said_by(f"{REPAIR}\nmend()\nmend()", tmp_path) for _ in range(2))
+    assert cold.startswith("pssf: compiling")
+    assert "once after an installation" in cold
+    assert cold.count("\n") == 1
+    assert warm == ""
+
+
+def test_the_line_can_be_switched_off_by_its_logger(tmp_path):
+    silent = "import logging\nlogging.getLogger('pssf').setLevel(logging.ERROR)"
+    assert said_by(f"{silent}\n{REPAIR}\nmend()", tmp_path) == ""
+
+
+def test_workers_compile_without_a_word(tmp_path):
+    (tmp_path / "mending.py").write_text(REPAIR)
+    (tmp_path / "main.py").write_text(WORKER.format(folder=str(tmp_path)))
+    run = f"runpy.run_path({str(tmp_path / 'main.py')!r}, run_name='__main__')"
+    assert said_by(f"import runpy\nif __name__ == '__main__':\n    {run}", tmp_path / "cache") == ""

@@ -12,6 +12,7 @@ from typing import Any
 from numba import njit
 from numba.core.dispatcher import Dispatcher
 
+from . import compile_notice  # noqa: F401  logs a line where a kernel has to be compiled
 from .kernel_cache import cache_of
 
 # Called from compiled functions alone, and kept as a part of these. There is no entry: a call from Python crashes.

@@ -1,7 +1,7 @@
 """Radiographs on disk: 16-bit TIFF and DICOM that carry all they were made from, PNG and a second DICOM for eyes."""
 
 from collections.abc import Collection, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,8 @@ INTENTS = {
 }
 SUFFIXES = tuple(INTENTS)
 BORDERS = ("none", "marked")
+# Tag of a TIFF that holds what it was made from.
+_DESCRIPTION = 270
 _MARKED = "for a presentation of one knee, of a known side; else none"
 # What `save_kinds` writes.
 KINDS = ("tif", "png", "json", "dcm")
@@ -151,6 +153,7 @@ def load(path: str | Path) -> Radiograph:
     """
     path = require_path(path)
     with reading(path, "a TIFF or DICOM by pssf"):
+        _require_own_picture(path, "a TIFF or DICOM For Processing", ("TIFF",))
         pixels, text = _opened(path)
         made = parameters(text, path)
         require_as_written(text, pixels, path)
@@ -173,6 +176,7 @@ def load_parameters(path: str | Path) -> dict[str, Any]:
     path = require_path(path)
     pixels: NDArray[Any] | None = None
     with reading(path, "a TIFF, DICOM, PNG or JSON by pssf"):
+        _require_own_picture(path, "a TIFF, DICOM, PNG or JSON", ("TIFF", "PNG"))
         if path.suffix.lower() == ".json":
             text = read_text(path)
         elif path.suffix.lower() == ".png":
@@ -187,6 +191,24 @@ def load_parameters(path: str | Path) -> dict[str, Any]:
         made = parameters(text, path)
         require_parameters(text, path, pixels)
         return made
+
+
+def _require_own_picture(path: Path, wanted: str, kinds: tuple[str, ...]) -> None:
+    """Refuse a picture that this package did not write, or of another kind than those that are read.
+
+    What is no picture, or a damaged one, is left to the readers.
+    raises  InputError that says what reads it
+    """
+    kind, text = "", ""
+    with suppress(Exception), Image.open(path) as image:  # a damaged file can fail anywhere in its reader
+        tags = getattr(image, "tag_v2", {})
+        kind, text = image.format or "", str(image.info.get("Description", tags.get(_DESCRIPTION, "")))
+    if not kind or ('"protocol"' in text and kind in kinds):
+        return
+    what = f"file must be {wanted} that pssf wrote, got {path}, a {kind}"
+    if '"protocol"' in text:
+        raise InputError(f"{what} for presentation, without linear pixels: load_parameters reads what it was made from")
+    raise InputError(f"{what} from elsewhere: pssf read, pssf.features and pssf study --films read images of your own")
 
 
 def _opened(path: Path) -> tuple[NDArray[Any], str]:

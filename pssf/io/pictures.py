@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from ..detector import present
+from ..model.radiograph import Radiograph
 from .atomic import write_bytes
 
 # From black over red to yellow, each lighter than the one before, so that it reads in grey as well.
@@ -33,6 +35,20 @@ def side_by_side(images: Sequence[NDArray[np.uint8]], path: str | Path, gap_px: 
     Image.fromarray(np.hstack(parts)).save(buffer, format="PNG", optimize=True)
     write_bytes(Path(path), buffer.getvalue())
     return Path(path)
+
+
+def preview(radiograph: Radiograph) -> Image.Image:
+    """Give a radiograph as processed for display, as a picture for a screen: its longer side is at most 800 pixels."""
+    shown = Image.fromarray(present(radiograph, look="processed").astype(np.uint8))
+    shown.thumbnail((_LONGER_PX, _LONGER_PX), Image.Resampling.LANCZOS)
+    return shown
+
+
+def preview_png(radiograph: Radiograph) -> bytes:
+    """Give the same as a PNG."""
+    buffer = io.BytesIO()
+    preview(radiograph).save(buffer, format="PNG")
+    return buffer.getvalue()
 
 
 def heat(values: ArrayLike, most: float) -> NDArray[np.uint8]:

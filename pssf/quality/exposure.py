@@ -9,13 +9,19 @@ from ..core.blocks import block_mean
 from ..core.checks import Array
 from ..model.knee import Knee
 from ..model.protocol import Protocol
+from ..model.radiograph import Radiograph
 from ..simulation import simulate
+from ..xray.collimator import open_shares
 from ..xray.spectrum import beam_of, tube_spectrum
-from ..xray.technique import Technique
-from .beam import air_kerma_ugy
+from ..xray.technique import Technique, technique_of
+from .beam import air_kerma_ugy, entrance_kerma_ugy
 
 # Half the side of the squares in which signals are read, mm at the detector.
 _HALF_MM = 3.0
+# Share of the open beam's signal below which a pixel shows the limb, as displays take it (`data/looks.toml`).
+_LIMB = 0.5
+# Quantile of the signal that is taken for that of the open beam; the number of a saturated pixel.
+_GREATEST, _FULL_DN = 0.999, 65535
 _CELL_MM = 2.4
 
 
@@ -52,6 +58,36 @@ def exposure_quantities(technique: Technique) -> tuple[dict[str, float], Array]:
         "dynamic_range": float(total.max() / total[bone].mean()),
         "noise_bone": float((noisy - quiet).std() / (quiet.mean() - offset)),
     }, spr
+
+
+def exposure_index_of(radiograph: Radiograph) -> float:
+    """Give the exposure index of a radiograph by its pixels (IEC 62494-1).
+
+    Value of interest is the median signal of the limb: of pixels within the collimated field that are not saturated and
+    receive less than half of the open beam; of the whole field where there are none.
+    """
+    technique, protocol = technique_of(radiograph.protocol), radiograph.protocol
+    detector = technique.detector
+    rows, cols = open_shares(technique, 1)
+    field = radiograph.pixels[np.ix_(rows >= 1, cols >= 1)]
+    kev = (field.astype(np.float64) - detector.offset_dn) * _kev_per_dn(technique)
+    greatest = float(np.quantile(kev, _GREATEST))
+    if field.max() == _FULL_DN:
+        # A saturated pixel does not say how bright the open beam is, so its expectation does.
+        beam, nearer = beam_of(technique), (1000.0 / protocol.sdd_mm) ** 2
+        greatest = float((beam.photons_per_mm2 * beam.signal_kev).sum()) * nearer * protocol.pixel_mm**2
+    limb = kev[(kev < _LIMB * greatest) & (field < _FULL_DN)]
+    return exposure_index(limb if limb.size else kev.ravel(), technique)
+
+
+def _kev_per_dn(technique: Technique) -> float:
+    detector = technique.detector
+    return detector.electrons_per_dn_mm2 * technique.protocol.pixel_mm**2 / detector.electrons_per_kev
+
+
+def entrance_kerma_of(radiograph: Radiograph) -> float:
+    """Give the air kerma of a radiograph's open beam where it enters the limb, without backscatter, in uGy."""
+    return entrance_kerma_ugy(technique_of(radiograph.protocol))
 
 
 def cell_px(protocol: Protocol) -> int:
