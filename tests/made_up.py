@@ -47,7 +47,7 @@ def measured_cohort(per_grade: int = 12, *, shift: float = 0.0, seed: int = 0) -
         sex=np.where(table["subject"] % 2, "female", "male"),
         age_years=50.0 + table["subject"] % 7,
         stature_mm=1700.0 + table["subject"] % 11,
-        jsw_medial_mm=5.0 - table["grade"],
+        nominal_jsw_medial_mm=5.0 - table["grade"],
     )
 
 

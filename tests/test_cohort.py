@@ -20,6 +20,7 @@ from conftest import change
 import pssf
 from pssf import cohort
 from pssf.cohort import make
+from pssf.cohort import plan as plan_module
 from pssf.data import code
 from pssf.io import atomic, records
 
@@ -485,11 +486,13 @@ def test_knees_of_a_part_that_are_placed_anew_have_indices_of_their_own():
     assert min(placed) > max(case.index for case in part.cases)
 
 
-def test_people_are_numbered_by_grade_or_by_chance():
-    by_chance = tiny(["reference"], numbered="by chance")
-    assert {case.knee for case in by_chance.cases} == {case.knee for case in tiny(["reference"]).cases}
-    with pytest.raises(pssf.InputError, match="numbered = 'any'; allowed: by grade, by chance"):
-        tiny(["reference"], numbered="any")
+def test_numbers_of_subjects_are_random_and_change_no_knee(monkeypatch):
+    numbered = tiny(["reference"], knees=(9, 9, 9))
+    monkeypatch.setattr(plan_module, "_renumbered", lambda cases, seed: cases)
+    as_sampled = tiny(["reference"], knees=(9, 9, 9))
+    assert {case.knee for case in numbered.cases} == {case.knee for case in as_sampled.cases}
+    assert [case.knee.grade for case in as_sampled.cases] == sorted(case.knee.grade for case in numbered.cases)
+    assert [case.knee.grade for case in numbered.cases] != sorted(case.knee.grade for case in numbered.cases)
 
 
 def test_the_frozen_cohort_is_of_1000_people_at_two_tilts_and_three_doses_each_geometry_together():

@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 import pssf
 from pssf import InputError
 from pssf.anatomy import build_pair
+from pssf.geometry.view import magnification, view_of
 
 BILATERAL = pssf.load_protocol("bilateral")
 SMALL = dataclasses.replace(BILATERAL, rows=BILATERAL.rows // 16, cols=BILATERAL.cols // 16, pixel_mm=0.15 * 16)
@@ -52,10 +53,14 @@ def test_a_persons_like_knees_are_each_others_mirror_image_and_the_right_one_is_
 
 def test_labels_of_both_lie_where_their_masks_end(pair):
     protocol = dataclasses.replace(BILATERAL, rows=583, cols=716, pixel_mm=0.6)
-    for truth in pssf.simulate(pair, protocol, engine="scanline", keep=("masks",)).truths:
+    truths = pssf.simulate(pair, protocol, engine="scanline", keep=("masks",)).truths
+    # Each knee stands beside the central ray, which sees another joint space than the one specified.
+    assert truths[0].jsw_medial_mm == pytest.approx(4.2, abs=0.3)
+    for truth in truths:
         row, col = truth.landmarks_px["medial_spine"]
         assert np.flatnonzero(truth.masks["tibia"][:, round(col)])[0] == pytest.approx(row, abs=1.5)
-        assert truth.jsw_medial_mm == 4.2
+        (top, _), (bottom, _) = (truth.landmarks_px[f"medial_jsw_{bone}"] for bone in ("femur", "tibia"))
+        assert truth.jsw_medial_mm == pytest.approx((bottom - top) * 0.6 / magnification(view_of(protocol)), abs=0.05)
 
 
 def test_a_radiograph_of_both_comes_back_from_a_file(pair, tmp_path):

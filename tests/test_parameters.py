@@ -39,7 +39,7 @@ def test_parameters_are_one_row_a_knee_with_the_largest_osteophyte_and_their_cou
 
 def test_what_was_drawn_stands_beside_the_range_of_its_grade():
     table = morphology(parameters_of(manifest()), grade_table("paper")).set_index(["parameter", "grade"])
-    space = table.loc[("JSW medial, mm", 1)]
+    space = table.loc[("nominal JSW medial, mm", 1)]
     assert (space["low"], space["high"]) == (3.5, 5.0)
     assert (space["least"], space["mean"], space["most"]) == pytest.approx((4.8, 4.95, 5.1))
     assert np.isnan(table.loc[("age, years", 0), "low"])
@@ -58,7 +58,7 @@ def test_a_feature_follows_what_it_was_made_of():
             assert rho == pytest.approx(spearmanr(first[name], known).statistic, abs=1e-12)
     assert table.query("feature == 'glcm_c'")["rho"].isna().all()
     best = strongest(table).set_index("feature")
-    assert best.loc["glcm_a", "parameter"] == "JSW medial, mm"
+    assert best.loc["glcm_a", "parameter"] == "nominal JSW medial, mm"
     assert best.loc["glcm_a", "rho"] == pytest.approx(-1)
     assert "glcm_c" not in best.index
 

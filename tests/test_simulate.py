@@ -78,7 +78,8 @@ def test_no_ray_is_left_unrepaired_under_any_protocol(built):
 
 def test_truth_carries_labels_and_the_medial_joint_line(built, small):
     truth = pssf.simulate(built, small).truth
-    assert (truth.jsw_medial_mm, truth.jsw_lateral_mm, truth.grade) == (3.1, 5.0, 2)
+    assert (truth.jsw_medial_mm, truth.jsw_lateral_mm) == pytest.approx((3.1, 5.0), abs=1e-3)
+    assert truth.grade == 2
     row, col = truth.landmarks_px["joint_centre"]
     assert row == pytest.approx(127.5, abs=2)
     row, col = truth.medial_joint_line_px
@@ -281,10 +282,10 @@ def test_paths_of_another_view_or_texture_are_refused(built, scene, small, chang
         pssf.simulate(built, small, paths=paths)
 
 
-@pytest.mark.parametrize(("name", "value"), [("engine", "foo"), ("workers", 0), ("seed", -1), ("keep", ("foo",))])
+@pytest.mark.parametrize(("name", "value"), [("engine", "foo"), ("workers", 0), ("rng", -1), ("keep", ("foo",))])
 def test_what_cannot_be_used_is_refused_before_a_knee_is_built(name, value, monkeypatch):
     monkeypatch.setattr("pssf.simulation.build", lambda knee: pytest.fail("built"))
-    with pytest.raises(pssf.InputError, match=f"{name} = "):
+    with pytest.raises(pssf.InputError, match=f"{name} (= |must be)"):
         pssf.simulate(pssf.Knee(), pssf.load_protocol("reference"), **{name: value})
 
 
@@ -293,7 +294,7 @@ def test_the_paths_of_another_knee_are_refused(built, small):
     paths = pssf.trace(other.scene, small, engine="scanline")
     with pytest.raises(pssf.InputError, match="paths of another scene"):
         pssf.simulate(built, small, paths=paths)
-    with pytest.raises(TypeError, match="scene"):
+    with pytest.raises(pssf.InputError, match="simulate takes no keyword 'scene'"):
         pssf.simulate(built.knee, small, scene=other.scene)
 
 
@@ -303,7 +304,7 @@ def test_a_built_knee_has_the_labels_of_its_own_knee(built, small):
         radiograph = pssf.simulate(one, small, engine="scanline")
         assert radiograph.knee is one.knee
         assert radiograph.truth == one.truth(small)
-        assert radiograph.truth.jsw_medial_mm == one.knee.jsw_medial_mm
+        assert radiograph.truth.jsw_medial_mm == pytest.approx(one.knee.jsw_medial_mm, abs=1e-3)
         assert one.measured_jsw_mm(pssf.load_protocol("reference"))[0] == pytest.approx(
             one.knee.jsw_medial_mm, abs=1e-3
         )

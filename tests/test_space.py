@@ -186,7 +186,7 @@ def test_slopes_are_of_one_parameter_in_spreads_of_both():
     base, pairs, manifest = paired()
     table = statistics.slopes(base, pairs, manifest, ["feature"], BOUNDS).set_index("parameter")
     span = np.ptp(BOUNDS["nominal_jsw_medial_mm"]) / np.sqrt(12)
-    row = table.loc["JSW medial, mm"]
+    row = table.loc["nominal JSW medial, mm"]
     assert row["slope"] == pytest.approx(2 * span / base["feature"].std())
     assert_allclose([row["slope_low"], row["slope_high"]], row["slope"])
     assert table.loc["mAs", "slope"] == 0
@@ -194,16 +194,18 @@ def test_slopes_are_of_one_parameter_in_spreads_of_both():
 
 def test_correlations_have_slopes_and_shares_beside_them_and_the_report_shows_both():
     base, pairs, manifest = paired()
-    follows = pd.DataFrame({"feature": ["feature"], "parameter": ["JSW medial, mm"], "rho": [0.9], "rho_within": [0.5]})
+    follows = pd.DataFrame(
+        {"feature": ["feature"], "parameter": ["nominal JSW medial, mm"], "rho": [0.9], "rho_within": [0.5]}
+    )
     of_shares = statistics.shares(sampled(64).rename(columns={"sum": "feature"}), ["feature"], BOUNDS, 64, 5)
     of_slopes = statistics.slopes(base, pairs, manifest, ["feature"], BOUNDS)
     both = statistics.beside(follows, of_slopes, of_shares).set_index("parameter")
-    assert both.loc["JSW medial, mm", "rho"] == 0.9
-    assert both.loc["JSW medial, mm", "total"] > both.loc["mAs", "total"]
+    assert both.loc["nominal JSW medial, mm", "rho"] == 0.9
+    assert both.loc["nominal JSW medial, mm", "total"] > both.loc["mAs", "total"]
     assert np.isnan(both.loc["mAs", "rho"])
     section = meaning_section(of_shares, both.reset_index(), ["feature"], BOUNDS)
     assert section.pictures[0].png.startswith(b"\x89PNG")
-    assert section.table["Parameter"].tolist()[0] == "JSW medial, mm"
+    assert section.table["Parameter"].tolist()[0] == "nominal JSW medial, mm"
 
 
 def test_what_cannot_be_sampled_is_refused():
