@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 import trimesh
 from brute_rays import BruteRays
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 from manifold3d import Manifold
 
 import pssf
 from pssf.anatomy.solids import mesh_of, solid_of
+from pssf.anatomy.uncut_faces import with_uncut_faces
 
 LEFT = pssf.Knee(
     side="left",
@@ -132,6 +135,47 @@ def test_paths_are_those_of_a_sum_in_which_the_implant_wins(operation, name, vie
     assert all(wanted[metal][even].max() > 0 for metal in metals)
 
 
+places = st.tuples(st.floats(-40, 40), st.floats(-25, 25), st.floats(-60, 60))
+
+
+@settings(max_examples=8, deadline=None)
+@given(start=places, way=places, radius=st.floats(1.0, 8.0))
+def test_any_rod_takes_as_much_of_the_tissues_as_it_brings_of_metal(start, way, radius):
+    end = np.add(start, way)
+    assume(np.linalg.norm(way) > 5 and np.abs(end).max() < 62)
+    body = rod(start, end, radius)
+    protocol = protocol_of(pixels=48)
+    before, after = (
+        pssf.trace(built, protocol, engine="scanline", precision="float64", texture=False).path_mm
+        for built in (knee("right"), knee("right").insert(body, "titanium_alloy"))
+    )
+    alone = pssf.trace(pssf.Scene([pssf.Surface(body, "titanium_alloy", "air")]), protocol, precision="float64")
+    metal_mm = alone.path_mm["titanium_alloy"]
+    assert np.abs(after["titanium_alloy"] - metal_mm).max() < 1e-9
+    beside = metal_mm == 0
+    assert all(np.abs(after[material] - before[material])[beside].max() < 1e-9 for material in before)
+    # Tissues that share a wall overlap by up to 3e-5 mm, which a rod there takes away.
+    assert all((after[material] <= before[material] + 1e-4).all() for material in before)
+    assert np.abs(sum(before.values()) - sum(after.values())).max() < 1e-9
+
+
+def test_a_cut_moves_nothing_of_a_mesh_away_from_it():
+    whole = next(s for s in knee("right").scene.surfaces if s.name == "intermuscular_fat").arrays
+    solid = solid_of(whole.vertices, whole.faces, "fat")
+    cut = with_uncut_faces(mesh_of(solid - Manifold.sphere(6.0, 32).translate((30, -18, 110))), whole)
+    # Faces that have all their corners away from the ball are those of the whole mesh, and none of them has gone.
+    kept, were = (
+        {
+            frozenset(map(tuple, corners))
+            for corners in mesh.vertices[mesh.faces]
+            if np.linalg.norm(corners - (30, -18, 110), axis=1).min() > 30
+        }
+        for mesh in (cut, whole)
+    )
+    assert len(were) > 10_000
+    assert kept == were
+
+
 def test_an_implant_within_bone_changes_no_label():
     whole, drilled = knee("right"), operated(knee("right"), screw(knee("right")))
     for name in ("reference", "fixed_flexion"):
@@ -236,8 +280,7 @@ def test_masks_have_the_implant_and_the_bone_that_is_left(tmp_path):
     steps = knee_replacement(whole)
     after = operated(whole, steps)
     protocol = protocol_of(pixels=128)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", pssf.SurgeryNotice)
+    with pytest.warns(pssf.SurgeryNotice, match="replaces the medial and lateral joint contours; truth has no grade"):
         radiograph = pssf.simulate(after, protocol, keep=("masks", "path_mm"), engine="scanline")
     masks, paths = radiograph.truth.masks, radiograph.kept["path_mm"]
     assert (masks["step_1"] == (paths["cobalt_chromium"] > 0)).mean() > 0.9999
@@ -377,3 +420,21 @@ def test_bone_that_is_resected_around_an_implant_leaves_the_implant():
     for material, path_mm in paths.path_mm.items():
         expected = wanted.get(material, np.zeros(len(even)))
         assert np.abs(path_mm.ravel()[rays.pixels] - expected)[even].max() < 1e-6, material
+
+
+def test_photons_are_followed_through_a_knee_with_implants(tmp_path):
+    after = operated(knee("right"), plate_and_screws(knee("right")))
+    protocol = protocol_of(pixels=64, scatter="monte_carlo", scatter_photons=20_000)
+    counted = pssf.simulate(after, protocol, engine="scanline", keep=("scatter",)).kept["scatter"]
+    bare = pssf.simulate(knee("right"), protocol, engine="scanline", keep=("scatter",)).kept["scatter"]
+    assert np.isfinite(counted).all()
+    # Metal takes of the scatter as it does of the primary.
+    assert 0.5 * bare.mean() < counted.mean() < bare.mean()
+
+
+def test_a_knee_with_implants_is_exported_with_all_its_surfaces(tmp_path):
+    after = operated(knee("right"), screw(knee("right")))
+    paths = pssf.export_meshes(after.scene, tmp_path, formats=("stl", "glb"))
+    assert [path.name for path in paths if path.name.endswith("step_0.stl")]
+    read = pssf.read_mesh(next(path for path in paths if path.name.endswith("step_0.stl")))
+    assert abs(read.volume / after.scene.surfaces[-1].mesh.volume - 1) < 1e-5

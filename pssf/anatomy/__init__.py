@@ -17,6 +17,7 @@ wear         a plateau worn by the femur                        attrition    how
 contours     projected outlines and the gap between them        truth        labels and landmarks
 landmarks    sixteen places on the contours, as on people's films
 surgery      implants and resections                        surgery_truth labels that are still true after them
+uncut_faces  of a mesh, away from a cut, as they were
 ship         the mean bones as solids, put into the package
 """
 

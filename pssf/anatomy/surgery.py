@@ -24,6 +24,7 @@ from .bones import Bone
 from .joint import KneeAssembly
 from .solids import mesh_of, solid_of
 from .trabeculae import BONES
+from .uncut_faces import with_uncut_faces
 
 if TYPE_CHECKING:
     import trimesh
@@ -188,9 +189,10 @@ def inserted(scene: Scene, step: SurgicalStep) -> Scene:
         if (box[1] <= low).any() or (high <= box[0]).any():
             continue
         host = _solid(surface)
-        if _difference(body, host, step.name).is_empty():
-            around[number] = host.volume()
-        met[number] = host
+        if not (host ^ body).is_empty():
+            met[number] = host
+            if _difference(body, host, step.name).is_empty():
+                around[number] = host.volume()
     # From the outside in, as long as each says that it is in the one before.
     outside, density = scene.ambient, None
     for number in sorted(around, key=lambda number: -around[number]):
@@ -233,7 +235,8 @@ def replace_surfaces(scene: Scene, left: dict[int, Manifold], *more: Surface) ->
         if number not in left:
             surfaces.append(surface)
         elif not left[number].is_empty():
-            surfaces.append(replace(surface, mesh=mesh_of(left[number])))
+            whole = Mesh(surface.solid.points, surface.solid.faces)
+            surfaces.append(replace(surface, mesh=with_uncut_faces(mesh_of(left[number]), whole)))
     return Scene([*surfaces, *more], scene.ambient, scene.size_mm)
 
 
