@@ -32,6 +32,8 @@ DOORS = {
     "anatomy/pair.py": "build_pair",
     # What is made beside it, and what comes with the package.
     "anatomy/texture.py": "make_texture",
+    # What is usual of a parameter, for a refusal.
+    "anatomy/conflicts.py": "explaining",
     # What was built is built again where it arrives.
     "anatomy/built.py": "build_in",
     "anatomy/ship.py": "main",
