@@ -41,7 +41,7 @@ DOORS = {
     "precompile.py": "compile_others compile_rays",
     # Files that are read or written whole.
     "cohort/labels.py": "write_labels",
-    "io/dicom.py": "write read ours",
+    "io/dicom.py": "write read ours opened_parameters",
     "io/film_dicom.py": "is_linear_by_pssf read",
     "io/readme.py": "Checkout.take require_checkout write_tables",
     "io/segmentation.py": "write",
