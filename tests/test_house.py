@@ -33,6 +33,8 @@ DOORS = {
     "anatomy/pair.py": "build_pair",
     # What is made beside it, and what comes with the package.
     "anatomy/texture.py": "make_texture",
+    # What is usual of a parameter, for a refusal.
+    "anatomy/conflicts.py": "explaining",
     # What was built is built again where it arrives.
     "anatomy/built.py": "build_in",
     "anatomy/ship.py": "main",
@@ -40,7 +42,7 @@ DOORS = {
     "precompile.py": "compile_others compile_rays",
     # Files that are read or written whole.
     "cohort/labels.py": "write_labels",
-    "io/dicom.py": "write read ours",
+    "io/dicom.py": "write read ours opened_parameters",
     "io/film_dicom.py": "is_linear_by_pssf read",
     "io/readme.py": "Checkout.take require_checkout write_tables",
     "io/segmentation.py": "write",

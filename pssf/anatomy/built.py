@@ -29,6 +29,7 @@ from . import bones, small_bones, soft
 from .attrition import attrition_mm
 from .bone_build import build_of
 from .bones import Bone
+from .conflicts import explaining
 from .cysts import CystSolids, cyst_meshes, cysts_of
 from .joint import KneeAssembly, assemble, defining_protocol
 from .plateau import along_plateau, inter_margin_mm
@@ -168,14 +169,15 @@ def build(knee: Knee, protocol: Protocol | None = None) -> BuiltKnee:
 
     Surfaces are named ("femur", "femur_trabecular", "femur_marrow", "skin", ...), in the knee frame, mm.
     protocol  in whose posture it stands; straight and seen from the front if None, as for most protocols
-    raises    InputError for what is no Knee or no Protocol, or if a solid fails its checks, which the ranges of
-              `Knee` exclude
+    raises    InputError for what is no Knee or no Protocol, or for parameters that leave the solids no room, by name
     """
     if not isinstance(knee, Knee):
         raise InputError(f"knee = {knee!r}; allowed: a Knee")
     if not isinstance(protocol, Protocol | None):
         raise InputError(f"protocol = {protocol!r}; allowed: a Protocol, as load_protocol gives it, or None")
-    return build_in(knee, Posture() if protocol is None else protocol.posture)
+    posture = Posture() if protocol is None else protocol.posture
+    with explaining(knee, posture):
+        return build_in(knee, posture)
 
 
 @one_blas_thread()

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 from manifold3d import Manifold, OpType
 
-from ..core.checks import InputError
 from ..geometry.within import lies_within
 from .bones import Bone
+from .conflicts import NoRoomError
 from .solids import box_about, mesh_of
 
 # Trabecular bone that is outside its cortex by no more than this is drawn in by so much, so far about what is outside.
@@ -33,7 +33,7 @@ def drawn_in(name: str, part: Bone) -> Bone:
     if outside_mm3 <= _NOTHING_MM3:
         return part
     if outside_mm3 > _MENDED_MM3:
-        raise InputError(f"{name}: its trabecular bone leaves its host by {outside_mm3:.3g} mm3; allowed: 0")
+        raise NoRoomError(f"{name}: its trabecular bone leaves its host by {outside_mm3:.3g} mm3; allowed: 0")
     # Copies of the whole bone would cross each other everywhere, which takes a second.
     pieces = outside.decompose()
     about = part.outer ^ _boxes(pieces, _ABOUT_MM + 2 * _DRAWN_IN_MM)
@@ -60,11 +60,11 @@ def check_nesting(placed: Mapping[str, Bone], muscle: Manifold) -> None:
                 continue
             outside_mm3 = (inside - host).volume()
             if outside_mm3 > _NOTHING_MM3:
-                raise InputError(f"{name}: its {what} leaves its host by {outside_mm3:.3g} mm3; allowed: 0")
+                raise NoRoomError(f"{name}: its {what} leaves its host by {outside_mm3:.3g} mm3; allowed: 0")
     names = list(placed)
     for i, one in enumerate(names):
         for other in names[i + 1 :]:
             shared = (placed[one].outer ^ placed[other].outer).volume()
             if shared > _NOTHING_MM3:
                 why = "joint spaces, osteophytes and pose leave them no room"
-                raise InputError(f"{one} and {other} overlap by {shared:.3g} mm3 ({why}); allowed: 0 mm3")
+                raise NoRoomError(f"{one} and {other} overlap by {shared:.3g} mm3 ({why}); allowed: 0 mm3")

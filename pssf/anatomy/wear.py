@@ -3,8 +3,9 @@
 import numpy as np
 from manifold3d import Manifold, OpType
 
-from ..core.checks import Array, InputError
+from ..core.checks import Array
 from .bones import Bone
+from .conflicts import NoRoomError
 
 # Between worn bones, which touch in people: half of what a joint space is exact to.
 CONTACT_MM = 5e-4
@@ -57,7 +58,7 @@ def _wearing(tibia: Manifold, femur: Manifold, margin_mm: float) -> Manifold | N
     if shared.volume() <= NOTHING_MM3:
         return None
     if (tibia ^ femur.translate((0.0, 0.0, MOST_MM))).volume() > NOTHING_MM3:
-        raise InputError(
+        raise NoRoomError(
             f"femur and tibia overlap by {shared.volume():.3g} mm3, in places by more than {MOST_MM:g} mm (joint "
             "spaces, osteophytes and pose leave them no room); allowed: less, which is worn off the plateau"
         )
