@@ -16,6 +16,7 @@ texture      that density, of a knee's parameters
 wear         a plateau worn by the femur                        attrition    how deep that is
 contours     projected outlines and the gap between them        truth        labels and landmarks
 landmarks    sixteen places on the contours, as on people's films
+placed_bones bones as solids, where they stand in the leg
 surgery      implants and resections                        surgery_truth labels that are still true after them
 uncut_faces  of a mesh, away from a cut, as they were
 ship         the mean bones as solids, put into the package

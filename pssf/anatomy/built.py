@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from manifold3d import Manifold
 
-from ..core.checks import Array, InputError
+from ..core.checks import InputError
 from ..core.workers import one_blas_thread
 from ..data.anatomy import anatomy_tables
 from ..data.fields import beam_range_deg
@@ -25,16 +25,16 @@ from ..model.knee import Knee
 from ..model.oarsi import oarsi
 from ..model.protocol import Posture, Protocol
 from ..model.radiograph import Truth
-from . import bones, small_bones, soft
+from . import bones, soft
 from .attrition import attrition_mm
 from .bone_build import build_of
 from .bones import Bone
 from .conflicts import explaining
 from .cysts import CystSolids, cyst_meshes, cysts_of
 from .joint import KneeAssembly, assemble, defining_protocol
+from .placed_bones import PlacedBone, place_bones
 from .plateau import along_plateau, inter_margin_mm
-from .pose import composed
-from .shells import check_nesting, drawn_in, is_nested
+from .shells import check_nesting
 from .solids import checked, mesh_of
 from .surgery import Operable, SurgicalStep, after_surgery
 from .surgery_truth import lost_joint_spaces, replaced_sides, require_bone, surviving_labels
@@ -43,7 +43,6 @@ from .tissues import Covered, between, cartilage_of
 from .trabeculae import BONES
 from .truth import labels, measured_jsw_mm, osteophyte_meshes
 from .turned_truth import turned_labels
-from .wear import worn
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -192,7 +191,7 @@ def build_in(
         shells = aside.submit(bones.shells_mm, form)
         assembly = assemble(knee, form, posture, defining_protocol(knee))
         cartilage = aside.submit(cartilage_of, knee, assembly)
-        placed = _bones(knee, assembly, shells.result(), aside)
+        placed = place_bones(knee, assembly, shells.result(), aside)
         solids = {name: part.solids for name, part in placed.items()}
         attrition = _attrition_mm(knee, assembly, placed["tibia"].worn)
         cysts = cysts_of(knee, assembly, solids, attrition)
@@ -222,7 +221,7 @@ def _attrition_mm(knee: Knee, assembly: KneeAssembly, worn: bool) -> Mapping[str
 def _surfaces(
     knee: Knee,
     assembly: KneeAssembly,
-    placed: "dict[str, _Placed]",
+    placed: dict[str, PlacedBone],
     cysts: dict[str, list[CystSolids]],
     cartilage: "Future[tuple[Covered, Covered]]",
     aside: Executor,
@@ -255,52 +254,6 @@ def _surfaces(
             surfaces.append(_surface(cyst.wall, *wall, assembly, outside_density=density))
             surfaces.append(_surface(cyst.soft, "marrow", "cortical_bone", f"{name}_cyst_{number}", assembly))
     return surfaces
-
-
-@dataclass(frozen=True)
-class _Placed:
-    """Solids of a bone in the knee frame, and the (3, 4) transform into it from the frame of its trabeculae.
-
-    worn  whether another bone has taken of it
-    """
-
-    solids: bones.Bone
-    frame: Array
-    worn: bool = False
-
-
-def _bones(knee: Knee, assembly: KneeAssembly, shells_mm: tuple[Array, Array], aside: Executor) -> dict[str, _Placed]:
-    """Femur, tibia, fibula, patella and fabella, if there is one, of a right knee as it stands, by name."""
-    build, pose = assembly.build, assembly.pose
-    femur = bones.femur(build, assembly.femur, shells_mm[0])
-    tibia = bones.tibia(build, assembly.tibia, shells_mm[1])
-    patella = small_bones.patella(build)
-    place = aside.submit(small_bones.patella_place, knee, build, patella.outer, femur.outer, pose)
-    fibula, still = small_bones.fibula(knee, build, tibia.outer), np.eye(3, 4)
-    parts = {
-        "femur": (femur, pose.femur(), build.femur.frame(build.scale)),
-        "tibia": (tibia, pose.tibia(), build.tibia.frame(build.scale)),
-        "fibula": (fibula, pose.tibia(), still),
-        "patella": (patella, composed(place.result(), pose.femur()), still),
-    }
-    if knee.fabella_mm:
-        fabella, in_femur = small_bones.fabella(knee, build, femur.outer)
-        parts["fabella"] = (fabella, composed(in_femur, pose.femur()), still)
-    placed = {name: _Placed(_placed(part, at), composed(inner, at)) for name, (part, at, inner) in parts.items()}
-    plate_mm = build.shape.tibia.plate_mm * max(build.plates.medial, build.plates.lateral) * build.scale
-    whole = placed["tibia"].solids
-    tibia = worn(whole, placed["femur"].solids.outer, plate_mm)
-    placed |= {"tibia": replace(placed["tibia"], solids=tibia, worn=tibia is not whole)}
-    nests = dict(zip(placed, aside.map(lambda part: is_nested(part.solids), placed.values()), strict=True))
-    return {
-        name: part if nests[name] else replace(part, solids=drawn_in(name, part.solids))
-        for name, part in placed.items()
-    }
-
-
-def _placed(part: bones.Bone, transform: Array) -> bones.Bone:
-    canal = None if part.canal is None else part.canal.transform(transform)
-    return bones.Bone(outer=part.outer.transform(transform), inner=part.inner.transform(transform), canal=canal)
 
 
 def _surface(solid: Manifold, inside: str, outside: str, name: str, at: KneeAssembly, **densities: Density) -> Surface:

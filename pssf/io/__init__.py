@@ -9,6 +9,10 @@ meshes   scenes as STL, PLY, GLB and 3MF; `exported_scenes` reads the last two
 mesh_reader  one mesh of any program; `stl` and `mesh_faults` see what is cut off
 scenes   scenes of one's own meshes
 viewer   a page to inspect a scene beside its radiograph
+film_list   films of a folder or a table
+image_kind  kind of a file, by its name and first bytes
+films    films as they are displayed; stored_pixels: their grey values as they are in the file
+csv_rows  rows of CSV files, each column once
 records  a cohort's records and manifest
 results  tables, pictures and pages of a study
 """
