@@ -10,6 +10,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from ..core.checks import InputError
+from ..core.keywords import keywords
 from ..core.workers import one_blas_thread
 from ..data.anatomy import anatomy_tables
 from ..data.fields import beam_range_deg
@@ -163,6 +164,7 @@ class BuiltKnee(Operable):
         return f"BuiltKnee({self.knee!r}, {len(self.scene.surfaces)} surfaces{after})"
 
 
+@keywords()
 def build(knee: Knee, protocol: Protocol | None = None) -> BuiltKnee:
     """The knee as closed surfaces: skin, fat, muscle, what lies between, and cortex, trabeculae and marrow of bones.
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ..core.checks import InputError, require, require_choice, require_whole
+from ..core.keywords import keywords
 from ..data.detectors import detectors
 from ..data.looks import Film, Looks, Processed, looks
 from ..model.exposure import MARKERS
@@ -25,6 +26,7 @@ _LEAF, _PENUMBRA, _MARKER, _APART = 0.025, 0.002, 0.055, 0.02
 _BLURRED_MM = 0.5
 
 
+@keywords()
 def present(
     pixels: NDArray[np.uint16] | Radiograph,
     *,

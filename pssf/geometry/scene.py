@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from ..core.checks import Array, InputError, require
+from ..core.keywords import keywords
 from .density import Density
 from .mesh import Mesh, MeshField, is_mesh
 from .repair import Fault, Solid, repair, require_sound
@@ -30,6 +31,7 @@ class MeshNotice(UserWarning):
     """A mesh was mended before it was traced; the message says where and how."""
 
 
+@keywords()
 @dataclass(frozen=True, eq=False)
 class Surface:
     """A closed mesh (mm, outward normals) between two materials.
@@ -104,6 +106,7 @@ class Surface:
         return np.array([[edge(points[:, axis]) for axis in range(3)] for edge in (np.min, np.max)])
 
 
+@keywords()
 @dataclass(frozen=True, eq=False)
 class Scene:
     """Surfaces in `ambient`. Each surface's `outside` is the material that immediately surrounds it.

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image, PngImagePlugin
 
 from ..core.checks import InputError, require_choice, require_path
+from ..core.keywords import keywords
 from ..data.looks import Film, Processed, looks
 from ..data.userfiles import read_text, require_file
 from ..detector import look_of, named_look, present
@@ -35,6 +36,7 @@ _MARKED = "for a presentation of one knee, of a known side; else none"
 KINDS = ("tif", "png", "json", "dcm")
 
 
+@keywords()
 def save(
     radiograph: Radiograph,
     path: str | Path,

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from trimesh.visual.material import PBRMaterial
 
 from ..core.checks import InputError, require, require_choice, require_path
+from ..core.keywords import keywords
 from ..geometry.repair import require_sound
 from ..geometry.scene import Scene, Surface
 from .atomic import folder, write_bytes
@@ -51,6 +52,7 @@ _RELATIONSHIPS = """<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
+@keywords()
 def export_meshes(
     scene: Scene,
     directory: str | Path,

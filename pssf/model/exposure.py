@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..core.checks import Chance, InputError, generator_of, require_choice
+from ..core.keywords import keywords
 from ..data.exposures import exposures
 from ..data.fields import FieldLaw, field_laws
 from .knee import Knee
@@ -25,6 +26,7 @@ _TAKEN = (
 MARKERS = {"right": "R", "left": "L"}
 
 
+@keywords()
 def draw_exposure(protocol: Protocol, *, rng: Chance, side: str | None = None) -> Protocol:
     """Sample the acquisition variability of a protocol: positioning, beam, technique, field and marker.
 

@@ -4,11 +4,13 @@ import msgspec
 import numpy as np
 
 from ..core.checks import Chance, generator_of
+from ..core.keywords import keywords
 from ..data.looks import Looks, Processed, looks
 
 _CUT_SD = 2.0
 
 
+@keywords()
 def draw_look(*, rng: Chance) -> Processed:
     """Sample the display processing of a site: latitude, sharpness, dark and bright ends.
 

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..core.checks import Array, Chance, InputError, generator_of, require
+from ..core.keywords import keywords
 from ..data.fields import FieldLaw, field_laws
 from ..data.oarsi import OarsiCuts, oarsi_cuts
 from ..data.progress import Progress, Step, progress_law
@@ -20,6 +21,7 @@ _CHANGED = (
 )  # fmt: skip
 
 
+@keywords()
 def progress(knee: Knee, years: float, rng: Chance) -> Knee:
     """Age a knee: the same person's knee after some years, with no joint space wider and no osteophyte smaller.
 

@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.checks import Array, InputError, require_choice, require_workers
+from ..core.keywords import keywords
 from ..geometry.density import Density
 from ..geometry.mesh import Mesh
 from ..geometry.repair import require_sound
@@ -57,6 +58,7 @@ Sums = dict[str, NDArray[Any]]
 _Varying = dict[tuple[str, int], tuple[Density, list[tuple[Crossings, int]], list[str]]]
 
 
+@keywords()
 def trace(
     scene: Scene | HasScene,
     protocol: Protocol | View,

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..core.checks import Array
+from ..core.keywords import keywords
 from ..data.tissues import DENSEST_GAS, Tissue, tissues
 from ..geometry.repair import Fault
 from ..geometry.scene import HasScene, Scene, Surface, scene_of
@@ -41,6 +42,7 @@ class Report:
         return "\n".join(f"{fault.outcome}: {fault}" for fault in self.faults) or "no faults"
 
 
+@keywords()
 def check(scene: Scene | HasScene, protocol: Protocol | View | None = None) -> Report:
     """What is wrong with a scene, surface by surface.
 

@@ -1,0 +1,83 @@
+"""Keyword arguments of what users call: the nearest name for an unknown one, and earlier names with a warning."""
+
+import dataclasses
+import pickle
+
+import numpy as np
+import pytest
+import trimesh
+
+import pssf
+from pssf import InputError
+from pssf.core.keywords import keywords
+
+
+@pytest.mark.parametrize(
+    ("call", "given", "nearest"),
+    [
+        (pssf.Knee, "jsw", "jsw_medial_mm"),
+        (pssf.Knee, "osteophyte", "osteophytes"),
+        (pssf.Osteophyte, "size", "size_mm"),
+        (pssf.Cyst, "diameter", "diameter_mm"),
+        (pssf.Surface, "in_side", "inside"),
+        (pssf.Scene, "ambiant", "ambient"),
+        (pssf.simulate, "worker", "workers"),
+        (pssf.trace, "material", "materials"),
+        (pssf.present, "bit", "bits"),
+        (pssf.save, "intend", "intent"),
+        (pssf.draw_exposure, "sides", "side"),
+        (pssf.build, "protocoll", "protocol"),
+        (pssf.export_meshes, "format", "formats"),
+    ],
+)
+def test_an_unknown_keyword_is_refused_with_the_nearest_name(call, given, nearest):
+    with pytest.raises(InputError, match=rf"{call.__name__} takes no keyword '{given}' \(did you mean '{nearest}'\?\)"):
+        call(**{given: 1})
+
+
+def test_a_change_of_an_unknown_field_names_the_nearest(small):
+    with pytest.raises(InputError, match=r"Protocol takes no keyword 'kv' \(did you mean 'tube_kv'\?\)"):
+        dataclasses.replace(small, kv=80.0)
+    with pytest.raises(InputError, match=r"did you mean 'jsw_medial_mm'"):
+        pssf.draw_knee(grade=2, rng=1, jsw=3.0)
+
+
+def test_an_earlier_name_is_taken_with_a_warning_and_not_beside_the_new_one():
+    ball = trimesh.creation.icosphere(radius=20)
+    scene = pssf.Scene([pssf.Surface(ball, inside="water", outside="air")])
+    protocol = dataclasses.replace(pssf.load_protocol("reference"), rows=32, cols=32, pixel_mm=4.8, scatter="none")
+    with pytest.warns(DeprecationWarning, match="simulate: seed is now rng"):
+        earlier = pssf.simulate(scene, protocol, seed=3, engine="scanline")
+    assert earlier == pssf.simulate(scene, protocol, rng=3, engine="scanline")
+    with pytest.raises(InputError, match="rng must be given once, got seed as well"):
+        pssf.simulate(scene, protocol, seed=3, rng=3)
+
+
+def test_a_radiograph_is_made_again_from_the_seed_that_a_generator_gave(small):
+    scene = pssf.Scene([])
+    first = pssf.simulate(scene, small, rng=np.random.default_rng(5))
+    assert first == pssf.simulate(scene, small, rng=first.seed)
+    assert first.seed != pssf.simulate(scene, small, rng=np.random.default_rng(6)).seed
+
+
+def test_the_name_of_a_protocol_is_taken_for_the_protocol(small, tmp_path):
+    path = tmp_path / "own.toml"
+    path.write_text('base = "reference"\nname = "own"\nrows = 16\ncols = 16\npixel_mm = 9.6\nscatter = "none"\n')
+    radiograph = pssf.simulate(pssf.Scene([]), path)
+    assert radiograph == pssf.simulate(pssf.Scene([]), pssf.load_protocol(path))
+    with pytest.raises(InputError, match="allowed: .*reference"):
+        pssf.simulate(pssf.Scene([]), "referense")
+
+
+def test_checked_classes_keep_their_signature_and_are_pickled():
+    knee = pssf.Knee(jsw_medial_mm=3.0)
+    assert pickle.loads(pickle.dumps(knee)) == knee
+    assert dataclasses.replace(knee, varus_deg=2.0).varus_deg == 2.0
+
+    @keywords(before="now")
+    def call(now=1, **others):
+        return now, others
+
+    assert call(any=2) == (1, {"any": 2})
+    with pytest.warns(DeprecationWarning, match="before is now now"):
+        assert call(before=3, any=2) == (3, {"any": 2})
