@@ -65,7 +65,7 @@ def test_the_name_of_a_protocol_is_taken_for_the_protocol(small, tmp_path):
     path.write_text('base = "reference"\nname = "own"\nrows = 16\ncols = 16\npixel_mm = 9.6\nscatter = "none"\n')
     radiograph = pssf.simulate(pssf.Scene([]), path)
     assert radiograph == pssf.simulate(pssf.Scene([]), pssf.load_protocol(path))
-    with pytest.raises(InputError, match="allowed: .*reference"):
+    with pytest.raises(InputError, match=r"allowed: .*reference"):
         pssf.simulate(pssf.Scene([]), "referense")
 
 
