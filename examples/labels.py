@@ -23,8 +23,7 @@ ROWS, COLS = 720, 600
 def run(out: Path, pixels: int = 2048) -> list[Path]:
     """Write a radiograph and its labels side by side as one PNG; `pixels` is the side of the detector."""
     knee = pssf.draw_knee(grade=2, rng=3, side="right", sex="female")
-    reference = pssf.load_protocol("reference")
-    protocol = reference.resampled(pixels)
+    protocol = pssf.load_protocol("fixed_flexion").resampled(pixels)
     radiograph = pssf.simulate(knee, protocol, rng=2, keep=("masks",))
     truth = radiograph.truth
     plain = pssf.present(radiograph.pixels, look="processed")
@@ -37,8 +36,8 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
         place = (col - size, row - size, col + size, row + size)
         ImageDraw.Draw(sheet).ellipse(place, fill="white", outline="black")
     part = np.s_[pixels * 2 // 10 : pixels * 8 // 10, pixels // 4 : pixels * 3 // 4]
-    told = f"medial space {truth.jsw_medial_mm:.1f}, lateral {truth.jsw_lateral_mm:.1f} mm"
-    shown = [panel(plain[part], ROWS, COLS, "grade 2"), panel(np.asarray(sheet)[part], ROWS, COLS, told)]
+    told = f"joint space: medial {truth.jsw_medial_mm:.1f}, lateral {truth.jsw_lateral_mm:.1f} mm"
+    shown = [panel(plain[part], ROWS, COLS, f"KL {truth.grade}"), panel(np.asarray(sheet)[part], ROWS, COLS, told)]
     return [side_by_side(shown, out / "labels.png")]
 
 

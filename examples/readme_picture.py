@@ -1,4 +1,4 @@
-"""The picture at the top of the README: one woman's knee as grade 0, 1 and 2, and the path through cortical bone."""
+"""The picture at the top of the README: one woman's knee as KL 0, 2 and 4, and the path through cortical bone."""
 
 from pathlib import Path
 
@@ -12,16 +12,15 @@ COLS, MOST_MM = 400, 20.0
 
 def run(out: Path, pixels: int = 2048) -> list[Path]:
     """Write the picture: whole knees, below them the medial joint; `pixels` is the side of the detector."""
-    reference = pssf.load_protocol("reference")
-    protocol = reference.resampled(pixels)
+    protocol = pssf.load_protocol("fixed_flexion").resampled(pixels)
     columns = []
-    for grade in (0, 1, 2):
+    for grade in (0, 2, 4):
         knee = pssf.draw_knee(grade=grade, rng=3, side="right", sex="female")
         radiograph = pssf.simulate(knee, protocol, rng=grade, keep=("path_mm",))
         joint = radiograph.truth.medial_joint_line_px
-        told = f"medial joint space {knee.jsw_medial_mm:.1f} mm"
+        told = f"medial joint space {radiograph.truth.jsw_medial_mm:.1f} mm"
         columns.append(
-            column(pssf.present(radiograph.pixels, look="processed"), joint, protocol.pixel_mm, f"grade {grade}", told)
+            column(pssf.present(radiograph.pixels, look="processed"), joint, protocol.pixel_mm, f"KL {grade}", told)
         )
     # Drawn with a power below 1, so that the thin cortex at the joint is seen beside the shaft's.
     shown = heat((radiograph.kept["path_mm"]["cortical_bone"] / MOST_MM) ** 0.6, 1.0)
