@@ -184,7 +184,7 @@ def test_means_over_squares_that_share_pixels_are_exact(side):
 
 def test_simulated_films_are_made_smaller_to_pitches_of_the_largest_real_source():
     films = tuple(
-        Film(file=f"{n}.tif", grade=n % 5, subject="", side=None, pixel_mm=0.15, sha256="") for n in range(40)
+        Film(file=f"{n}.tif", grade=n % 5, subject="1", side=None, pixel_mm=0.15, sha256="") for n in range(40)
     )
     simulated = Source(name="simulated", folder=Path(), films=films)
     clinic = [{"status": "found", "pitch_mm": mm} for mm in (0.4, 0.45, 0.5)] + [{"status": "no knee"}]

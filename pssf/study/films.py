@@ -33,6 +33,10 @@ class FilmSet:
     def __post_init__(self) -> None:
         if not self.films:
             raise InputError("films = none; allowed: one or more")
+        if self.pixel_mm is not None:
+            require("films' pixel_mm", self.pixel_mm, 0.02, 20, "mm")
+        if self.region_mm is not None:
+            require("films' region_mm", self.region_mm, *REGION_MM, "mm")
         files: set[str] = set()
         for film in self.films:
             if not isinstance(film, Film):
@@ -40,10 +44,6 @@ class FilmSet:
             if film.file in files:
                 raise InputError(f"films: file = {film.file!r}, twice; allowed: each file once")
             files.add(film.file)
-        if self.pixel_mm is not None:
-            require("films' pixel_mm", self.pixel_mm, 0.02, 20, "mm")
-        if self.region_mm is not None:
-            require("films' region_mm", self.region_mm, *REGION_MM, "mm")
 
     def facts(self) -> dict[str, Any]:
         """What results depend on, for JSON."""
