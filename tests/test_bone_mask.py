@@ -33,7 +33,7 @@ def test_the_bone_mask_agrees_with_the_projected_bones(protocol, grade):
     region, bone = region_and_bone(protocol, grade)
     agreement = overlap(bone_mask(region, PITCH_MM), bone, PITCH_MM)
     assert agreement["dice"] > 0.95
-    assert 0.93 < agreement["area"] < 1.05
+    assert 0.90 < agreement["area"] < 1.05
     # Otsu's threshold alone fills the joint space: outlines 3 to 10 mm apart.
     assert agreement["mean_mm"] < 2.5
 
