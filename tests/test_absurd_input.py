@@ -68,7 +68,7 @@ def test_a_number_of_thousands_of_digits_in_json_is_refused_in_one_line(tmp_path
 @pytest.mark.parametrize(
     "arguments",
     [
-        *(("simulate", "--out", "o", option, PATH) for option in ("--knee", "--protocol", "--scene", "--grades")),
+        *(("simulate", "--out", "o", option, PATH) for option in ("--knee", "--protocol", "--scene", "--grade-table")),
         *((command, "--out", PATH) for command in ("simulate", "meshes", "cohort", "quality")),
         *(
             ("cohort", command, PATH, *(("--out", "o") if command == "labels" else ()))

@@ -19,7 +19,7 @@ PITCH_MM, REGION_PX = 0.45, 170
 
 def region_and_bone(protocol: str, grade: int):
     """Region about the medial joint line, and the projected bone in it, of a knee of the population."""
-    knee = draw_knee(grade=grade, rng=np.random.default_rng(57 + grade), table="people")
+    knee = draw_knee(grade=grade, rng=57 + grade, grade_table="population")
     wide = replace(load_protocol(protocol), rows=680, cols=680, pixel_mm=PITCH_MM)
     radiograph = simulate(knee, wide, engine="scanline", keep=("masks",), seed=3)
     assert radiograph.truth is not None

@@ -29,7 +29,10 @@ class PlacedBone:
 def place_bones(
     knee: Knee, assembly: KneeAssembly, shells_mm: tuple[Array, Array], aside: Executor
 ) -> dict[str, PlacedBone]:
-    """Place femur, tibia, fibula, patella and fabella, if there is one, of a right knee as it stands; by name."""
+    """Place femur, tibia, fibula, patella and fabella, if there is one, of a right knee as it stands; by name.
+
+    shells_mm  of `bones.shells_mm`: of femur and of tibia (vertices,) depths of the cortex
+    """
     build, pose = assembly.build, assembly.pose
     femur = bones.femur(build, assembly.femur, shells_mm[0])
     tibia = bones.tibia(build, assembly.tibia, shells_mm[1])
