@@ -317,7 +317,7 @@ def test_an_answer_that_is_still_coming_when_another_is_asked_for_is_dropped(pag
 
 
 def test_presets_protocols_and_drawn_knees_change_what_they_say(page):
-    act(page, lambda: page.select_option("#draw-table", "people") and page.click("#draw"))
+    act(page, lambda: page.select_option("#draw-table", "population") and page.click("#draw"))
     state = page_state(page)
     assert (state["knee"]["grade"], state["knee"]["jsw_as"], len(state["knee"]["texture_seed"]) > 15) == (
         0,

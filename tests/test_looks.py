@@ -222,9 +222,10 @@ def test_every_drawn_look_shows_a_limb_from_dark_to_bright():
         assert shown[:, :24].max() <= shown[:, 64:192].min() + 60
 
 
-def test_a_look_needs_a_generator():
-    with pytest.raises(InputError, match=r"rng = 7; allowed: a numpy Generator"):
-        pssf.draw_look(rng=7)
+def test_display_processing_is_sampled_by_a_seed_or_a_generator():
+    assert pssf.draw_look(rng=7) == pssf.draw_look(rng=np.random.default_rng(7))
+    with pytest.raises(InputError, match="rng must be a whole number from 0"):
+        pssf.draw_look(rng="7")
 
 
 @pytest.mark.parametrize("look", ["linear", "processed"])

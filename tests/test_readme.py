@@ -117,7 +117,7 @@ def test_a_caption_of_contours_says_whose_they_are(given, command, tmp_path, mon
 
 def test_knees_by_other_grades_have_tables_of_their_own():
     names = ["films_found", "films_domains", "contours"]
-    assert realism.shown_as(names, "people") == {name: name for name in names}
+    assert realism.shown_as(names, "population") == {name: name for name in names}
     assert realism.shown_as(names, "paper") == {"films_domains_paper": "films_domains"}
     assert realism.shown_as(names, "own.toml") == {}
 
@@ -221,14 +221,18 @@ def test_the_python_of_the_front_page_runs(tmp_path, monkeypatch):
     small = tmp_path / "small.toml"
     small.write_text('base = "reference"\nrows = 96\ncols = 96\npixel_mm = 3.2\n')
     monkeypatch.setattr(pssf, "load_protocol", lambda name: load_protocol(small))
-    code, own = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    monkeypatch.setattr("pssf.simulation.load_protocol", lambda name: load_protocol(small))
+    code, shared, own = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     names = {}
     exec(code, names)
-    for name, radius_mm in (("leg", 60.0), ("femur", 15.0), ("screw", 4.0)):
+    assert names["radiograph"].pixels.shape == (96, 96)
+    exec(shared, names)
+    for name, radius_mm in (("leg", 60.0), ("femur", 15.0), ("nail", 4.0), ("screw", 3.0)):
         trimesh.creation.icosphere(subdivisions=2, radius=radius_mm).export(tmp_path / f"{name}.stl")
     exec(own, names)
-    assert names["again"].pixels.shape == (96, 96)
+    assert names["again"].pixels.shape == (512, 512)
     assert names["paths"].path_mm["cortical_bone"].max() > 1
+    assert "screw" in names["with_screw"].solids()
 
 
 @pytest.mark.parametrize(

@@ -148,7 +148,7 @@ def test_an_unknown_ambient_material_is_refused(small, ambient):
         pssf.simulate(pssf.Scene([pssf.Surface(box, inside="muscle", outside="air")], ambient=ambient), small)
 
 
-@pytest.mark.parametrize(("knee", "protocol"), [("knee", None), (None, "small"), (None, "reference")])
+@pytest.mark.parametrize(("knee", "protocol"), [("knee", None), (None, 7), (None, pssf.Knee())])
 def test_what_is_no_knee_or_no_protocol_is_refused(small, knee, protocol):
     with pytest.raises(pssf.InputError, match=r"allowed: a (Knee, a BuiltKnee, .* or a Scene|Protocol)"):
         pssf.simulate(knee or pssf.Knee(), protocol or small)
