@@ -140,7 +140,7 @@ def test_an_exported_scene_traces_as_it_did(nested, small, tmp_path, kind):
 def test_an_exported_scene_is_read_at_the_command_line(nested, tmp_path):
     from command import run
 
-    limb = pssf.Surface(trimesh.creation.box(extents=(90, 90, 90)), "muscle", "air", "limb")
+    limb = pssf.Surface(trimesh.creation.box(extents=(150, 150, 150)), "muscle", "air", "limb")
     nested = pssf.Scene([limb, *nested.surfaces])
     (path,) = pssf.export_meshes(nested, tmp_path, formats=("glb",), stem="boxes")
     small = ["--set", "rows=64", "--set", "cols=64", "--set", "pixel_mm=4.8", "--engine", "scanline"]
