@@ -1,6 +1,5 @@
 """A total knee replacement: femoral component, tibial tray and polyethylene bearing, shaped to their bones."""
 
-import dataclasses
 import warnings
 from pathlib import Path
 
@@ -57,12 +56,12 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
         .insert(mesh_of(bearing), "polyethylene", name="bearing")
     )
     reference = pssf.load_protocol("reference")
-    protocol = dataclasses.replace(reference, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
-    before = pssf.simulate(built, protocol, seed=1)
+    protocol = reference.resampled(pixels)
+    before = pssf.simulate(built, protocol, rng=1)
     with warnings.catch_warnings():
         # There is no joint space between bones any more, and the radiograph's truth has none.
         warnings.simplefilter("ignore", pssf.SurgeryNotice)
-        after = pssf.simulate(replaced, protocol, seed=1, keep=("path_mm",))
+        after = pssf.simulate(replaced, protocol, rng=1, keep=("path_mm",))
     print("joint space before", before.truth.jsw_medial_mm, "and after", after.truth.jsw_medial_mm)
     for step in after.surgery:
         print(step["step"], step["name"], step["material"] or "")

@@ -1,6 +1,5 @@
 """A titanium screw through muscle, cortical and trabecular bone: radiographs without and with it, and its paths."""
 
-import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -34,8 +33,8 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
     screw = trimesh.Trimesh(solid.vert_properties[:, :3], solid.tri_verts)
     fixed = built.insert(screw, "titanium_alloy", name="screw")
     reference = pssf.load_protocol("reference")
-    protocol = dataclasses.replace(reference, rows=pixels, cols=pixels, pixel_mm=307.2 / pixels)
-    radiographs = [pssf.simulate(one, protocol, seed=1, keep=("path_mm",)) for one in (built, fixed)]
+    protocol = reference.resampled(pixels)
+    radiographs = [pssf.simulate(one, protocol, rng=1, keep=("path_mm",)) for one in (built, fixed)]
     before, after = (one.kept["path_mm"] for one in radiographs)
     metal = after["titanium_alloy"] > 0.1
     for tissue in ("muscle", "cortical_bone", "trabecular_bone"):

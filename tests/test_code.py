@@ -167,6 +167,7 @@ def test_a_plan_and_so_the_claim_of_a_folder_has_all_that_a_preset_says_of_radio
     others = {
         "knees": [2, 0, 2], "bilateral": 1, "protocols": ["low_dose"], "grade_table": "population",
         "exposures": "drawn", "doses": [0.5], "tilts_deg": [5.0],
+        "matrix": 512, "settings": ["mas=3"],
     }  # fmt: skip
     assert set(Preset.__struct_fields__) - {"repeats", "retested"} == set(others)
     asked = cohort.plan_cohort("quick", seed=1, overrides=one).table()

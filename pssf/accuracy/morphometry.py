@@ -64,7 +64,7 @@ def measured(knee: Knee) -> Sizes:
     """Sizes of one knee, and the errors of its labels; largest over a cohort they are what `knee_rows` tells."""
     spaces = build(knee).measured_jsw_mm(load_protocol("reference"))
     # Bones alone, as they are measured dry: without osteophytes, and each turned back into its own frame.
-    bare = replace(knee, osteophytes=(), rotation_deg=0.0, flexion_deg=0.0, side="right")
+    bare = replace(knee, osteophytes=(), grade=None, grade_table=None, rotation_deg=0.0, flexion_deg=0.0, side="right")
     built, meshes = build(bare), dict[str, trimesh.Trimesh]()
     for name, bone in built.bones.items():
         meshes |= {name: mesh_of(bone.outer).as_trimesh(), f"{name}_trabecular": mesh_of(bone.inner).as_trimesh()}

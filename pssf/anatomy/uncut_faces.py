@@ -35,9 +35,11 @@ def with_uncut_faces(cut: Mesh, whole: Mesh) -> Mesh:
             put_back.append(original)
     if not put_back:
         return cut
+    restored = np.vstack(put_back)
+    lost = np.setdiff1d(restored, own)  # vertices within a patch, of which the cut mesh has none
     vertex = np.empty(len(places), np.int64)
-    vertex[own] = np.arange(len(own))
-    return Mesh(cut.vertices, np.vstack((cut.faces[keep], vertex[np.vstack(put_back)])))
+    vertex[own], vertex[lost] = np.arange(len(own)), len(own) + np.arange(len(lost))
+    return Mesh(np.vstack((cut.vertices, places[lost])), np.vstack((cut.faces[keep], vertex[restored])))
 
 
 def _keys(faces: Indices, count: int) -> Indices:

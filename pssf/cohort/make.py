@@ -29,7 +29,7 @@ FOLDERS = ("", "images", "masks", "records")
 # What of this package pixels, files and manifest depend on.
 _CODE = (
     *("anatomy", "cohort", "core", "detector", "geometry", "io", "model", "raycast", "scatter"),
-    *("precompile.py", "simulation.py", "stages.py", "xray"),
+    *("image_faults.py", "precompile.py", "simulation.py", "stages.py", "xray"),
 )
 
 

@@ -71,7 +71,7 @@ def built_bones(knee: Knee, tables: AnatomyTables) -> dict[str, Mesh]:
 
     tables  that bones are made from
     """
-    build = build_of(replace(knee, osteophytes=()), tables)
+    build = build_of(replace(knee, osteophytes=(), grade=None, grade_table=None), tables)
     femur, tibia = (mesh_of(bone.outer) for bone in (build.mean_femur, build.mean_tibia))
     return {
         "femur": Mesh(stand_femur(femur.vertices, build), femur.faces),
