@@ -65,7 +65,7 @@ def test_the_letter_is_that_of_the_side_and_without_one_there_is_none():
     ("wrong", "said"),
     [
         ({"protocol": "fixed_flexion"}, "protocol = 'fixed_flexion'; allowed: a Protocol"),
-        ({"rng": 3}, "rng = 3; allowed: a numpy Generator"),
+        ({"rng": "3"}, "rng must be a whole number"),
         ({"side": "up"}, "side = 'up'; allowed: right, left"),
     ],
 )

@@ -18,7 +18,7 @@ from pssf.data.anatomy import anatomy_tables
 from pssf.model.protocol import Posture
 
 FIXED_FLEXION = pssf.load_protocol("fixed_flexion")
-WORN = pssf.Knee(jsw_as="read", jsw_medial_mm=0.1, jsw_lateral_mm=4.0, varus_deg=5.0, grade=4)
+WORN = pssf.Knee(jsw_as="read", jsw_medial_mm=0.1, jsw_lateral_mm=4.0, varus_deg=5.0)
 
 
 @pytest.fixture(scope="module")
