@@ -25,7 +25,7 @@ FINE = 2
 
 def run(out: Path, pixels: int = 2048) -> list[Path]:
     """Write the picture; it is 3/8 of `pixels` high."""
-    scene = pssf.build(pssf.Knee(grade=1, osteophytes=(pssf.Osteophyte(site="medial_tibia", size_mm=2.0),))).scene
+    scene = pssf.build(pssf.Knee(osteophytes=(pssf.Osteophyte(site="medial_tibia", size_mm=2.0),))).scene
     panels = []
     for axes, depth_mm in ((FRONT, 3.0), (SIDE, 7.0)):
         window = Window(scene, axes, rows=max(8, pixels * 3 // 8))
