@@ -17,6 +17,7 @@ from pydicom.uid import ExplicitVRLittleEndian, JPEGLSLossless, RLELossless, gen
 import pssf
 from pssf.io import dicom_pixels
 from pssf.io.films import read_film
+from pssf.io.stored_pixels import read_values
 
 GREY = (np.add.outer(np.arange(96), np.arange(128)) * 18).astype("<u2")
 PLAIN = GREY / 4095
@@ -241,3 +242,17 @@ def test_a_packed_tiff_that_is_cut_off_or_compressed_otherwise_is_refused(tmp_pa
         (tmp_path / "a.tif").write_bytes(content.replace(old, new))
         with pytest.raises(pssf.InputError, match=told):
             read_film(tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize("fields", [{"RescaleSlope": None, "RescaleIntercept": None}, {"RescaleSlope": 1}])
+def test_stored_values_are_read_where_a_rescale_is_empty_or_half_there(tmp_path, fields):
+    np.testing.assert_array_equal(read_values(film(tmp_path / "a.dcm", **fields)).pixels, GREY)
+
+
+def test_stored_values_whose_compression_nothing_decodes_name_the_syntax(tmp_path):
+    path = compressed(tmp_path / "a.dcm")
+    item = pydicom.dcmread(path)
+    item.file_meta.TransferSyntaxUID = "1.2.840.10008.1.2.4.94"
+    item.save_as(path)
+    with pytest.raises(pssf.InputError, match="transfer syntax must be of single pictures"):
+        read_values(path)

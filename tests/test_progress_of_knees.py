@@ -99,7 +99,7 @@ def test_spaces_that_are_lost_are_lost_of_those_of_the_table_of_people():
     narrows = ((laws.medial, cuts.healthy_mm["read"][0]), (laws.lateral, cuts.healthy_mm["read"][1]))
     lost = np.array([[1 - law[grade][0][0] / healthy for grade in ("2", "3", "4")] for law, healthy in narrows])
     between = (lost[:, 1:] + lost[:, :-1]) / 2
-    assert np.abs(between - np.array(progress_law().step.lost)).max() < 0.02
+    assert np.abs(between - np.array(oarsi_cuts().kellgren_lawrence.lost)).max() < 0.02
 
 
 @pytest.mark.parametrize("grade", range(5))

@@ -84,10 +84,6 @@ def _require_contours(cohort: Path, file: str) -> None:
         raise InputError(f"file {file}: projection = {seen!r}; allowed: AP or PA, which show the contours")
 
 
-def _rounded(value: float | None) -> float | None:
-    return None if value is None else round(value, 4)
-
-
 def _reading(name: str, subject: str, knee: Knee, truth: Truth) -> dict[str, Any]:
     spaces = {f"{'JSW' if at < 0.5 else 'LJSW'}{round(1000 * at)}": round(mm, 4) for at, mm in truth.jsw_at_mm.items()}
     return {
@@ -97,10 +93,10 @@ def _reading(name: str, subject: str, knee: Knee, truth: Truth) -> dict[str, Any
         **({} if truth.grade_read is None else {"XRKL_READ": truth.grade_read}),
         **{name: value for name, value in truth.readings.items() if name.startswith("XR")},
         "HKANGLE": round(STRAIGHT_DEG - truth.readings["hip_knee_ankle_deg"], 4),
-        "MCMJSW": _rounded(truth.jsw_medial_mm),
+        "MCMJSW": truth.jsw_medial_mm,
         **spaces,
-        "jsw_medial_mm": _rounded(truth.jsw_medial_mm),
-        "jsw_lateral_mm": _rounded(truth.jsw_lateral_mm),
+        "jsw_medial_mm": truth.jsw_medial_mm,
+        "jsw_lateral_mm": truth.jsw_lateral_mm,
         "nominal_jsw_medial_mm": round(knee.jsw_medial_mm, 4),
         "nominal_jsw_lateral_mm": round(knee.jsw_lateral_mm, 4),
         **{f"attrition_{side}_mm": depth for side, depth in truth.attrition_mm.items()},

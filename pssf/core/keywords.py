@@ -38,7 +38,7 @@ def keywords(**earlier: str) -> Callable[[F], F]:
 
         @wraps(function)
         def checked(*given: Any, **named: Any) -> Any:
-            if not (anything and not earlier) and not names.keys() >= named.keys():
+            if (earlier or not anything) and named.keys() - names.keys():
                 named = _resolved(target.__name__, named, names, earlier, anything)
             return function(*given, **named)
 

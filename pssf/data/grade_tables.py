@@ -21,8 +21,13 @@ _OF_SEVERITY = frozenset(SeverityGrades.__struct_fields__) - frozenset(SharedGra
 
 
 def grade_tables() -> list[str]:
-    """Names of the tables that come with the package."""
-    return sorted(path.stem for path in _FOLDER.glob("*.toml"))
+    """Return the names of the tables that come with the package."""
+    return list(_names())
+
+
+@cache  # asked of every knee with a grade
+def _names() -> tuple[str, ...]:
+    return tuple(sorted(path.stem for path in _FOLDER.glob("*.toml")))
 
 
 def grade_table_name(name: str) -> str:

@@ -9,11 +9,10 @@ Laws = tuple[Pair, Pair, Pair, Pair, Pair]
 
 
 class Step(Record, frozen=True):
-    """What makes a KL grade of a built knee: mm of osteophytes, shares of a healthy space that are lost."""
+    """Sizes of osteophytes, mm, that make a KL grade of a knee as it ages; the rest is `oarsi.KellgrenLawrence`'s."""
 
     doubtful_mm: float
     definite_mm: Numbers
-    lost: Pair
 
 
 class Progress(Record, frozen=True):

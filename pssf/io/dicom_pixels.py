@@ -13,16 +13,11 @@ from ..core.checks import InputError
 _EXTRA = "pip install 'pssf[compressed]' brings decoders of JPEG, JPEG-LS and JPEG 2000"
 
 
-def tidied(item: FileDataset, path: Path) -> FileDataset:
+def without_empty(item: FileDataset) -> FileDataset:
     """Take out what has no value where DICOM lets it be empty or be absent, which pydicom takes for a fault.
 
     An empty VOI LUT function is LINEAR (PS3.3, C.11.2.1.3), of slope and intercept the one that is missing is 1 or 0,
     and a look-up table without its descriptor or data is none.
-
-    Raises
-    ------
-    InputError
-        The window has no width.
     """
     for name in ("ModalityLUTSequence", "VOILUTSequence"):
         if name in item:
@@ -39,6 +34,18 @@ def tidied(item: FileDataset, path: Path) -> FileDataset:
         delattr(item, "WindowCenter" if "WindowCenter" in item else "WindowWidth")
     if ("RescaleSlope" in item) != ("RescaleIntercept" in item):
         item.RescaleSlope, item.RescaleIntercept = item.get("RescaleSlope", 1), item.get("RescaleIntercept", 0)
+    return item
+
+
+def tidied(item: FileDataset, path: Path) -> FileDataset:
+    """Take out what `without_empty` does, of an object that is to be displayed.
+
+    Raises
+    ------
+    InputError
+        The window has no width.
+    """
+    item = without_empty(item)
     if "WindowWidth" in item:
         width = float(np.ravel(item.WindowWidth)[0])
         least = 1.0 if item.get("VOILUTFunction", "LINEAR") == "LINEAR" else 0.0

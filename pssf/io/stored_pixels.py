@@ -130,8 +130,10 @@ def _dicom(path: Path) -> StoredPixels:
     import pydicom  # is not imported before a DICOM is wanted
     from pydicom.pixels import apply_modality_lut
 
-    item = pydicom.dcmread(path)
-    values = np.asarray(apply_modality_lut(item.pixel_array, item))
+    from .dicom_pixels import pixels_of, without_empty
+
+    item = without_empty(pydicom.dcmread(path))
+    values = np.asarray(apply_modality_lut(pixels_of(item, path), item))
     if values.dtype.kind == "f":
         values = np.rint(values).astype(np.int64)
     pitch = item.get("ImagerPixelSpacing") or item.get("PixelSpacing")

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from ..data.oarsi import OarsiCuts
 from ..data.records import Triple
 from ..data.spongy import TrabecularBone
-from .kellgren_lawrence import kl_grade
+from .kellgren_lawrence import kl_grade, narrowed
 from .knee import Knee
 
 _BONES, _SIDES = {"femur": "F", "tibia": "T"}, {"medial": "M", "lateral": "L"}
@@ -28,8 +28,7 @@ def oarsi(knee: Knee, attrition_mm: Mapping[str, float], cuts: OarsiCuts, spongy
             sizes = [one.size_mm for one in knee.osteophytes if one.site == f"{side}_{bone}"]
             grades[f"XROS{letter}{of_side}"] = _grade(max(sizes, default=0.0), cuts.osteophyte_mm)
     for side, of_side in _SIDES.items():
-        healthy = cuts.healthy(side, sex=knee.sex, jsw_as=knee.jsw_as)
-        grades[f"XRJS{of_side}"] = _grade(1 - getattr(knee, f"jsw_{side}_mm") / healthy, cuts.narrowing)
+        grades[f"XRJS{of_side}"] = _grade(narrowed(knee, side, cuts), cuts.narrowing)
     for bone, letter in _BONES.items():
         for side, of_side in _SIDES.items():
             share = getattr(spongy, bone).sclerosis

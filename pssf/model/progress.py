@@ -196,7 +196,7 @@ def _stage(knee: Knee, step: Step, cuts: OarsiCuts, definite_mm: float) -> int:
     if largest < definite_mm:
         return int(largest >= step.doubtful_mm)
     lost = max(narrowed(knee, side, cuts) for side in SIDES)
-    return 2 + sum(lost >= cut for cut in step.lost)
+    return 2 + sum(lost >= cut for cut in cuts.kellgren_lawrence.lost)
 
 
 def _space_mm(knee: Knee, side: str) -> float:
