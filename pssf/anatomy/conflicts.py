@@ -12,7 +12,7 @@ from ..model.knee import Knee
 from ..model.protocol import Posture
 
 Laws = Mapping[str, FieldLaw]
-# What gives a bone its size, and what is around it its own.
+# Fields that scale bones.
 _SIZE = ("bone_scale", "stature_mm")
 # Fault -> fields that bring it about.
 _FIELDS = {
@@ -75,7 +75,7 @@ def _conflict(knee: Knee, posture: Posture, text: str, laws: Laws) -> str:
 
 
 def _share(knee: Knee, usual: Knee, name: str, laws: Laws) -> float:
-    """How far a value is from the usual one, in half ranges of its field."""
+    """Return the distance of a value from the usual one, in half ranges of its field."""
     bounds = laws[name].range
     assert bounds is not None
     return abs(getattr(knee, name) - getattr(usual, name)) / (bounds[1] - bounds[0]) * 2
@@ -87,7 +87,7 @@ def _said(knee: Knee, usual: Knee, name: str, unit: str) -> str:
 
 
 def _others(knee: Knee, posture: Posture) -> list[str]:
-    """What else may be to blame: large osteophytes, a far shape, a bent knee."""
+    """Name other causes: large osteophytes, a shape far from the mean, a bent knee."""
     large = [f"{one.site} {one.size_mm:.3g} mm" for one in knee.osteophytes if one.size_mm >= _LEAST_MM]
     far: Any = np.flatnonzero(np.abs(knee.shape) >= _LEAST_SD) if knee.shape else ()
     bent = knee.flexion_deg + posture.flexion_deg

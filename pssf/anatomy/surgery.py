@@ -66,7 +66,7 @@ class SurgicalStep:
         return {name: value for name, value in self.__dict__.items() if name != "solid"}
 
     def table(self) -> dict[str, Any]:
-        """What was done, by name, material, size and hash of the mesh, JSON-ready."""
+        """Describe the step by name, material, size and hash of the mesh, JSON-ready."""
         of_mesh = self.surface.table()
         return {
             "step": "resect" if self.material is None else "insert",
@@ -101,7 +101,7 @@ class Operable:
         return left
 
     def surgery_table(self, prefix: str = "") -> tuple[dict[str, Any], ...]:
-        """What was put into the knee or taken out of it, JSON-ready; names with a prefix before them."""
+        """Describe all insertions and resections, JSON-ready; names with a prefix before them."""
         return tuple({**(table := step.table()), "name": f"{prefix}{table['name']}"} for step in self.surgery)
 
     def insert(self, mesh: "trimesh.Trimesh | Mesh", material: str, *, name: str = "implant") -> Self:

@@ -131,7 +131,7 @@ class _Contours:
 
     @property
     def lean_deg(self) -> float:
-        """By how much the leg leans on the detector."""
+        """Return the lean of the leg on the detector, in degrees."""
         return self.built.assembly.pose.lean_deg * self.medial
 
     def gap(self, side: str, *, floor: bool = False) -> Gap:
@@ -144,7 +144,7 @@ class _Contours:
         return measure_gap(_with_edges(femur), upper, self.view, sign, half, self.lean_deg)
 
     def alike(self, other: "_Contours", side: str) -> bool:
-        """Whether both have the same contours along the joint space of a side."""
+        """Tell whether both have the same contours along the joint space of a side."""
         for floor in {False, self.built.knee.jsw_as == "read"}:
             try:
                 one, two = (contours.gap(side, floor=floor) for contours in (self, other))
@@ -156,7 +156,7 @@ class _Contours:
         return True
 
     def is_covered(self, body: Mesh, side: str) -> bool:
-        """Whether a connected body, in the frame of the view, lies over the joint space of a side."""
+        """Tell whether a connected body, in the frame of the view, covers the joint space of a side."""
         gap = self.gap(side)
         finer = round(1 / (gap.columns_px[1] - gap.columns_px[0]))
         seen = turned_px(project(body.vertices, self.view), self.view, -self.lean_deg) * (1, finer)
@@ -203,7 +203,7 @@ def _cut_sites(built: "BuiltKnee") -> set[str]:
 
 
 def _is_lost(name: str, replaced: list[str], cut: set[str]) -> bool:
-    """Whether a reading is no longer one of this knee."""
+    """Tell whether surgery has made a reading meaningless."""
     if name == "XRKL" and replaced:
         return True
     # XROSFM: osteophytes of the femur, medial.

@@ -16,7 +16,7 @@ from .userfiles import refusing
 _FOLDER = Path(__file__).resolve().parent / "grades"
 # Earlier name of a table -> its name.
 _EARLIER = {"people": "population"}
-# What a table by severity has and one by ranges has not.
+# Entries of a table by severity that a table by ranges lacks.
 _OF_SEVERITY = frozenset(SeverityGrades.__struct_fields__) - frozenset(SharedGrades.__struct_fields__)
 
 

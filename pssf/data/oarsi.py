@@ -7,7 +7,7 @@ from .tables import data
 
 
 class KellgrenLawrence(Record, frozen=True):
-    """What a KL grade is derived by.
+    """Rule that derives a KL grade.
 
     doubtful_mm  size above which an osteophyte is doubtful, and
     definite_mm  size from which an osteophyte is definite

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from ..xray.technique import Technique
 from .noise import Map, in_bands
 
-# What a saturated pixel reads.
+# Value of a saturated pixel, DN.
 MOST_DN = 65535
 
 

@@ -72,7 +72,7 @@ def _markers(density: Array, pixel_mm: float) -> NDArray[np.int32]:
 
 
 def _dip(density: Array, height_px: float) -> Array:
-    """How far each pixel is below what lies above and below it within a height: the black top-hat of columns."""
+    """Compute the black top-hat of columns: the depth of each pixel below those above and below it within a height."""
     return np.asarray(grey_closing(density, size=(2 * int(height_px / 2) + 1, 1)) - density)
 
 

@@ -161,7 +161,7 @@ def _said(job: Job) -> Record:
 
 
 def _knees(density: Array, record: Record, pixel_mm: float, templates: Sequence[Template], table: Localisation) -> str:
-    """How many knees a film shows of which one is read: "one" or "two"; "" where none is read.
+    """Count the knees on a film of which one is read: "one" or "two"; "" where none is read.
 
     density   (rows, cols) square pixels
     pixel_mm  their pitch

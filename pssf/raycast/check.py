@@ -22,7 +22,7 @@ from .sheets import sheet_of
 # Sample rays across the box of a scene, and how many times its size the source is away from it.
 _SIDE = 128
 _AWAY = 7.3
-# Of a surface that is outside the field of view.
+# Fault of a surface outside the field of view.
 COVERS_NO_PIXEL = "covers no pixel"
 _SHOWN = "sample rays that show it"
 

@@ -51,7 +51,7 @@ class Contradiction:
 
     @property
     def is_of_density(self) -> bool:
-        """Whether the material is the one that the surface names, and its density alone is another."""
+        """Tell whether the material is the one that the surface names and only its density differs."""
         return self.there == self.says + _OTHER_DENSITY
 
     def __str__(self) -> str:
