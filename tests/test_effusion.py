@@ -102,4 +102,4 @@ def test_it_rises_with_the_grade_but_tells_no_grade_from_the_next():
     error = 3 * np.sqrt(1 / (6 * 200))
     for less, more in itertools.pairwise(by_grade):
         assert mannwhitneyu(more, less).statistic / 200**2 < 0.75 + error
-    assert swelling(2, 0) == 0.0
+    assert swelling(2, 0, grade_table="paper") == 0.0

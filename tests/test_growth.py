@@ -53,7 +53,8 @@ def test_growth_raises_the_eminence_and_lowers_the_notch_and_joint_spaces_stay()
     assert (raised[:2] > 0.36 * most).all()
     assert (raised[:2] < 1.15 * most).all()
     assert -3.5 < raised[2] < -1.2
-    assert (grown.jsw_medial_mm, grown.jsw_lateral_mm) == (healthy.jsw_medial_mm, healthy.jsw_lateral_mm)
+    spaces = (healthy.jsw_medial_mm, healthy.jsw_lateral_mm)
+    assert (grown.jsw_medial_mm, grown.jsw_lateral_mm) == pytest.approx(spaces, abs=1e-3)
 
 
 def test_a_narrow_joint_of_a_worn_knee_with_spikes_has_room_for_it():
@@ -79,4 +80,4 @@ def test_it_grows_with_the_grade_but_tells_no_grade_from_the_next():
     error = 3 * np.sqrt(1 / (6 * 200))
     for less, more in itertools.pairwise(by_grade):
         assert mannwhitneyu(more, less).statistic / 200**2 < 0.7 + error
-    assert grown_mm(2, 0) == 0.0
+    assert grown_mm(2, 0, grade_table="paper") == 0.0

@@ -84,7 +84,7 @@ def test_a_folder_of_no_films_and_a_name_that_is_taken_are_refused(tmp_path):
 
 def test_all_that_is_given_is_measured_once_and_the_page_tells_it(phantoms_for_knees, tmp_path, monkeypatch):
     given = clinic(tmp_path / "clinic")
-    settings = {"films": given, "knees": 6, "grades": "paper", "seed": 1}
+    settings = {"films": given, "knees": 6, "grade_table": "paper", "seed": 1}
     first = run.measure(tmp_path / "out", Execution(), **settings)
     assert [line.split(":")[0] for line in first.lines] == ["Contours", "Films"]
     assert all(path.exists() for path in first.paths)

@@ -1,5 +1,6 @@
 """What the parameters alone tell of the grades, which is as much as an image could."""
 
+import dataclasses
 import inspect
 
 import numpy as np
@@ -74,9 +75,12 @@ def test_a_draw_is_repeated_by_its_seed_alone():
 
 
 def test_no_grade_nor_texture_is_among_what_is_known():
+    any_of = Knee(jsw_medial_mm=3.0, osteophytes=(Osteophyte(site="medial_tibia", size_mm=2.0),))  # KL 2 to 4
     one, other = (
-        parameter_table([Knee(grade=grade, grade_read=grade, texture_seed=grade, side=side)], MODES)
-        for grade, side in ((0, "left"), (4, "right"))
+        parameter_table(
+            [dataclasses.replace(any_of, grade=grade, grade_read=grade, texture_seed=grade, side=side)], MODES
+        )
+        for grade, side in ((2, "left"), (4, "right"))
     )
     assert one.equals(other)
     beak = parameter_table([Knee(osteophytes=(Osteophyte(site="lateral_tibia", size_mm=3.0),))], MODES)

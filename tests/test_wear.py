@@ -84,7 +84,7 @@ def test_what_comes_off_a_worn_plateau_is_no_part_of_it():
 
 def test_only_the_plateau_under_the_femur_is_worn(built, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr("pssf.anatomy.built.worn", lambda tibia, femur, plate_mm: tibia)
+        patch.setattr("pssf.anatomy.placed_bones.worn", lambda tibia, femur, plate_mm: tibia)
         patch.setattr("pssf.anatomy.built.check_nesting", lambda placed, muscle: None)
         bare = pssf.build(WORN, FIXED_FLEXION)
     before, after = (knee.bones["tibia"].outer for knee in (bare, built))

@@ -66,18 +66,21 @@ def scatter_kev(
 
 
 def _shares_on_plane(crossed: "Crossed", gaps_mm: Array, technique: Technique) -> Array:
-    """Compute `shares` on a plane no smaller than the fitted one, unirradiated around a smaller detector.
+    """Compute `shares`, for a small detector on a plane as large as the fitted one, unirradiated around it.
 
     gaps_mm  (rows, cols)  from where the object ends to the detector plane; those at the edge go on beyond it
     """
     shape = crossed.opened.shape
+    view, full_mm = technique.view, technique.kernel.full_field_mm
     missing = [max(int(_PLANE_MM / crossed.cell_mm + 1e-6) - n, 0) for n in shape]
-    if not any(missing):
+    # A detector as large as the smallest field that the kernel holds for is its own plane.
+    holds = view.cols * view.pixel_mm >= full_mm[0] and view.rows * view.pixel_mm >= full_mm[1]
+    if holds or not any(missing):
         return shares(crossed, gaps_mm, technique.protocol, technique.kernel)
     around = [(more // 2, more - more // 2) for more in missing]
     # The last cells may reach beyond the detector, where nothing is irradiated.
-    sides = zip(shape, (technique.view.rows, technique.view.cols), strict=True)
-    pixels = crossed.cell_mm / technique.view.pixel_mm
+    sides = zip(shape, (view.rows, view.cols), strict=True)
+    pixels = crossed.cell_mm / view.pixel_mm
     covered = np.outer(*(np.minimum(count / pixels - np.arange(n), 1.0) for n, count in sides))
     wide = Crossed(
         opened=np.pad(crossed.opened * covered, around),
