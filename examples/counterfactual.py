@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import pssf
-from pssf.io.pictures import panel, side_by_side
+from pssf.io.pictures import make_panel, write_image_row
 
 SIDE = 320
 
@@ -24,18 +24,18 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
         "two osteophytes": dataclasses.replace(knee, osteophytes=osteophytes),
     }
     reference = pssf.load_protocol("reference")
-    protocol = reference.resampled(pixels)
+    protocol = reference.resample(pixels)
     joint = (slice(pixels * 5 // 16, pixels * 11 // 16), slice(pixels * 5 // 16, pixels * 11 // 16))
     before = pssf.simulate(knee, protocol, rng=1).pixels
-    shown = [panel(pssf.present(before, look="processed")[joint], SIDE, SIDE, "healthy")]
+    shown = [make_panel(pssf.render_for_display(before, processing="processed")[joint], SIDE, SIDE, "healthy")]
     for what, other in changed.items():
         after = pssf.simulate(other, protocol, rng=1).pixels
         change = np.clip(128 + 200 * (np.log(after + 1.0) - np.log(before + 1.0)), 0, 255).astype(np.uint8)
         shown += [
-            panel(pssf.present(after, look="processed")[joint], SIDE, SIDE, what),
-            panel(change[joint], SIDE, SIDE, "what changed"),
+            make_panel(pssf.render_for_display(after, processing="processed")[joint], SIDE, SIDE, what),
+            make_panel(change[joint], SIDE, SIDE, "what changed"),
         ]
-    return [side_by_side(shown, out / "counterfactual.png")]
+    return [write_image_row(shown, out / "counterfactual.png")]
 
 
 if __name__ == "__main__":

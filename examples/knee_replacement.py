@@ -8,7 +8,7 @@ import trimesh
 from manifold3d import CrossSection, Manifold, Mesh64
 
 import pssf
-from pssf.io.pictures import heat, panel, side_by_side
+from pssf.io.pictures import apply_heat_map, make_panel, write_image_row
 
 # Cuts of the femur from front to back, y and z in mm; height of the tibial cut, thickness of the tray.
 CUTS_MM = [(-24, 99), (-24, 24), (-15, 12), (14, 12), (22, 20), (22, 99)]
@@ -17,7 +17,7 @@ TIBIAL_CUT_MM, TRAY_MM, FLANGE_MM = -9.0, 4.0, 46.0
 
 def solid_of(built: pssf.BuiltKnee, name: str) -> Manifold:
     """Give a surface of a built knee as a solid."""
-    mesh = next(surface.arrays for surface in built.scene.surfaces if surface.name == name)
+    mesh = next(surface.mesh_arrays for surface in built.scene.surfaces if surface.name == name)
     return Manifold(Mesh64(np.ascontiguousarray(mesh.vertices), mesh.faces.astype(np.uint64)))
 
 
@@ -56,7 +56,7 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
         .insert(mesh_of(bearing), "polyethylene", name="bearing")
     )
     reference = pssf.load_protocol("reference")
-    protocol = reference.resampled(pixels)
+    protocol = reference.resample(pixels)
     before = pssf.simulate(built, protocol, rng=1)
     with warnings.catch_warnings():
         # There is no joint space between bones any more, and the radiograph's truth has none.
@@ -66,10 +66,13 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
     for step in after.surgery:
         print(step["step"], step["name"], step["material"] or "")
     part = np.s_[pixels // 4 : pixels * 3 // 4, pixels * 3 // 10 : pixels * 7 // 10]
-    shown = [panel(pssf.present(one)[part], 500, 400, text) for one, text in ((before, "before"), (after, "after"))]
+    shown = [
+        make_panel(pssf.render_for_display(one)[part], 500, 400, text)
+        for one, text in ((before, "before"), (after, "after"))
+    ]
     metal_mm = after.kept["path_mm"]["cobalt_chromium"] + after.kept["path_mm"]["titanium_alloy"]
-    shown.append(panel(heat(metal_mm[part], 40.0), 500, 400, "both metals, 0 to 40 mm"))
-    return [side_by_side(shown, out / "knee_replacement.png")]
+    shown.append(make_panel(apply_heat_map(metal_mm[part], 40.0), 500, 400, "both metals, 0 to 40 mm"))
+    return [write_image_row(shown, out / "knee_replacement.png")]
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from PIL import Image, ImageDraw
 from scipy import ndimage
 
 import pssf
-from pssf.io.pictures import panel, side_by_side
+from pssf.io.pictures import make_panel, write_image_row
 
 COLOURS = {
     "femur": (90, 200, 250),
@@ -22,11 +22,11 @@ ROWS, COLS = 720, 600
 
 def run(out: Path, pixels: int = 2048) -> list[Path]:
     """Write a radiograph and its labels side by side as one PNG; `pixels` is the side of the detector."""
-    knee = pssf.draw_knee(grade=2, rng=3, side="right", sex="female")
-    protocol = pssf.load_protocol("fixed_flexion").resampled(pixels)
+    knee = pssf.sample_knee(grade=2, rng=3, side="right", sex="female")
+    protocol = pssf.load_protocol("fixed_flexion").resample(pixels)
     radiograph = pssf.simulate(knee, protocol, rng=2, keep=("masks",))
     truth = radiograph.truth
-    plain = pssf.present(radiograph.pixels, look="processed")
+    plain = pssf.render_for_display(radiograph.pixels, processing="processed")
     drawn = np.repeat(plain[..., None], 3, axis=2)
     for name, mask in truth.masks.items():
         rim = ndimage.binary_dilation(mask, iterations=max(1, pixels // 512)) & ~mask
@@ -37,8 +37,11 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
         ImageDraw.Draw(sheet).ellipse(place, fill="white", outline="black")
     part = np.s_[pixels * 2 // 10 : pixels * 8 // 10, pixels // 4 : pixels * 3 // 4]
     told = f"joint space: medial {truth.jsw_medial_mm:.1f}, lateral {truth.jsw_lateral_mm:.1f} mm"
-    shown = [panel(plain[part], ROWS, COLS, f"KL {truth.grade}"), panel(np.asarray(sheet)[part], ROWS, COLS, told)]
-    return [side_by_side(shown, out / "labels.png")]
+    shown = [
+        make_panel(plain[part], ROWS, COLS, f"KL {truth.grade}"),
+        make_panel(np.asarray(sheet)[part], ROWS, COLS, told),
+    ]
+    return [write_image_row(shown, out / "labels.png")]
 
 
 if __name__ == "__main__":

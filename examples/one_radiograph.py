@@ -7,9 +7,9 @@ import pssf
 
 def run(out: Path, pixels: int = 2048) -> list[Path]:
     """Write a grade 2 knee as TIFF and PNG; `pixels` is the side of the detector, which keeps its 307 mm."""
-    knee = pssf.draw_knee(grade=2, rng=7)
+    knee = pssf.sample_knee(grade=2, rng=7)
     reference = pssf.load_protocol("reference")
-    protocol = reference.resampled(pixels)
+    protocol = reference.resample(pixels)
     radiograph = pssf.simulate(knee, protocol, rng=7)
     print(f"medial joint space {radiograph.truth.jsw_medial_mm} mm at pixel {radiograph.truth.medial_joint_line_px}")
     print(f"rays {radiograph.audit}")

@@ -5,7 +5,7 @@ from pathlib import Path
 import trimesh
 
 import pssf
-from pssf.io.pictures import heat, panel, side_by_side
+from pssf.io.pictures import apply_heat_map, make_panel, write_image_row
 
 
 def run(out: Path, pixels: int = 2048) -> list[Path]:
@@ -24,16 +24,16 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
         ]
     )
     reference = pssf.load_protocol("reference")
-    protocol = reference.resampled(pixels)
+    protocol = reference.resample(pixels)
     print(pssf.check(scene, protocol))
     radiograph = pssf.simulate(scene, protocol, rng=1, keep=("path_mm",))
     part = (slice(pixels * 3 // 8, pixels * 5 // 8), slice(pixels // 4, pixels * 3 // 4))
     bone_mm = radiograph.kept["path_mm"]["cortical_bone"][part]
     shown = [
-        panel(pssf.present(radiograph.pixels)[part], 320, 640, "radiograph"),
-        panel(heat(bone_mm, float(bone_mm.max())), 320, 640, "path through cortical bone"),
+        make_panel(pssf.render_for_display(radiograph.pixels)[part], 320, 640, "radiograph"),
+        make_panel(apply_heat_map(bone_mm, float(bone_mm.max())), 320, 640, "path through cortical bone"),
     ]
-    return [side_by_side(shown, out / "own_meshes.png")]
+    return [write_image_row(shown, out / "own_meshes.png")]
 
 
 if __name__ == "__main__":

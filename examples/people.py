@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 import pssf
-from pssf.io.pictures import panel, side_by_side
+from pssf.io.pictures import make_panel, write_image_row
 
 ROWS, COLS, HALF_MM = 360, 330, (60.0, 55.0)
 
@@ -13,13 +13,13 @@ ROWS, COLS, HALF_MM = 360, 330, (60.0, 55.0)
 def run(out: Path, pixels: int = 1024, each: int = 3) -> list[Path]:
     """Write the picture; `pixels` is the side of the detector, `each` how many knees of a grade."""
     view = pssf.load_protocol("fixed_flexion")
-    protocol = view.resampled(pixels)
+    protocol = view.resample(pixels)
     columns = []
     for grade in range(5):
         chance = [np.random.default_rng(10 * number + grade) for number in range(each)]
-        knees = [pssf.draw_knee(grade=grade, rng=rng, grade_table="population") for rng in chance]
+        knees = [pssf.sample_knee(grade=grade, rng=rng, grade_table="population") for rng in chance]
         columns.append(np.vstack([shown(knee, protocol) for knee in knees]))
-    return [side_by_side(columns, out / "people.png")]
+    return [write_image_row(columns, out / "people.png")]
 
 
 def shown(knee: pssf.Knee, protocol: pssf.Protocol) -> np.ndarray:
@@ -27,10 +27,10 @@ def shown(knee: pssf.Knee, protocol: pssf.Protocol) -> np.ndarray:
     radiograph = pssf.simulate(knee, protocol, rng=1)
     magnified = protocol.sdd_mm / protocol.sod_mm / protocol.pixel_mm
     (row, col), (tall, wide) = radiograph.truth.landmarks_px["joint_centre"], (half * magnified for half in HALF_MM)
-    part = pssf.present(radiograph.pixels, look="processed")[
+    part = pssf.render_for_display(radiograph.pixels, processing="processed")[
         round(row - tall) : round(row + tall), round(col - wide) : round(col + wide)
     ]
-    return panel(part, ROWS, COLS, f"KL {knee.grade}, {knee.sex}, {knee.side}")
+    return make_panel(part, ROWS, COLS, f"KL {knee.grade}, {knee.sex}, {knee.side}")
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ import trimesh
 from manifold3d import CrossSection, Manifold
 
 import pssf
-from pssf.io.pictures import heat, panel, side_by_side
+from pssf.io.pictures import apply_heat_map, make_panel, write_image_row
 
 LENGTH_MM, PITCH_MM, CORE_MM, CREST_MM = 74.0, 2.75, 2.2, 1.1
 
@@ -33,7 +33,7 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
     screw = trimesh.Trimesh(solid.vert_properties[:, :3], solid.tri_verts)
     fixed = built.insert(screw, "titanium_alloy", name="screw")
     reference = pssf.load_protocol("reference")
-    protocol = reference.resampled(pixels)
+    protocol = reference.resample(pixels)
     radiographs = [pssf.simulate(one, protocol, rng=1, keep=("path_mm",)) for one in (built, fixed)]
     before, after = (one.kept["path_mm"] for one in radiographs)
     metal = after["titanium_alloy"] > 0.1
@@ -43,11 +43,11 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
     print("joint space", radiographs[1].truth.jsw_medial_mm, "mm, as without the screw; steps", fixed.surgery_table())
     part = np.s_[pixels * 3 // 10 : pixels * 6 // 10, pixels * 27 // 100 : pixels * 67 // 100]
     shown = [
-        panel(pssf.present(one)[part], 360, 480, text)
+        make_panel(pssf.render_for_display(one)[part], 360, 480, text)
         for one, text in zip(radiographs, ("before", "after"), strict=True)
     ]
-    shown.append(panel(heat(after["titanium_alloy"][part], 6.0), 360, 480, "titanium alloy, 0 to 6 mm"))
-    return [side_by_side(shown, out / "screw.png")]
+    shown.append(make_panel(apply_heat_map(after["titanium_alloy"][part], 6.0), 360, 480, "titanium alloy, 0 to 6 mm"))
+    return [write_image_row(shown, out / "screw.png")]
 
 
 if __name__ == "__main__":

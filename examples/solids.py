@@ -11,9 +11,9 @@ from PIL import Image, ImageChops, ImageDraw
 from scipy import ndimage
 
 import pssf
-from pssf.io.meshes import colour_of
-from pssf.io.pictures import side_by_side
-from pssf.io.viewer import shaded
+from pssf.io.meshes.knee_viewer import split_creases
+from pssf.io.meshes.mesh_export import material_colour
+from pssf.io.pictures import write_image_row
 
 # Directions in which a picture runs right and up, and in which the eye looks; all lines of sight are parallel.
 FRONT = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]])
@@ -32,7 +32,7 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
         panels += [in_limb(scene, window), cut_open(scene, window, depth_mm)]
     height = window.rows // FINE
     gap = np.tile(PAPER.astype(np.uint8), (height, height // 24, 1))
-    return [side_by_side([np.hstack([part for panel in panels for part in (gap, panel)][1:])], out / "solids.png")]
+    return [write_image_row([np.hstack([part for panel in panels for part in (gap, panel)][1:])], out / "solids.png")]
 
 
 class Window:
@@ -73,7 +73,7 @@ def in_limb(scene: pssf.Scene, window: Window) -> np.ndarray:
         hit, normal, _, _ = cast(shell, window, window.near_mm)
         # A shell is looked through at a slant near its rim, where it lets less through.
         opacity = 1 - (1 - strength) ** (1 / np.maximum(-normal[:, 2], 0.1))
-        picture = over(picture, np.float32(colour_of(name)[:3]), window.filled(hit, opacity))
+        picture = over(picture, np.float32(material_colour(name)[:3]), window.filled(hit, opacity))
     return reduced(picture)
 
 
@@ -81,7 +81,7 @@ def cut_open(scene: pssf.Scene, window: Window, depth_mm: float) -> np.ndarray:
     """The limb cut through at a depth: soft tissue as a tint, bones solid, and what stands behind the cut."""
     picture = bones(scene, window, depth_mm)
     for surface in scene.surfaces:
-        mask, colour = section(surface, window, depth_mm), np.float32(colour_of(surface.inside)[:3])
+        mask, colour = section(surface, window, depth_mm), np.float32(material_colour(surface.inside)[:3])
         soft = surface.inside in SOFT
         for box in ndimage.find_objects(mask.astype(np.uint8)):
             cut = mask[box]
@@ -107,11 +107,13 @@ def cast(
     surfaces: list[pssf.Surface], window: Window, depth_mm: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """What is met first from a depth on: at which pixels, normals along the axes of the window, colours, how far on."""
-    parts = [shaded(trimesh.Trimesh(surface.solid.points, surface.solid.faces, process=False)) for surface in surfaces]
+    parts = [
+        split_creases(trimesh.Trimesh(surface.solid.points, surface.solid.faces, process=False)) for surface in surfaces
+    ]
     starts = np.cumsum([0] + [len(points) for points, _, _ in parts])
     points, normals = (np.vstack([part[k] for part in parts]).astype(np.float32) for k in (0, 1))
     faces = np.vstack([part[2] + start for part, start in zip(parts, starts[:-1], strict=True)])
-    colours = np.repeat([colour_of(s.inside)[:3] for s in surfaces], [len(part[2]) for part in parts], axis=0)
+    colours = np.repeat([material_colour(s.inside)[:3] for s in surfaces], [len(part[2]) for part in parts], axis=0)
     tree = EmbreeScene()
     TriangleMesh(tree, points, faces.astype(np.int32))
     origins = window.places_mm(depth_mm)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 import pssf
-from pssf.io.pictures import heat, panel, side_by_side
+from pssf.io.pictures import apply_heat_map, make_panel, write_image_row
 
 
 def run(out: Path, pixels: int = 2048) -> list[Path]:
@@ -20,13 +20,13 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
     print(f"scatter over primary about the joint: {ratio.min():.2f} to {ratio.max():.2f}")
     noise = radiograph.pixels.astype(np.float64) - radiograph.kept["noise_free"]
     shown = {
-        "primary": heat(np.log(primary[joint] / primary[joint].min()), 3.0),
-        "scatter / primary, 0 to 4": heat(ratio, 4.0),
-        "without noise": pssf.present(radiograph.kept["noise_free"], look="processed")[joint],
-        "as read": pssf.present(radiograph.pixels, look="processed")[joint],
+        "primary": apply_heat_map(np.log(primary[joint] / primary[joint].min()), 3.0),
+        "scatter / primary, 0 to 4": apply_heat_map(ratio, 4.0),
+        "without noise": pssf.render_for_display(radiograph.kept["noise_free"], processing="processed")[joint],
+        "as read": pssf.render_for_display(radiograph.pixels, processing="processed")[joint],
         "noise": np.clip(128 + noise[joint] / 2, 0, 255).astype(np.uint8),
     }
-    return [side_by_side([panel(image, 320, 320, name) for name, image in shown.items()], out / "stages.png")]
+    return [write_image_row([make_panel(image, 320, 320, name) for name, image in shown.items()], out / "stages.png")]
 
 
 if __name__ == "__main__":

@@ -1,90 +1,95 @@
-"""Knee radiographs from physics, with labels that are true by construction, and the study they exist for.
+"""Knee radiographs from physics with labels that are true by construction, and the radiomics study for them.
 
-core        checks of input, a timer, progress, work on many processes
-data        the package's tables as typed, frozen records
-model       knee, protocol, radiograph: what users construct and get back
-geometry    views, scenes, densities, repair of meshes
+core        input checks, timing, progress display, parallel execution
+data        tables of the package as typed, frozen records
+model       input and output types: knee, protocol, radiograph, truth; sampling of knees
+geometry    views, scenes, densities, mesh repair
 anatomy     knee                 -> built knee: its scene and its labels
-raycast     scene, protocol      -> path lengths; check(scene) -> what is wrong with it
-xray        spectrum, materials, primary
-scatter     kernel, Monte Carlo, grid
-detector    blur, noise, panel, a view for eyes
-stages      the chain, stage by stage
-precompile  after an installation: kernels in two processes at once
-image_faults  radiograph         -> what may not be as it was meant
+raycast     scene, protocol      -> path lengths; check(scene) -> faults of the scene
+xray        spectrum, materials, primary beam
+scatter     scatter kernel, Monte Carlo, anti-scatter grid
+detector    blur, noise, readout, display processing
+stages      the imaging chain, stage by stage
+precompile  after an installation: kernels are compiled in two processes
+image_faults  radiograph         -> warnings about a radiograph that may not be as intended
 simulation  knee, protocol       -> radiograph
-io          files; the one package that writes to the disk
-cohort      preset, seed         -> many radiographs and their manifest
+io          files; the only package that writes to the disk
+cohort      preset, seed         -> radiographs and their manifest
 radiomics   radiograph           -> region and features              (extra "study")
 study       features             -> models, statistics, report       (extra "study")
 experiment  a cohort, then its study
-benchmark   a frozen data set, with splits and baselines      (extra "study")
-quality     a protocol beside references
-explore     a page with sliders in the browser                (extra "explore")
-accuracy    error against run time
-realism     knees beside people's bones and contours  (extra "study")
-cli         the command line
+benchmark   a frozen data set with splits and baselines              (extra "study")
+quality     image quality of a protocol beside reference values
+explore     a page with sliders in the browser                       (extra "explore")
+validation  numerical error and run time
+patient_comparison  simulated knees beside patients' bones, landmarks and radiographs  (extra "study")
+cli         command line
 
-A module imports from above it only. What users need is named in `__all__`, and loaded when it is first asked for.
+A module imports only from modules above it. The public names are in `__all__` and are loaded on first use.
 """
 
 from __future__ import annotations
 
 from importlib import import_module
 
-# Not from `typing`: with `python -m pssf`, a file `typing.py` or `enum.py` of the working folder would be run for it.
+# Not from `typing`: `python -m pssf` would then run a file `typing.py` or `enum.py` of the working folder.
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
     from .anatomy import BuiltKnee, SurgeryNotice, build
     from .core.checks import InputError
-    from .detector import present
+    from .detector import render_for_display
     from .geometry.density import Density, PlaneWaves
     from .geometry.scene import MeshNotice, Scene, Surface
     from .image_faults import ImageNotice
-    from .io.description import UnverifiedNotice
-    from .io.images import load, load_parameters, save
-    from .io.masks import load_masks, save_masks
-    from .io.mesh_reader import read_mesh
-    from .io.meshes import export_meshes
-    from .io.scenes import read_scene
-    from .model.draw import draw_knee, draw_pair
-    from .model.exposure import draw_exposure
+    from .io.mask_files import load_masks, save_masks
+    from .io.meshes.mesh_export import export_meshes
+    from .io.meshes.mesh_reader import read_mesh
+    from .io.meshes.scene_file import read_scene
+    from .io.metadata import UnverifiedNotice
+    from .io.radiograph_files import load, load_parameters, save
     from .model.knee import Cyst, Knee, Osteophyte
-    from .model.look import draw_look
-    from .model.progress import progress, true_change
+    from .model.progression import progress, true_change
     from .model.protocol import Protocol, load_protocol
     from .model.radiograph import Radiograph, Truth
-    from .raycast import Paths, Report, check, trace
+    from .model.sampling.acquisition import sample_acquisition
+    from .model.sampling.display_sampling import sample_display_processing
+    from .model.sampling.knee_sampling import sample_knee, sample_knee_pair
+    from .raycast import (
+        Paths,
+        Report,
+        check,
+        trace,
+    )
     from .simulation import KernelNotice, simulate
-    from .study.own_images import features
+    from .study.prediction.own_images import features
 
     __version__: str
 
 _WHERE = {
     "anatomy": ("BuiltKnee", "SurgeryNotice", "build"),
     "core.checks": ("InputError",),
-    "detector": ("present",),
+    "detector": ("render_for_display",),
     "geometry.density": ("Density", "PlaneWaves"),
     "geometry.scene": ("MeshNotice", "Scene", "Surface"),
     "image_faults": ("ImageNotice",),
-    "io.description": ("UnverifiedNotice",),
-    "io.images": ("load", "load_parameters", "save"),
-    "io.masks": ("load_masks", "save_masks"),
-    "io.mesh_reader": ("read_mesh",),
-    "io.meshes": ("export_meshes",),
-    "io.scenes": ("read_scene",),
-    "model.exposure": ("draw_exposure",),
-    "model.look": ("draw_look",),
-    "model.draw": ("draw_knee", "draw_pair"),
+    "io.metadata": ("UnverifiedNotice",),
+    "io.radiograph_files": ("load", "load_parameters", "save"),
+    "io.mask_files": ("load_masks", "save_masks"),
+    "io.meshes.mesh_reader": ("read_mesh",),
+    "io.meshes.mesh_export": ("export_meshes",),
+    "io.meshes.scene_file": ("read_scene",),
+    "model.sampling.acquisition": ("sample_acquisition",),
+    "model.sampling.display_sampling": ("sample_display_processing",),
+    "model.sampling.knee_sampling": ("sample_knee", "sample_knee_pair"),
     "model.knee": ("Cyst", "Knee", "Osteophyte"),
-    "model.progress": ("progress", "true_change"),
+    "model.progression": ("progress", "true_change"),
     "model.protocol": ("Protocol", "load_protocol"),
     "model.radiograph": ("Radiograph", "Truth"),
     "raycast": ("Paths", "Report", "check", "trace"),
     "simulation": ("KernelNotice", "simulate"),
-    "study.own_images": ("features",),
+    "study.prediction.own_images": ("features",),
 }
 
 __all__ = [
@@ -110,20 +115,20 @@ __all__ = [
     "__version__",
     "build",
     "check",
-    "draw_exposure",
-    "draw_knee",
-    "draw_look",
-    "draw_pair",
     "export_meshes",
     "features",
     "load",
     "load_masks",
     "load_parameters",
     "load_protocol",
-    "present",
     "progress",
     "read_mesh",
     "read_scene",
+    "render_for_display",
+    "sample_acquisition",
+    "sample_display_processing",
+    "sample_knee",
+    "sample_knee_pair",
     "save",
     "save_masks",
     "simulate",
@@ -132,7 +137,21 @@ __all__ = [
 ]
 
 
+# Earlier name -> current name.
+_RENAMED = {
+    "draw_exposure": "sample_acquisition",
+    "draw_knee": "sample_knee",
+    "draw_look": "sample_display_processing",
+    "draw_pair": "sample_knee_pair",
+    "present": "render_for_display",
+}
+
+
 def __getattr__(name: str) -> Any:
+    if name in _RENAMED:
+        message = f"pssf.{name} is now pssf.{_RENAMED[name]}; the earlier name will be removed"
+        import_module("warnings").warn(message, DeprecationWarning, stacklevel=2)
+        return __getattr__(_RENAMED[name])
     if name == "__version__":
         return import_module("importlib.metadata").version(__name__)
     for module, names in _WHERE.items():

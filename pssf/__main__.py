@@ -1,11 +1,12 @@
-"""python -m pssf, and the command pssf: the command line, which an interrupt ends at once."""
+"""Command line of the package, run as ``pssf`` or ``python -m pssf``; an interrupt stops it at once."""
 
 import os
 import sys
 
 if __name__ == "__main__" and not sys.flags.safe_path and sys.path[:1] == [os.getcwd()]:
-    # `python -m` looks for modules in the working folder first: a file `signal.py` there would be run instead of
-    # Python's own. Where this package is in that folder, the folder stays, after the standard library.
+    # With `python -m`, Python searches the working folder first, so that a file `signal.py` there would replace the
+    # module of the standard library. The folder is removed from the search path. If it contains this package, it is
+    # moved behind the standard library instead.
     _folder, _library = sys.path.pop(0), os.path.dirname(os.__file__)
     if os.path.dirname(os.path.dirname(os.path.abspath(__file__))) == _folder:
         _places = [sys.path.index(one) for one in (_library, os.path.join(_library, "lib-dynload")) if one in sys.path]
@@ -19,7 +20,7 @@ from types import FrameType
 def main() -> None:
     """Run the command line."""
     signal.signal(signal.SIGINT, _stop)
-    # What Python tidies up after a pool that was stopped is no news for a user.
+    # After a pool was stopped, Python warns about resources that it releases; users need not see that.
     sys.warnoptions.append("ignore:resource_tracker:UserWarning")
     from .cli import main as run
 
@@ -27,18 +28,21 @@ def main() -> None:
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
-    """End in one line and exit code 130; an exception would wait for threads, and be lost in others' callbacks."""
+    """Stop with one line of text and exit code 130.
+
+    An exception would wait for threads, and callbacks could swallow it.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with suppress(OSError):
-        # A bar has hidden the cursor, and stands in the line.
+        # A progress bar may be on the line and has hidden the cursor; both are reset.
         before = b"\r\x1b[2K\x1b[?25h" if os.isatty(2) else b""
-        os.write(2, before + b"pssf: stopped; run the same command to go on\n")
-    processes, files = (sys.modules.get(name) for name in ("multiprocessing.process", "pssf.io.atomic"))
+        os.write(2, before + b"pssf: stopped; run the same command again to continue\n")
+    processes, files = (sys.modules.get(name) for name in ("multiprocessing.process", "pssf.io.atomic_write"))
     if processes is not None:
         for child in processes.active_children():
             child.terminate()
     if files is not None:
-        files.drop_unfinished()
+        files.delete_own_temporary_files()
     os._exit(130)
 
 

@@ -1,4 +1,4 @@
-"""The whole experiment: a preset's cohort is made, then studied."""
+"""Whole experiments: make the cohort of a preset, then run the radiomics study on it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -9,37 +9,51 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .cohort import Plan, make_cohort, plan_cohort, plan_retest
+from .cohort import (
+    Plan,
+    make_cohort,
+    plan_cohort,
+    plan_retest,
+)
 from .core.checks import require_choice
-from .core.execution import Execution
-from .core.parallel import ordered_map
-from .io import films as film_files
-from .io.atomic import sweep
-from .io.images import load
-from .io.masks import load_masks
-from .io.records import read_manifest
+from .core.processes.execution import Execution
+from .core.processes.parallel_map import map_in_parallel
+from .io.atomic_write import delete_stale_temporary_files
+from .io.cohort_records import read_manifest
+from .io.mask_files import load_masks
+from .io.patients import patient_radiographs as film_files
+from .io.radiograph_files import load
 from .model.knee import Knee, Osteophyte
 from .model.protocol import load_protocol
 from .simulation import simulate
-from .study import Designed, FilmSet, StudyResult, StudySettings, measure, require_extra, run
-from .study.design import plan_curves
+from .study import (
+    DesignedManifests,
+    FilmSet,
+    StudyResult,
+    StudySettings,
+    measure,
+    require_extra,
+    run,
+)
+from .study.design.response_curve_design import plan_response_curves
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from .radiomics.patches import Template
+    from .radiomics.localisation.templates import Template
 
-# What the READMEs show of a study.
-SHOWN = ("scores", "reliability", "claims", "cost")
-# Medial joint space, from a healthy joint to one narrower than the paper's grades have, as the two views show it:
-# the plateau's rims lie under each other in one and apart in the other.
-_SPACES = {
+# Tables of a study that the READMEs show.
+README_TABLES = ("scores", "reliability", "claims", "cost")
+# Protocol -> knees of the templates, from a healthy medial joint space to one narrower than in any grade of the table
+# `paper`. Both views are needed: the rims of the plateau overlap in one and are separate in the other.
+_TEMPLATE_KNEES = {
     "reference": (Knee(jsw_medial_mm=5.0), Knee(jsw_medial_mm=3.5), Knee(jsw_medial_mm=2.0)),
-    "fixed_flexion": (Knee(jsw_as="read", jsw_medial_mm=4.5), Knee(jsw_as="read", jsw_medial_mm=2.0)),
+    "fixed_flexion": (Knee(jsw_definition="read", jsw_medial_mm=4.5), Knee(jsw_definition="read", jsw_medial_mm=2.0)),
 }
-# One whose medial joint space is gone, with lips all round, a bowed leg and a hard plate, as people of KL 4 have it.
-_SEVERE = Knee(
-    jsw_as="read",
+# Knee of a severe template, as patients of KL 4 have it: lost medial joint space, osteophytes at all margins, varus leg
+# and sclerotic subchondral bone plate.
+_SEVERE_KNEE = Knee(
+    jsw_definition="read",
     jsw_medial_mm=0.3,
     jsw_lateral_mm=5.5,
     flexion_deg=15.0,
@@ -55,12 +69,19 @@ _SEVERE = Knee(
 
 
 @dataclass(frozen=True, kw_only=True)
-class OwnFilms:
-    """Films of patients on disk.
+class PatientFilms:
+    """Patient radiographs on disk, and how models are trained for them.
 
-    folder    as `io.films.list_films` takes it
-    protocol  of the cohort that models for them learn from; None: the study's reference
-    pixel_mm  pitch that films and cohort are brought to, and region_mm side of the region; None: see `study.FilmSet`
+    Parameters
+    ----------
+    folder : Path
+        Folder of images, or a CSV file that lists them (`io.patients.patient_radiographs.list_films`).
+    protocol : str, optional
+        Protocol of the cohort that the models are trained on. None: the reference protocol of the study.
+    pixel_mm : float, optional
+        Pixel pitch, in mm, to which patient radiographs and cohort are resampled. None: see `study.FilmSet`.
+    region_mm : float, optional
+        Side of the region, in mm. None: see `study.FilmSet`.
     """
 
     folder: Path
@@ -70,27 +91,44 @@ class OwnFilms:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ByDesign:
-    """Radiographs to take beside a cohort's; 0: none.
+class DesignSizes:
+    """Sizes of the designed experiments beside a cohort; 0 leaves an experiment out.
 
-    curves  knees along the axes of `study.design`
-    shares  samples of the space of `study.space`, 64 or more
-    pairs   knees, of each of which one parameter after the other is changed
+    Parameters
+    ----------
+    curve_knees : int, default 0
+        Knees of the response curves (`study.design.response_curve_design`).
+    sobol_samples : int, default 0
+        Samples of the Sobol design (`study.design.sensitivity_plan`), 64 or more.
+    sensitivity_knees : int, default 0
+        Knees of which one parameter at a time is changed.
     """
 
-    curves: int = 0
-    shares: int = 0
-    pairs: int = 0
+    curve_knees: int = 0
+    sobol_samples: int = 0
+    sensitivity_knees: int = 0
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """A cohort that stands, and how it is to be studied.
+    """Finished cohort, and the settings of the study on it.
 
-    manifest  of the cohort, files as they are called from `out`
-    retest    of the knees taken again, each under the number of the knee that it is of; None where there are none
-    films     of patients, to test on as well; None where there are none
-    designed  radiographs taken by design
+    Attributes
+    ----------
+    out : Path
+        Folder of the experiment.
+    engine : {"scanline", "embree"}
+        Ray caster that made the radiographs.
+    settings : StudySettings
+        Settings of the study.
+    manifest : DataFrame
+        Manifest of the cohort, with files relative to `out`.
+    retest : DataFrame or None
+        Manifest of the repeated radiographs. Each row has the number of the knee that was repeated. None without them.
+    films : FilmSet or None
+        Patient radiographs used as a further test set.
+    designed : DesignedManifests
+        Manifests of the designed experiments.
     """
 
     out: Path
@@ -99,7 +137,7 @@ class Experiment:
     manifest: "pd.DataFrame"
     retest: "pd.DataFrame | None"
     films: FilmSet | None = None
-    designed: Designed = field(default_factory=Designed)
+    designed: DesignedManifests = field(default_factory=DesignedManifests)
 
 
 def make_experiment(
@@ -111,117 +149,202 @@ def make_experiment(
     engine: str,
     cohort: Mapping[str, Any] | None = None,
     settings: Mapping[str, Any] | None = None,
-    films: OwnFilms | None = None,
-    by_design: ByDesign | None = None,
+    films: PatientFilms | None = None,
+    design_sizes: DesignSizes | None = None,
 ) -> Experiment:
-    """Cohort and repeats; goes on where an earlier run in the same folder stopped.
+    """Make the cohort of an experiment, its repeated radiographs and its designed experiments.
 
-    out       folder: the cohort goes into out/cohort, knees taken again into out/repeats
-    cohort    entries that replace the preset's, as for `plan_cohort`
-    settings  fields of StudySettings that replace the defaults
-    films     of patients, to test the models on
-    by_design what is taken beside, into out/curves, out/shares, out/pairs
-    raises    InputError for an unknown preset, a missing library, a folder that holds something else or is unwritable,
-              a scheduler that cannot be used; WorkersLostError when workers keep being killed
+    An interrupted run continues in the same folder.
+
+    Parameters
+    ----------
+    out : Path
+        Folder of the experiment. The cohort is written to ``out/cohort``, the repeated radiographs to ``out/repeats``.
+    execution : Execution
+        Workers, progress display and timer.
+    preset : str
+        Name of a cohort preset.
+    seed : int
+        Seed of the cohort and of the study.
+    engine : {"scanline", "embree"}
+        Ray caster.
+    cohort : mapping of str to object, optional
+        Entries that replace those of the preset, as for `cohort.plan_cohort`.
+    settings : mapping of str to object, optional
+        Fields of `StudySettings` that replace the defaults.
+    films : PatientFilms, optional
+        Patient radiographs to test the models on.
+    design_sizes : DesignSizes, optional
+        Sizes of the designed experiments. Their radiographs are written to ``out/response_curves``,
+        ``out/sobol_samples`` and ``out/sensitivity_pairs``.
+
+    Returns
+    -------
+    Experiment
+        The cohort and the settings of its study.
+
+    Raises
+    ------
+    InputError
+        If the preset is unknown, a library is missing, the folder holds something else or cannot be written, or the
+        scheduler cannot be used.
+    WorkersLostError
+        If workers are killed again and again.
     """
     require_extra(execution.scheduler)
-    from .study.space import bounds_of  # needs the extra `study`
+    from .study.design.sensitivity_plan import compute_bounds  # Needs the extra `study`.
 
     plan = plan_cohort(preset, seed=seed, overrides=cohort)
     names = [exposure.protocol.name for exposure in plan.cases[0].exposures]
     known = {"repeats": plan.repeats, "seed": seed, "reference": "reference" if "reference" in names else names[0]}
     chosen = StudySettings(**{**known, **(settings or {})})
-    film_set = None if films is None else _film_set(films, out, names, chosen)
-    wanted = by_design or ByDesign()
-    # Refused before an hour of work, not after it.
-    plans = _plans_by_design(plan, wanted, chosen.reference)
-    manifest = _made(plan, out, "cohort", engine, execution)
+    film_set = None if films is None else _make_film_set(films, out, names, chosen)
+    wanted = design_sizes or DesignSizes()
+    # Planned before the cohort is made, so that wrong sizes raise an error before an hour of work.
+    plans = _make_design_plans(plan, wanted, chosen.reference)
+    manifest = _make_manifest(plan, out, "cohort", engine, execution)
     repeats, retest = plan_retest(plan, reference=chosen.reference), None
     if repeats is not None:
-        retest = _made(repeats, out, "repeats", engine, execution)
+        retest = _make_manifest(repeats, out, "repeats", engine, execution)
         retest = retest.assign(knee=retest["of_knee"])
-    made = {name: _made(one, out, name, engine, execution) for name, one in plans.items()}
-    bounds = bounds_of(plan, chosen.reference) if made.keys() & {"shares", "pairs"} else {}
-    designed = Designed(**made, samples=wanted.shares, bounds=bounds)
+    made = {name: _make_manifest(one, out, name, engine, execution) for name, one in plans.items()}
+    bounds = compute_bounds(plan, chosen.reference) if made.keys() & {"sobol_samples", "sensitivity_pairs"} else {}
+    designed = DesignedManifests(**made, sobol_sample_count=wanted.sobol_samples, bounds=bounds)
     for folder in (out, out / "pictures", out / "models"):
-        sweep(folder)
+        delete_stale_temporary_files(folder)
     return Experiment(out, engine, chosen, manifest, retest, film_set, designed)
 
 
 def run_experiment(experiment: Experiment, execution: Execution) -> StudyResult:
-    """Regions, features, models, report, into the experiment's folder.
+    """Run the study of an experiment: regions, features, models and report, written into its folder.
 
-    Where an earlier run ended, and neither cohort, settings nor code have changed since, and no file, its result is
-    given back.
+    If an earlier run is complete, and cohort, settings, code and files have not changed since, its result is returned.
 
-    raises  InputError and WorkersLostError as `study.run` does
+    Parameters
+    ----------
+    experiment : Experiment
+        Result of `make_experiment`.
+    execution : Execution
+        Workers, progress display and timer.
+
+    Returns
+    -------
+    StudyResult
+        Result of the study.
+
+    Raises
+    ------
+    InputError
+        As raised by `study.run`.
+    WorkersLostError
+        If workers are killed again and again.
     """
-    from .study import finished  # needs the extra `study`
+    from .study import resume  # Needs the extra `study`.
 
-    every = (experiment.manifest, experiment.retest, *experiment.designed.manifests())
+    every = (experiment.manifest, experiment.retest, *experiment.designed.list_manifests())
     manifests = [table for table in every if table is not None]
-    key = finished.key_of(manifests, experiment.settings, experiment.engine, experiment.films)
-    result = finished.earlier(experiment.out, key)
+    key = resume.compute_run_key(manifests, experiment.settings, experiment.engine, experiment.films)
+    result = resume.load_finished_run(experiment.out, key)
     if result is None:
         result = run(
-            *_given(experiment, execution),
+            *_prepare_study_inputs(experiment, execution),
             retest=experiment.retest,
-            load_masks=partial(_masks, experiment.out.absolute()),
+            load_masks=partial(_load_masks, experiment.out.absolute()),
             films=experiment.films,
             designed=experiment.designed,
             execution=execution,
         )
-        finished.mark(result, experiment.out, key)
+        resume.save_finished_run(result, experiment.out, key)
     return result
 
 
-def shown_rows(result: StudyResult) -> dict[str, list[dict[str, Any]]]:
-    """Rows of each of SHOWN."""
-    from .io import results
-    from .study.statistics.reliability import count_stable
+def collect_readme_rows(result: StudyResult) -> dict[str, list[dict[str, Any]]]:
+    """Collect the rows of the tables that the READMEs show.
+
+    Parameters
+    ----------
+    result : StudyResult
+        Result of a study.
+
+    Returns
+    -------
+    dict of str to list of dict
+        Name in `README_TABLES` and rows of the table.
+    """
+    from .io import study_results
+    from .study.statistics.features.reliability import count_stable_features
 
     return {
         "scores": result.scores.to_dict("records"),
-        "reliability": count_stable(result.reliability).to_dict("records"),
-        "claims": results.load_typed_table(result.tables["claims"]).to_dict("records"),
-        "cost": (results.load_json(result.report.parent / "study.json", dict[str, Any]) or {}).get("cost", []),
+        "reliability": count_stable_features(result.reliability).to_dict("records"),
+        "claims": study_results.load_typed_table(result.tables["claims"]).to_dict("records"),
+        "cost": (study_results.load_json(result.report.parent / "study.json", dict[str, Any]) or {}).get("cost", []),
     }
 
 
 def measure_experiment(experiment: Experiment, execution: Execution) -> Path:
-    """Regions and features alone; returns the path of features.csv.
+    """Locate the regions and measure the features of an experiment, without training models.
 
-    raises  InputError and WorkersLostError as `study.measure` does
+    Parameters
+    ----------
+    experiment : Experiment
+        Result of `make_experiment`.
+    execution : Execution
+        Workers, progress display and timer.
+
+    Returns
+    -------
+    Path
+        Path of features.csv.
+
+    Raises
+    ------
+    InputError
+        As raised by `study.measure`.
+    WorkersLostError
+        If workers are killed again and again.
     """
-    return measure(*_given(experiment, execution), retest=experiment.retest, execution=execution)
+    return measure(*_prepare_study_inputs(experiment, execution), retest=experiment.retest, execution=execution)
 
 
-def _given(experiment: Experiment, execution: Execution) -> tuple[Any, ...]:
+def _prepare_study_inputs(experiment: Experiment, execution: Execution) -> tuple[Any, ...]:
+    """Make the templates and collect the positional arguments of `study.run` and `study.measure`."""
     with execution.timer.stage("templates"):
-        templates = standard_templates(experiment.engine, workers=execution.workers)
-    load_pixels = partial(radiograph_pixels, experiment.out.absolute())
+        templates = make_standard_templates(experiment.engine, workers=execution.workers)
+    load_pixels = partial(load_radiograph_pixels, experiment.out.absolute())
     return experiment.manifest, load_pixels, templates, experiment.settings, experiment.out
 
 
-def standard_templates(engine: str = "embree", *, workers: int = 1) -> "tuple[Template, ...]":
-    """The standard knee, the same with narrower medial joint spaces and in another view, and a severe one: what joints
-    are looked for with.
+def make_standard_templates(engine: str = "embree", *, workers: int = 1) -> "tuple[Template, ...]":
+    """Make the templates with which joints are located on radiographs.
 
-    Without noise; all as wide at the detector as the first.
-    workers  processes; with one, its two threads
+    The first template shows a standard knee. Others show narrower medial joint spaces and another view, and the last
+    one severe osteoarthritis. They have no noise, and all are scaled to the plateau width of the first one.
+
+    Parameters
+    ----------
+    engine : {"embree", "scanline"}, default "embree"
+        Ray caster.
+    workers : int, default 1
+        Processes. With one, two threads are used instead.
+
+    Returns
+    -------
+    tuple of Template
+        Templates, the standard knee first.
     """
-    usual = [(knee, protocol, False) for protocol, of in _SPACES.items() for knee in of]
-    seen = [*usual, (_SEVERE, "fixed_flexion", True)]
+    usual = [(knee, protocol, False) for protocol, of in _TEMPLATE_KNEES.items() for knee in of]
+    seen = [*usual, (_SEVERE_KNEE, "fixed_flexion", True)]
     shared = {"engine": engine, "threads": 2 if workers == 1 else 1}
-    first, *others = ordered_map(_template, seen, shared=shared, workers=workers)
-    return (first, *(other.as_wide_as(first) for other in others))
+    first, *others = map_in_parallel(_make_template, seen, shared=shared, workers=workers)
+    return (first, *(other.match_plateau_width(first) for other in others))
 
 
-def _template(seen: tuple[Knee, str, bool], engine: str, threads: int) -> "Template":
-    """Of a knee under a protocol, and whether it is severe."""
-    from .radiomics.patches import Template
+def _make_template(case: tuple[Knee, str, bool], engine: str, threads: int) -> "Template":
+    """Simulate the template of one case: knee, name of its protocol, and whether it shows severe osteoarthritis."""
+    from .radiomics.localisation.templates import Template
 
-    knee, name, severe = seen
+    knee, name, severe = case
     protocol = replace(load_protocol(name), noise="none")
     radiograph = simulate(knee, protocol, engine=engine, workers=threads)
     assert radiograph.truth is not None
@@ -237,8 +360,8 @@ def _template(seen: tuple[Knee, str, bool], engine: str, threads: int) -> "Templ
     )
 
 
-def _made(plan: Plan, out: Path, name: str, engine: str, execution: Execution) -> "pd.DataFrame":
-    """The manifest of a plan's radiographs in out/name, of which those that are missing are made in a stage."""
+def _make_manifest(plan: Plan, out: Path, name: str, engine: str, execution: Execution) -> "pd.DataFrame":
+    """Make the missing radiographs of a plan in out/name, and return their manifest with files relative to `out`."""
     with execution.stage(name, "radiographs", sum(len(case.exposures) for case in plan.cases)) as stage:
         path = make_cohort(
             plan,
@@ -247,54 +370,73 @@ def _made(plan: Plan, out: Path, name: str, engine: str, execution: Execution) -
             scheduler=execution.scheduler,
             engine=engine,
             progress=stage.advance,
-            kept=stage.keep,
+            on_kept=stage.add_already_done,
         )
-    return _below(name, read_manifest(path))
+    return _prefix_files(name, read_manifest(path))
 
 
-def _plans_by_design(plan: Plan, wanted: ByDesign, reference: str) -> dict[str, Plan]:
-    """What is wanted, by the folder it goes into."""
-    from .study import space  # needs the extra `study`
+def _make_design_plans(plan: Plan, design_sizes: DesignSizes, reference: str) -> dict[str, Plan]:
+    """Plan the designed experiments that are asked for, by the name of their folder."""
+    from .study.design import sensitivity_plan  # Needs the extra `study`.
 
     plans: dict[str, Plan] = {}
-    if wanted.curves:
-        plans["curves"] = plan_curves(plan, knees=wanted.curves, reference=reference)
-    if wanted.shares:
-        plans["shares"] = space.plan_shares(plan, samples=wanted.shares, reference=reference)
-    if wanted.pairs:
-        plans["pairs"] = space.plan_pairs(plan, knees=wanted.pairs, reference=reference)
+    if design_sizes.curve_knees:
+        plans["response_curves"] = plan_response_curves(plan, knees=design_sizes.curve_knees, reference=reference)
+    if design_sizes.sobol_samples:
+        plans["sobol_samples"] = sensitivity_plan.plan_sobol_samples(
+            plan, samples=design_sizes.sobol_samples, reference=reference
+        )
+    if design_sizes.sensitivity_knees:
+        plans["sensitivity_pairs"] = sensitivity_plan.plan_sensitivity_pairs(
+            plan, knees=design_sizes.sensitivity_knees, reference=reference
+        )
     return plans
 
 
-def _below(folder: str, manifest: "pd.DataFrame") -> "pd.DataFrame":
-    """The manifest with files as they are called from the folder above."""
+def _prefix_files(folder: str, manifest: "pd.DataFrame") -> "pd.DataFrame":
+    """Prefix the files of a manifest with the folder, so that they are relative to the folder above."""
     files = [name for name in ("file", "masks") if name in manifest]
     return manifest.assign(**{name: f"{folder}/" + manifest[name] for name in files})
 
 
-def _film_set(own: OwnFilms, out: Path, protocols: list[str], settings: StudySettings) -> FilmSet:
-    """The films of a folder, with what reads them and the cohort's radiographs alike."""
-    protocol = settings.reference if own.protocol is None else own.protocol
+def _make_film_set(patient_films: PatientFilms, out: Path, protocols: list[str], settings: StudySettings) -> FilmSet:
+    """List the patient radiographs of a folder, with functions that load them and the cohort's radiographs alike."""
+    protocol = settings.reference if patient_films.protocol is None else patient_films.protocol
     require_choice("films-protocol", protocol, protocols)
-    folder = own.folder.parent if own.folder.suffix.lower() == ".csv" else own.folder
+    folder = patient_films.folder.parent if patient_films.folder.suffix.lower() == ".csv" else patient_films.folder
     return FilmSet(
-        films=film_files.list_films(own.folder),
-        load=partial(_film, folder.absolute()),
-        load_cohort=partial(_film, out.absolute()),
+        films=film_files.list_films(patient_films.folder),
+        load=partial(_read_film, folder.absolute()),
+        load_cohort=partial(_read_film, out.absolute()),
         protocol=protocol,
-        pixel_mm=own.pixel_mm,
-        region_mm=own.region_mm,
+        pixel_mm=patient_films.pixel_mm,
+        region_mm=patient_films.region_mm,
     )
 
 
-def _film(folder: Path, file: str) -> film_files.FilmImage:
+def _read_film(folder: Path, file: str) -> film_files.FilmImage:
+    """Read one patient radiograph of a folder."""
     return film_files.read_film(folder / file)
 
 
-def radiograph_pixels(folder: Path, file: str) -> NDArray[np.uint16]:
-    """(rows, cols) DN of a radiograph of a cohort, by the entry of its manifest's column `file`."""
+def load_radiograph_pixels(folder: Path, file: str) -> NDArray[np.uint16]:
+    """Load the pixels of a radiograph of a cohort.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder that the files of the manifest are relative to.
+    file : str
+        Entry of the column ``file`` of the manifest.
+
+    Returns
+    -------
+    (rows, cols) uint16 array
+        Pixel values (DN), linear in the absorbed energy.
+    """
     return load(folder / file).pixels
 
 
-def _masks(folder: Path, file: str) -> dict[str, NDArray[np.bool_]]:
+def _load_masks(folder: Path, file: str) -> dict[str, NDArray[np.bool_]]:
+    """Load the masks of a radiograph by the entry of the column ``masks``; name -> (rows, cols) bool array."""
     return load_masks(folder / file)

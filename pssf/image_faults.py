@@ -1,4 +1,4 @@
-"""Faults of a radiograph that was made as asked: materials, field of view, saturation, landmarks outside of it."""
+"""Warnings about a radiograph that is made as requested: materials, field of view, saturation and landmarks."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -9,57 +9,91 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from .core.checks import InputError
-from .data.tissues import DENSEST_GAS
-from .detector.panel import MOST_DN
+from .data.anatomy.tissue_table import DENSEST_GAS_G_PER_CM3
+from .detector.panel_readout import MAX_DN
 from .geometry.scene import Scene
 from .model.radiograph import Truth
-from .raycast import scene_shadow
-from .xray.alloys import alloy_mistaken_for_compound
-from .xray.collimator import field_half_mm, is_collimated
-from .xray.technique import Technique
+from .raycast import compute_scene_silhouette
+from .xray.alloys import describe_alloy_misreading
+from .xray.collimator import field_half_size_mm, is_collimated
+from .xray.resolved_technique import Technique
 
-# Fraction of the object's pixels that may be saturated without a warning; how far within its outline they begin, in mm
-# on the detector; and places at which it is looked at, along the shorter side.
-_SATURATED, _RIM_MM, _PLACES = 0.001, 5.0, 300
-_NAMED = 3
-# A view along the leg is taken of patella and trochlea; these bones may go on beyond it.
-_BESIDE_AXIAL = ("plateau", "fibula")
+# Fraction of the pixels of the object above which saturation causes a warning.
+_SATURATED = 0.001
+# Width of the rim along the outline of the object that is not checked for saturation, in mm on the detector.
+_RIM_MM = 5.0
+# Number of points along the shorter side of the detector at which saturation is checked.
+_PLACES = 300
+# Number of landmarks that a warning names.
+_MAX_NAMED_LANDMARKS = 3
+# Parts of landmark names that an axial view need not show, because it is made for patella and trochlea.
+_IGNORED_AXIAL_LANDMARKS = ("plateau", "fibula")
 
 
 class ImageNotice(UserWarning):
-    """The radiograph is made as asked, but may not be what was meant; the message says why and what to do."""
+    """Warning that a radiograph may not be what was meant; the message states why and what to do."""
 
 
 def require_materials(scene: Scene, technique: Technique) -> None:
-    """Refuse materials that are unknown, and an ambient one that would attenuate.
+    """Raise an error for unknown materials, and for an ambient material that is no gas.
+
+    Parameters
+    ----------
+    scene : Scene
+        Closed surfaces with their materials.
+    technique : Technique
+        Resolved protocol, whose tissues are known.
 
     Raises
     ------
     InputError
-        Naming the material.
+        If a material is unknown, or the ambient material is denser than a gas; the message names it.
     """
     for name in scene.materials:
         technique.material(name)
     density = technique.material(scene.ambient).density_g_per_cm3
-    if density > DENSEST_GAS:
+    if density > DENSEST_GAS_G_PER_CM3:
         raise InputError(
-            f"ambient must be air or another gas, got {scene.ambient!r} ({density:g} g/cm3), which attenuates nothing "
-            f"outside of all surfaces: put the scene into a closed surface, Surface(box, {scene.ambient!r}, 'air')"
+            f"ambient must be air or another gas, got {scene.ambient!r} ({density:g} g/cm3): outside all surfaces it "
+            f"would not attenuate; put the scene into a closed surface, Surface(box, {scene.ambient!r}, 'air')"
         )
 
 
-def material_faults(scene: Scene, technique: Technique) -> list[str]:
-    """Describe formulas that look like names of alloys, a sentence each."""
-    said = (alloy_mistaken_for_compound(name, technique.tissues) for name in scene.materials)
+def find_material_faults(scene: Scene, technique: Technique) -> list[str]:
+    """Find formulas that resemble the name of an alloy.
+
+    Parameters
+    ----------
+    scene : Scene
+        Closed surfaces with their materials.
+    technique : Technique
+        Resolved protocol, whose tissues are known.
+
+    Returns
+    -------
+    list of str
+        One warning per formula.
+    """
+    said = (describe_alloy_misreading(name, technique.tissues) for name in scene.materials)
     return [one for one in said if one is not None]
 
 
-def field_faults(path_mm: Mapping[str, Any], technique: Technique) -> list[str]:
-    """Describe a scene that no ray of the field of view meets; nothing if one does.
+def find_field_faults(path_mm: Mapping[str, Any], technique: Technique) -> list[str]:
+    """Check whether any ray in the field of view meets the scene.
 
-    path_mm  material -> (rows, cols)  path lengths, mm, as arrays or in strips
+    Parameters
+    ----------
+    path_mm : mapping of str to (rows, cols) array, mm
+        Path length per material, as arrays or sparse maps.
+    technique : Technique
+        Resolved protocol, which defines the field.
+
+    Returns
+    -------
+    list of str
+        One warning if no ray meets the scene, else none.
     """
-    rows, cols = _lit(technique)
+    rows, cols = _irradiated_slices(technique)
     if is_collimated(technique.protocol):
         seen = any(lengths[rows][:, cols].any() for lengths in path_mm.values())
     else:
@@ -67,25 +101,37 @@ def field_faults(path_mm: Mapping[str, Any], technique: Technique) -> list[str]:
     if seen or not path_mm:
         return []
     return [
-        "the scene is outside the field of view; the image shows the open beam alone; move the scene (a Scene stays "
-        "where its meshes are, in mm about the origin) or the beam (centre_x_mm, centre_z_mm)"
+        "the scene is outside the field of view; the image shows only the open beam; move the scene (the meshes of a "
+        "Scene keep their position, in mm around the origin) or the beam (centre_x_mm, centre_z_mm)"
     ]
 
 
-def saturation_faults(pixels: NDArray[np.uint16], scene: Scene, technique: Technique) -> list[str]:
-    """Describe saturation of more than a thousandth of the object's pixels, its outline aside, or nothing.
+def find_saturation_faults(pixels: NDArray[np.uint16], scene: Scene, technique: Technique) -> list[str]:
+    """Check for saturation of more than 0.1 % of the pixels of the object, without a rim along its outline.
 
-    pixels  (rows, cols)  counts, as read out
+    Parameters
+    ----------
+    pixels : (rows, cols) uint16 array, DN
+        Pixel values.
+    scene : Scene
+        Closed surfaces.
+    technique : Technique
+        Resolved protocol.
+
+    Returns
+    -------
+    list of str
+        One warning if there is saturation, else none.
     """
-    full = pixels >= MOST_DN
+    full = pixels >= MAX_DN
     if not full.any():
         return []
-    # A few hundred places to either side are enough for the fraction.
+    # A few hundred points along each side are enough for an estimate of the fraction.
     view = technique.view
     step = max(1, min(view.rows, view.cols) // _PLACES)
     sparse = replace(view, rows=view.rows // step, cols=view.cols // step, pixel_mm=view.pixel_mm * step)
-    covered = scene_shadow(scene, sparse)
-    # Along the outline an object is as thin as can be, and any usual exposure saturates there.
+    covered = compute_scene_silhouette(scene, sparse)
+    # At its outline an object is so thin that any usual exposure saturates.
     within = distance_transform_edt(np.pad(covered, 1, mode="edge"))[1:-1, 1:-1] * sparse.pixel_mm > _RIM_MM
     covered = within if within.any() else covered
     seen = full[step // 2 :: step, step // 2 :: step][: sparse.rows, : sparse.cols]
@@ -93,15 +139,28 @@ def saturation_faults(pixels: NDArray[np.uint16], scene: Scene, technique: Techn
     if not fraction > _SATURATED:
         return []
     return [
-        f"{100 * fraction:.1f} % of the object's pixels are saturated ({MOST_DN} DN); what they show is lost; "
+        f"{100 * fraction:.1f} % of the object's pixels are saturated ({MAX_DN} DN); they carry no information; "
         f"lower mas (now {technique.protocol.mas:g}) or tube_kv"
     ]
 
 
-def landmark_faults(truths: Iterable[Truth], technique: Technique) -> list[str]:
-    """Describe labels of places that the image does not show; nothing if it shows all."""
-    rows, cols = _lit(technique)
-    beside = _BESIDE_AXIAL if technique.protocol.projection == "axial" else ()
+def find_landmark_faults(truths: Iterable[Truth], technique: Technique) -> list[str]:
+    """Check whether the image shows all landmarks.
+
+    Parameters
+    ----------
+    truths : iterable of Truth
+        Labels of each knee.
+    technique : Technique
+        Resolved protocol, which defines the image and its irradiated field.
+
+    Returns
+    -------
+    list of str
+        One warning if landmarks are outside, else none.
+    """
+    rows, cols = _irradiated_slices(technique)
+    beside = _IGNORED_AXIAL_LANDMARKS if technique.protocol.projection == "axial" else ()
     outside = [
         name
         for truth in truths
@@ -111,18 +170,18 @@ def landmark_faults(truths: Iterable[Truth], technique: Technique) -> list[str]:
     ]
     if not outside:
         return []
-    named = ", ".join(outside[:_NAMED]) + (", ..." if len(outside) > _NAMED else "")
+    named = ", ".join(outside[:_MAX_NAMED_LANDMARKS]) + (", ..." if len(outside) > _MAX_NAMED_LANDMARKS else "")
     where = "irradiated field" if is_collimated(technique.protocol) else "image"
     return [
-        f"{len(outside)} landmarks are outside the {where} ({named}); their labels are of places that it does not "
+        f"{len(outside)} landmarks are outside the {where} ({named}); their labels are positions that it does not "
         "show; enlarge the field or move the beam (centre_x_mm, centre_z_mm)"
     ]
 
 
-def _lit(technique: Technique) -> tuple[slice, slice]:
-    """Rows and columns of the detector within the collimated field, or all of them."""
+def _irradiated_slices(technique: Technique) -> tuple[slice, slice]:
+    """Find the rows and columns of the detector in the collimated field, or all of them."""
     view = technique.view
-    half_width, half_height = field_half_mm(technique)
+    half_width, half_height = field_half_size_mm(technique)
     sides = []
     for count, half_mm in ((view.rows, half_height), (view.cols, half_width)):
         half = half_mm / view.pixel_mm

@@ -1,8 +1,8 @@
-"""compiling_aside: the kernels of rays, compiled in a process of their own while a knee is built.
+"""Compilation of the ray kernels in a second process, while a knee is built.
 
-numba compiles one function at a time in a process. After an installation a radiograph waits for some thirty, half of
-them of its rays; two processes have them in little more than half the time. What the other one has compiled, this one
-reads from numba's cache. Where that fails, it compiles itself.
+numba compiles one function at a time per process. After an installation, a radiograph needs about thirty compiled
+functions, half of them for its rays. Two processes take little more than half the time of one. This process reads the
+functions of the other one from the cache of numba. If that fails, it compiles them itself.
 """
 
 import gc
@@ -16,49 +16,92 @@ import numpy as np
 from msgspec import structs
 from numba.core import config
 
-from .anatomy.trabeculae import Trabeculae, healthy_tibia
-from .core.aside import beside, can_run_beside
-from .data.spongy import TrabecularBone, trabecular_bone
-from .geometry.repair import Solid, repair
+from .anatomy.trabeculae.trabecular_density import Trabeculae, build_healthy_tibia_trabeculae
+from .core.processes.background_process import can_run_in_background, run_in_background
+from .data.anatomy.trabecular_table import TrabecularBone, load_trabecular_bone
+from .geometry.mesh_repair import Solid, repair_mesh
 from .geometry.view import View
 from .model.protocol import load_protocol
-from .raycast import crossings, scanline
-from .raycast.sheets import Sheet, sheet_of
-from .xray.primary import transmit
+from .raycast.engines import crossings, scanline
+from .raycast.engines.projected_surface import ProjectedSurface, project_surface
+from .xray.primary_beam import transmit
+from .xray.resolved_technique import resolve_technique
 from .xray.spectrum import Beam
-from .xray.technique import technique_of
 
-# What rays need of each engine, and for texture.
-_OF = {
-    "scanline": ("raycast.scanline._find_spans", "raycast.scanline._scan"),
+# Compiled functions that rays need, for each engine and for texture.
+_KERNELS_BY_USE = {
+    "scanline": ("raycast.engines.scanline._find_spans", "raycast.engines.scanline._accumulate_depths"),
     "embree": (
-        *("raycast.scanline._find_spans", "raycast.spread.across_edges", "raycast.casting.advance"),
-        *("raycast.spread.spread", "raycast.spread.walk_on", "raycast.crossings._sum_depths"),
+        *(
+            "raycast.engines.scanline._find_spans",
+            "raycast.engines.neighbour_reuse.find_adjacent_faces",
+            "raycast.engines.ray_state.advance_rays",
+        ),
+        *(
+            "raycast.engines.neighbour_reuse.reuse_from_grid",
+            "raycast.engines.neighbour_reuse.reuse_from_neighbours",
+            "raycast.engines.crossings._sum_depths",
+        ),
     ),
     "texture": (
-        *("raycast.scanline._list", "raycast.crossings._append", "raycast.crossings.order"),
-        *("raycast.crossings._sum_depths", "raycast.crossings._segments", "anatomy.integrate.integrate_density"),
+        *(
+            "raycast.engines.scanline._write_crossings",
+            "raycast.engines.crossings._append_crossings",
+            "raycast.engines.crossings.sort_crossings",
+        ),
+        *(
+            "raycast.engines.crossings._sum_depths",
+            "raycast.engines.crossings._find_segments",
+            "anatomy.trabeculae.density_integral.integrate_density",
+        ),
     ),
 }
-# The other process is done a second or two after this one, or it is not to be waited for.
-_PATIENCE_S = 20.0
+# Longest wait for the other process, in s; it usually finishes one or two seconds after this one.
+_TIMEOUT_S = 20.0
+# View of four pixels for the test rays.
 _VIEW = View(source_mm=(0.0, -1000.0, 0.0), centre_mm=(0.0, 100.0, 0.0), rows=2, cols=2, pixel_mm=1.0)
-# A tetrahedron that covers all of its pixels.
+# Vertices of a tetrahedron that covers all pixels of the view, in mm.
 _CORNERS = np.array([[-90.0, 0.0, -90.0], [90.0, 0.0, -90.0], [0.0, 0.0, 90.0], [0.0, 50.0, 0.0]])
+# Faces of the tetrahedron.
 _FACES = np.array([[0, 1, 2], [1, 0, 3], [2, 1, 3], [0, 2, 3]], np.int32)
-_tried = set[tuple[str, bool]]()
+# Engine and texture for which compilation was already attempted in this process.
+_attempted = set[tuple[str, bool]]()
 
 
-def kernels(engine: str, textured: bool) -> list[Any]:
-    """Compiled functions that a knee's rays need."""
-    names = dict.fromkeys((*_OF[engine], *(_OF["texture"] if textured else ())))
+def list_kernels(engine: str, textured: bool) -> list[Any]:
+    """List the compiled functions that the rays of a knee need.
+
+    Parameters
+    ----------
+    engine : {"embree", "scanline"}
+        Ray caster.
+    textured : bool
+        True if a density is integrated along the rays.
+
+    Returns
+    -------
+    list of callable
+        Functions compiled by numba.
+    """
+    names = dict.fromkeys((*_KERNELS_BY_USE[engine], *(_KERNELS_BY_USE["texture"] if textured else ())))
     parts = [name.rpartition(".") for name in names]
     return [getattr(import_module(f".{module}", __package__), name) for module, _, name in parts]
 
 
 def is_compiled(kernel: Any) -> bool:
-    """Whether numba's cache has code of a kernel, of this source and for this processor; also where nobody knows."""
-    with suppress(Exception):  # of numba's insides, which may change
+    """Check whether a compiled function is in the cache of numba, for its present source and this processor.
+
+    Parameters
+    ----------
+    kernel : callable
+        Function compiled by numba.
+
+    Returns
+    -------
+    bool
+        True if it is in the cache, or if the cache cannot be read.
+    """
+    with suppress(Exception):  # Private parts of numba may change between versions.
         known = kernel._cache._cache_file._load_index()
         processor = kernel.targetctx.codegen().magic_tuple()
         return bool(kernel.signatures) or any(key[1] == processor for key in known)
@@ -66,21 +109,34 @@ def is_compiled(kernel: Any) -> bool:
 
 
 @contextmanager
-def compiling_aside(engine: str, *, textured: bool, workers: int) -> Iterator[None]:
-    """Compile meanwhile what rays need and numba's cache has not; when the block ends it has, or it is compiled later.
+def precompile_in_background(engine: str, *, textured: bool, workers: int) -> Iterator[None]:
+    """Compile the functions that rays need in the background, while the body of the ``with`` statement runs.
 
-    Nothing is started where all is there, for one worker, in a worker of a pool, and where it could not be kept.
-    engine    embree or scanline
-    textured  whether density is integrated
-    workers   threads
+    Nothing is compiled if all functions are in the cache of numba, or if the cache is read-only. The same holds for one
+    worker, and inside a worker of a pool. Functions that are not ready at the end are compiled later, when they are
+    called.
+
+    Parameters
+    ----------
+    engine : {"embree", "scanline"}
+        Ray caster.
+    textured : bool
+        True if a density is integrated along the rays.
+    workers : int
+        Number of threads of the simulation.
+
+    Yields
+    ------
+    None
+        The body of the ``with`` statement runs in the meantime.
     """
     what = (engine, textured)
-    settings: Any = config  # whose names numba gives while it runs
-    if what in _tried or workers < 2 or settings.DISABLE_JIT or not can_run_beside():
+    settings: Any = config  # numba defines the names of its settings at run time, so that their types are unknown.
+    if what in _attempted or workers < 2 or settings.DISABLE_JIT or not can_run_in_background():
         yield
         return
-    _tried.add(what)
-    left = [kernel for kernel in kernels(*what) if not is_compiled(kernel)]
+    _attempted.add(what)
+    left = [kernel for kernel in list_kernels(*what) if not is_compiled(kernel)]
     if not left or not all(os.access(kernel.stats.cache_path or "", os.W_OK) for kernel in left):
         yield
         return
@@ -88,16 +144,19 @@ def compiling_aside(engine: str, *, textured: bool, workers: int) -> Iterator[No
     environment = os.environ | ({"NUMBA_CACHE_DIR": folder} if folder else {})
     arguments = (engine, "trabecular" if textured else "none")
     with (
-        beside(__name__, "compile_rays", *arguments, environment=environment, patience_s=_PATIENCE_S),
-        _no_collection(),
+        run_in_background(__name__, "compile_ray_kernels", *arguments, environment=environment, timeout_s=_TIMEOUT_S),
+        _pause_garbage_collection(),
     ):
         yield
-        compile_others()  # while the other one is still at it
+        compile_other_kernels()  # The other process is still busy at this point.
 
 
 @contextmanager
-def _no_collection() -> Iterator[None]:
-    """A compiler makes millions of objects that stay: to look through them for garbage takes a sixth of its time."""
+def _pause_garbage_collection() -> Iterator[None]:
+    """Pause garbage collection, which takes a sixth of the time of a compiler.
+
+    A compiler makes millions of permanent objects that the collector would scan.
+    """
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -107,36 +166,49 @@ def _no_collection() -> Iterator[None]:
             gc.enable()
 
 
-def compile_rays(engine: str, texture: str) -> None:
-    """Compile all of them, by rays to a few pixels through a tetrahedron."""
-    with _no_collection():
-        solid = Solid(points=_CORNERS, faces=_FACES, vertices=np.arange(4))
-        _trace(engine, sheet_of(solid, _VIEW), None if texture == "none" else _tibia(trabecular_bone()))
+def compile_ray_kernels(engine: str, texture: str) -> None:
+    """Compile the functions that rays need, by casting rays through a tetrahedron.
+
+    Parameters
+    ----------
+    engine : {"embree", "scanline"}
+        Ray caster.
+    texture : {"trabecular", "none"}
+        Whether a density is integrated along the rays.
+    """
+    with _pause_garbage_collection():
+        solid = Solid(points=_CORNERS, faces=_FACES, source_vertices=np.arange(4))
+        _trace_test_rays(
+            engine,
+            project_surface(solid, _VIEW),
+            None if texture == "none" else _make_small_tibia(load_trabecular_bone()),
+        )
 
 
-def compile_others() -> None:
-    """Compile what comes before rays and after them: what mends meshes, and what attenuates."""
-    repair(_CORNERS, _FACES, "tetrahedron")
+def compile_other_kernels() -> None:
+    """Compile the functions used before and after ray casting: mesh repair and attenuation."""
+    repair_mesh(_CORNERS, _FACES, "tetrahedron")
     tissue_mm = {"muscle": np.ones((_VIEW.rows, _VIEW.cols), np.float32)}
-    transmit(tissue_mm, Beam(*np.ones((4, 1))), technique_of(load_protocol("reference")), 1, _VIEW)
+    transmit(tissue_mm, Beam(*np.ones((4, 1))), resolve_technique(load_protocol("reference")), 1, _VIEW)
 
 
-def _trace(engine: str, sheet: Sheet, density: Trabeculae | None) -> None:
+def _trace_test_rays(engine: str, sheet: ProjectedSurface, density: Trabeculae | None) -> None:
+    """Cast rays through the test surface, and integrate a density along them if there is one."""
     caster: Any
     if engine == "embree":
-        from .raycast.embree import Caster
+        from .raycast.engines.embree import Caster
 
         caster = Caster(sheet, 0)
     else:
         caster = scanline.Caster(sheet, 0)
-    caster.chords(0, _VIEW.rows)
+    caster.trace_chords(0, _VIEW.rows)
     if density is not None:
-        listed = scanline.crossings(sheet, 0, _VIEW.rows)
-        crossings.chords(listed)
-        crossings.integrals(crossings.joined([(listed, 1), (listed, 1)]), sheet.frame, density)
+        listed = scanline.find_crossings(sheet, 0, _VIEW.rows)
+        crossings.chord_fractions(listed)
+        crossings.integrate_along_rays(crossings.merge_crossings([(listed, 1), (listed, 1)]), sheet.frame, density)
 
 
-def _tibia(table: TrabecularBone) -> Trabeculae:
-    """A tibia's density of a small lattice, which is soon made."""
+def _make_small_tibia(table: TrabecularBone) -> Trabeculae:
+    """Make the trabecular density of a tibia with a small lattice, which takes little time."""
     small = structs.replace(table.lattice, voxels=(32, 32, 32))
-    return healthy_tibia(structs.replace(table, lattice=small), seed=0)
+    return build_healthy_tibia_trabeculae(structs.replace(table, lattice=small), seed=0)

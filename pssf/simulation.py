@@ -1,4 +1,4 @@
-"""simulate: a knee, or any scene, and a protocol -> a radiograph."""
+"""Simulation of a radiograph from a knee, both knees, or any scene, and a protocol."""
 
 import warnings
 from collections.abc import Collection
@@ -9,125 +9,155 @@ from importlib.metadata import version
 from os import PathLike
 from typing import Any
 
-from .anatomy import BuiltKnee, BuiltPair, build, build_pair, make_texture
-from .core.checks import Chance, InputError, require_choice, require_workers, seed_of
-from .core.keywords import keywords
-from .core.timer import Timer
-from .core.workers import one_blas_thread
+from .anatomy import (
+    BuiltKnee,
+    BuiltPair,
+    build,
+    build_pair,
+    make_texture,
+)
+from .core.checks import (
+    InputError,
+    RNGLike,
+    require_choice,
+    require_workers,
+    resolve_seed,
+)
+from .core.keyword_arguments import check_keywords
+from .core.processes.worker_processes import limit_to_one_blas_thread
+from .core.stage_timer import Timer
 from .geometry.mesh import Mesh
 from .geometry.scene import Scene
-from .geometry.view import view_of
+from .geometry.view import resolve_view
 from .image_faults import (
     ImageNotice,
-    field_faults,
-    landmark_faults,
-    material_faults,
+    find_field_faults,
+    find_landmark_faults,
+    find_material_faults,
+    find_saturation_faults,
     require_materials,
-    saturation_faults,
 )
 from .model.knee import Knee
 from .model.protocol import Protocol, load_protocol
 from .model.radiograph import Radiograph, Truth
-from .precompile import compiling_aside
-from .raycast import ENGINES, Audit, Paths, shadow, trace, trace_strips
-from .raycast.room import require_room
-from .stages import Chain, LatentImage, expose
-from .xray.collimator import field_half_mm
-from .xray.technique import Technique, technique_of
+from .precompile import precompile_in_background
+from .raycast import (
+    ENGINES,
+    Audit,
+    Paths,
+    compute_silhouette,
+    trace,
+    trace_sparse,
+)
+from .raycast.detector_clearance import require_detector_clearance
+from .stages import LatentImage, StageContext, run_stages
+from .xray.collimator import field_half_size_mm
+from .xray.resolved_technique import Technique, resolve_technique
 
-KEEP = ("path_mm", "primary", "scatter", "noise_free", "masks")
+# Names of the maps that a radiograph can keep.
+KEEPABLE_MAPS = ("path_mm", "primary", "scatter", "noise_free", "masks")
+# Everything that `simulate` makes a radiograph of.
 Subject = Knee | BuiltKnee | BuiltPair | Scene | tuple[Knee | BuiltKnee, Knee | BuiltKnee]
-_ALONG_THE_LEG = (
-    "scatter = 'kernel' along the leg, which it was not fitted to: some 30 % too much (protocols/README.md); "
-    "'monte_carlo' holds in every view"
+# Text of the warning for the scatter kernel in axial views.
+_AXIAL_KERNEL_WARNING = (
+    "scatter = 'kernel' is not fitted to axial views; scatter is about 30 % too high (protocols/README.md); "
+    "use scatter = 'monte_carlo', which is valid in every view"
 )
 
 
 class KernelNotice(UserWarning):
-    """The kernel of scatter was asked for where it does not hold; the message says by how much."""
+    """Warning that the scatter kernel is used outside its range; the message states the error."""
 
 
-@keywords(seed="rng")
-@one_blas_thread()
+@check_keywords(seed="rng")
+@limit_to_one_blas_thread()
 def simulate(
     knee: Subject,
     protocol: Protocol | str | PathLike[str],
     *,
-    rng: Chance = 0,
+    rng: RNGLike = 0,
     keep: Collection[str] = (),
     engine: str = "embree",
     workers: int = 2,
     paths: Paths | None = None,
 ) -> Radiograph:
-    """Simulate a radiograph of a knee, of both knees of a person, or of a scene.
+    """Simulate a radiograph of a knee, of both knees of a patient, or of a scene.
 
     Parameters
     ----------
     knee : Knee, BuiltKnee, (right, left) pair, BuiltPair or Scene
-        A knee; what `build` made of it, where several protocols share a posture; right and left knee for a protocol
-        that images both (`apart_mm`); or a scene, which is traced where it stands.
-    protocol : Protocol or str
-        Technique, geometry and detector; a name or path is loaded with `load_protocol`.
+        A knee; or the result of `build`, which several protocols with the same posture can share; or a right and a left
+        knee for a protocol that images both (`knee_distance_mm`); or a scene, which is traced at its own position.
+    protocol : Protocol, str or path
+        Technique, geometry and detector. A name or path is loaded with `load_protocol`.
     rng : int or numpy.random.Generator, default 0
-        Chance of the noise. The same integer gives the same bytes on any number of workers; a Generator draws the
-        integer, which the radiograph keeps as `seed`.
-    keep : collection of str
-        Maps to hold in `Radiograph.kept`: "path_mm", "primary", "scatter", "noise_free"; and "masks", for a knee's
-        `truth`.
-    engine : {"embree", "scanline"}
+        Seed of the noise. The same integer gives the same bytes for any number of workers. A Generator provides the
+        integer, which the radiograph stores as `seed`.
+    keep : collection of str, default ()
+        Maps to store in `Radiograph.kept`: ``"path_mm"``, ``"primary"``, ``"scatter"`` and ``"noise_free"``.
+        ``"masks"`` adds silhouettes of the parts of a knee to `truth`.
+    engine : {"embree", "scanline"}, default "embree"
         Ray caster; both agree to 1e-9 mm.
-    workers : int
-        Threads; they do not change the result.
+    workers : int, default 2
+        Number of threads, from 1 to 256; it does not change the result.
     paths : Paths, optional
-        From `trace` of this scene, where several protocols see it from the same place.
+        Result of `trace` for this scene, if several protocols share source and detector position.
 
     Returns
     -------
     Radiograph
+        Pixels, with the protocol, seed, labels and provenance.
 
     Raises
     ------
     InputError
-        For an unknown name, a scene that cannot be traced, paths of another scene or view, or a detector that leaves no
-        room for the knee.
+        If a name is unknown, the scene cannot be traced, `paths` belong to another scene or view, or the leg reaches
+        behind the detector.
 
     Warns
     -----
     KernelNotice
-        For the scatter kernel along the leg or in a small field, with the factor by which it is off.
+        If the scatter kernel is used in an axial view or a small field; the message states its error.
     ImageNotice
-        For saturation within the object, a scene or landmarks outside the image, and a formula that looks like the name
-        of an alloy.
+        If pixels within the object are saturated, the scene or landmarks are outside the image, or a formula resembles
+        the name of an alloy.
+    MeshNotice
+        If a mesh had to be repaired.
+
+    See Also
+    --------
+    build : Build the anatomy of a knee.
+    trace : Compute path lengths only.
 
     Examples
     --------
-    >>> import dataclasses, pssf
-    >>> protocol = dataclasses.replace(pssf.load_protocol("reference"), rows=64, cols=64, pixel_mm=4.8)
+    >>> import pssf
+    >>> protocol = pssf.load_protocol("reference").resample(64)
     >>> radiograph = pssf.simulate(pssf.Knee(), protocol, rng=7, engine="scanline")
-    >>> radiograph.pixels.shape, radiograph.truth.grade
-    ((64, 64), 0)
+    >>> radiograph.pixels.shape, radiograph.pixels.dtype, radiograph.truth.grade
+    ((64, 64), dtype('uint16'), 0)
     """
     if isinstance(protocol, str | PathLike):
         protocol = load_protocol(protocol)
-    seed = seed_of(rng)
-    _check(knee, protocol, keep, engine, workers)
+    seed = resolve_seed(rng)
+    _require_arguments(knee, protocol, keep, engine, workers)
     clock = Timer()
-    subject = _built(knee, protocol, engine, workers)
-    # What a radiograph keeps is the beam as it was, not how it was found.
-    protocol = subject.aimed(protocol) if isinstance(subject, BuiltKnee) else protocol
-    technique = technique_of(protocol)
+    subject = _build_subject(knee, protocol, engine, workers)
+    # The radiograph stores the final beam direction, and not the rule by which it was found.
+    protocol = subject.aim_beam(protocol) if isinstance(subject, BuiltKnee) else protocol
+    technique = resolve_technique(protocol)
     scene = subject if isinstance(subject, Scene) else subject.scene
     if not isinstance(subject, Scene):
-        require_room(scene, protocol)
+        require_detector_clearance(scene, protocol)
     clock.lap("anatomy")
-    require_materials(scene, technique)  # refused before rays are cast
-    chain = Chain(technique=technique, engine=engine, seed=seed, keep=frozenset(keep), workers=workers)
-    image, audit = _traced(scene, chain, paths)
+    require_materials(scene, technique)  # Unknown materials raise InputError before rays are cast.
+    chain = StageContext(technique=technique, engine=engine, seed=seed, keep=frozenset(keep), workers=workers)
+    image, audit = _trace_scene(scene, chain, paths)
     clock.lap("rays")
-    faults = [*material_faults(scene, technique), *(outside := field_faults(image.path_mm, technique))]
+    faults = [*find_material_faults(scene, technique), *(outside := find_field_faults(image.path_mm, technique))]
     with ThreadPoolExecutor(1) as aside:
-        known = aside.submit(_known, subject, protocol, keep)
-        seconds = expose(image, chain)
+        known = aside.submit(_describe_subject, subject, protocol, keep)
+        seconds = run_stages(image, chain)
     wanted = [*keep, "scatter_error"] if "scatter" in keep else list(keep)
     assert image.pixels is not None
     made = Radiograph(
@@ -137,76 +167,83 @@ def simulate(
         **known.result(),
         engine=engine,
         audit=audit.counts(),
-        versions=versions(),
+        versions=collect_versions(),
         kept={name: image.kept[name] for name in wanted if name in image.kept},
         seconds={**clock.seconds, **seconds},
     )
-    faults += saturation_faults(made.pixels, scene, technique)
+    faults += find_saturation_faults(made.pixels, scene, technique)
     if not outside:
-        faults += landmark_faults((made.truth,) if made.truth else made.truths, technique)
-    for notice in [*_off_kernel(technique), *map(ImageNotice, faults)]:
+        faults += find_landmark_faults((made.truth,) if made.truth else made.truths, technique)
+    for notice in [*_find_kernel_warnings(technique), *map(ImageNotice, faults)]:
         warnings.warn(notice, stacklevel=4)
     return made
 
 
-def _off_kernel(technique: Technique) -> list[KernelNotice]:
-    """What the kernel of scatter, if it is asked for, does not hold for, and by how much."""
+def _find_kernel_warnings(technique: Technique) -> list[KernelNotice]:
+    """Warn if the scatter kernel is used outside its range."""
     protocol = technique.protocol
     if protocol.scatter != "kernel":
         return []
     if protocol.projection == "axial":
-        return [KernelNotice(_ALONG_THE_LEG)]
-    width_mm, height_mm = (2 * half for half in field_half_mm(technique))
-    off = technique.kernel.small_field(width_mm, height_mm)
+        return [KernelNotice(_AXIAL_KERNEL_WARNING)]
+    width_mm, height_mm = (2 * half for half in field_half_size_mm(technique))
+    off = technique.kernel.find_small_field_bias(width_mm, height_mm)
     if off is None:
         return []
     least = " x ".join(f"{side:g}" for side in technique.kernel.full_field_mm)
     return [
         KernelNotice(
-            f"scatter = 'kernel' with a field of {width_mm:.0f} x {height_mm:.0f} mm, less than {least} mm, which it "
-            f"was not fitted to; scatter at the joint is {off.low:g} to {off.high:g} times that of a Monte Carlo; "
-            "scatter = 'monte_carlo' holds for every field"
+            f"scatter = 'kernel' is not fitted to a field of {width_mm:.0f} x {height_mm:.0f} mm, less than {least} mm;"
+            f" scatter at the joint is {off.low:g} to {off.high:g} times that of the Monte Carlo; "
+            "use scatter = 'monte_carlo', which is valid for every field"
         )
     ]
 
 
-def _check(knee: Subject, protocol: Protocol, keep: Collection[str], engine: str, workers: int) -> None:
+def _require_arguments(knee: Subject, protocol: Protocol, keep: Collection[str], engine: str, workers: int) -> None:
+    """Raise InputError unless all arguments of `simulate` are valid and fit together."""
     require_choice("engine", engine, ENGINES)
     require_workers(workers)
     if isinstance(keep, str) or not isinstance(keep, Collection):
-        raise InputError(f"keep = {keep!r}; allowed: a list of any of {', '.join(KEEP)}")
+        raise InputError(f"keep must be a list of any of {', '.join(KEEPABLE_MAPS)}, got {keep!r}")
     for name in keep:
-        require_choice("keep", name, KEEP)
+        require_choice("keep", name, KEEPABLE_MAPS)
     if "masks" in keep and isinstance(knee, Scene):
-        raise InputError("keep = masks of a scene; allowed: of a Knee, whose bones are known by name")
+        raise InputError("keep must not contain masks for a Scene, got keep = masks: only parts of a Knee have names")
     if not isinstance(protocol, Protocol):
-        raise InputError(f"protocol = {protocol!r}; allowed: a Protocol, as load_protocol gives it")
+        raise InputError(f"protocol must be a Protocol, such as load_protocol returns, got {protocol!r}")
     pair = isinstance(knee, tuple) and len(knee) == 2
     knees: Any = knee.knees if isinstance(knee, BuiltPair) else knee if pair else (knee,)
     for one in knees:
-        _check_one(one, protocol)
-    if isinstance(knee, Knee | BuiltKnee) and protocol.apart_mm:
+        _require_knee(one, protocol)
+    if isinstance(knee, Knee | BuiltKnee) and protocol.knee_distance_mm:
         raise InputError(
-            f"apart_mm = {protocol.apart_mm:g} mm with one knee; allowed: 0, or simulate((right, left), ...)"
+            f"knee_distance_mm must be 0 for one knee, got {protocol.knee_distance_mm:g} mm: "
+            "for both knees, call simulate((right, left), ...)"
         )
-    if isinstance(knee, BuiltPair) and knee.apart_mm != protocol.apart_mm:
-        raise InputError(f"apart_mm = {protocol.apart_mm:g} mm; allowed: {knee.apart_mm:g} mm, as the knees were built")
+    if isinstance(knee, BuiltPair) and knee.knee_distance_mm != protocol.knee_distance_mm:
+        raise InputError(
+            f"knee_distance_mm must be {knee.knee_distance_mm:g} mm, with which the knees were built, "
+            f"got {protocol.knee_distance_mm:g} mm"
+        )
 
 
-def _check_one(knee: object, protocol: Protocol) -> None:
+def _require_knee(knee: object, protocol: Protocol) -> None:
+    """Raise InputError unless a subject is a knee, built in the posture of the protocol, or a scene."""
     if not isinstance(knee, Knee | BuiltKnee | Scene):
-        raise InputError(f"knee = {knee!r}; allowed: a Knee, a BuiltKnee, a right and a left one, or a Scene")
+        raise InputError(f"knee must be a Knee, a BuiltKnee, a right and a left one, or a Scene, got {knee!r}")
     if isinstance(knee, BuiltKnee) and knee.assembly.posture != protocol.posture:
         raise InputError(
-            f"knee built in {knee.assembly.posture}; allowed: {protocol.posture}, as build(knee, protocol) makes it"
+            f"knee must be built in {protocol.posture}, got {knee.assembly.posture}: call build(knee, protocol)"
         )
 
 
-def _built(knee: Subject, protocol: Protocol, engine: str, workers: int) -> BuiltKnee | BuiltPair | Scene:
+def _build_subject(knee: Subject, protocol: Protocol, engine: str, workers: int) -> BuiltKnee | BuiltPair | Scene:
+    """Build the anatomy of a knee or of both knees; other subjects are returned unchanged."""
     if not isinstance(knee, Knee | tuple):
         return knee
     textured = protocol.texture != "none"
-    with ThreadPoolExecutor(1) as aside, compiling_aside(engine, textured=textured, workers=workers):
+    with ThreadPoolExecutor(1) as aside, precompile_in_background(engine, textured=textured, workers=workers):
         if isinstance(knee, tuple):
             return build_pair(*knee, protocol)
         if workers > 1 and textured:
@@ -214,53 +251,65 @@ def _built(knee: Subject, protocol: Protocol, engine: str, workers: int) -> Buil
         return build(knee, protocol)
 
 
-def _traced(scene: Scene, chain: Chain, paths: Paths | None) -> tuple[LatentImage, Audit]:
-    """What the stages start from, and the audit of its rays; in strips where nobody asked for the path lengths."""
-    protocol = chain.technique.protocol
-    if paths is None and "path_mm" not in chain.keep:
-        path_mm, audit = trace_strips(scene, protocol, engine=chain.engine, workers=chain.workers)
+def _trace_scene(scene: Scene, context: StageContext, paths: Paths | None) -> tuple[LatentImage, Audit]:
+    """Compute the path lengths, or take the given ones; returns the initial image and the audit of the rays.
+
+    Path lengths are stored as sparse maps unless they are to be kept.
+    """
+    protocol = context.technique.protocol
+    if paths is None and "path_mm" not in context.keep:
+        path_mm, audit = trace_sparse(scene, protocol, engine=context.engine, workers=context.workers)
         return LatentImage(path_mm=path_mm, scene=scene), audit
     if paths is None:
-        paths = trace(scene, protocol, engine=chain.engine, workers=chain.workers)
-    _check_paths(paths, scene, protocol)
+        paths = trace(scene, protocol, engine=context.engine, workers=context.workers)
+    _require_matching_paths(paths, scene, protocol)
     return LatentImage(path_mm=paths.path_mm, scene=scene, kept={"path_mm": paths.path_mm}), paths.audit
 
 
-def _known(subject: BuiltKnee | BuiltPair | Scene, protocol: Protocol, keep: Collection[str]) -> dict[str, Any]:
-    """Fields of a radiograph that say of what it is."""
+def _describe_subject(
+    subject: BuiltKnee | BuiltPair | Scene, protocol: Protocol, keep: Collection[str]
+) -> dict[str, Any]:
+    """Collect the fields of a radiograph that describe its subject: knee or scene, labels and surgery."""
     masked = "masks" in keep
     if isinstance(subject, BuiltKnee):
         truth = subject.truth(protocol)
-        truth = _masked(truth, subject.solids(), protocol) if masked else truth
+        truth = _add_masks(truth, subject.part_meshes(), protocol) if masked else truth
         return {"knee": subject.knee, "truth": truth, "surgery": subject.surgery_table()}
     if isinstance(subject, BuiltPair):
         truths = subject.truths(protocol)
         if masked:
-            pairs = zip(truths, subject.solids(), strict=True)
-            truths = tuple(_masked(truth, solids, protocol) for truth, solids in pairs)
+            pairs = zip(truths, subject.part_meshes(), strict=True)
+            truths = tuple(_add_masks(truth, solids, protocol) for truth, solids in pairs)
         surgery = tuple(step for built in subject.knees for step in built.surgery_table(f"{built.knee.side}_"))
         return {"knees": tuple(built.knee for built in subject.knees), "truths": truths, "surgery": surgery}
     return {"scene": subject.table()}
 
 
-def _masked(truth: Truth, solids: dict[str, Mesh], protocol: Protocol) -> Truth:
-    return replace(truth, masks={name: shadow(mesh, protocol) for name, mesh in solids.items()})
+def _add_masks(truth: Truth, solids: dict[str, Mesh], protocol: Protocol) -> Truth:
+    """Add the silhouettes of the parts of a knee to its labels."""
+    return replace(truth, masks={name: compute_silhouette(mesh, protocol) for name, mesh in solids.items()})
 
 
-def _check_paths(paths: Paths, scene: Scene, protocol: Protocol) -> None:
-    """They are of this scene, as this protocol sees it."""
+def _require_matching_paths(paths: Paths, scene: Scene, protocol: Protocol) -> None:
+    """Raise InputError unless paths belong to this scene in the view of this protocol."""
     if not isinstance(paths, Paths):
-        raise InputError(f"paths = {type(paths).__name__}; allowed: Paths, as trace gives them")
+        raise InputError(f"paths must be Paths, such as trace returns, got {type(paths).__name__}")
     if paths.scene is not scene:
-        raise InputError(f"paths of another scene ({paths.scene!r}); allowed: of {scene!r}, which is simulated")
-    if paths.view != view_of(protocol):
-        raise InputError(f"paths of {paths.view}; allowed: of {view_of(protocol)}, as the protocol sees it")
+        raise InputError(f"paths must belong to the simulated scene, {scene!r}, got paths of {paths.scene!r}")
+    if paths.view != resolve_view(protocol):
+        raise InputError(f"paths must be of the view of the protocol, {resolve_view(protocol)}, got {paths.view}")
     if paths.texture != protocol.texture:
-        raise InputError(f"paths with texture = {paths.texture}; allowed: {protocol.texture}, as in the protocol")
+        raise InputError(f"paths must have the texture of the protocol, {protocol.texture}, got {paths.texture}")
 
 
 @cache
-def versions() -> dict[str, str]:
-    """Versions of the package and of all that its pixels depend on."""
+def collect_versions() -> dict[str, str]:
+    """Collect the versions of the package and of the libraries that affect its pixels.
+
+    Returns
+    -------
+    dict of str to str
+        Version per package.
+    """
     names = ("pssf", "embreex", "manifold3d", "numba", "numpy", "scipy", "spekpy", "trimesh", "xraylib")
     return {name: version(name) for name in names}

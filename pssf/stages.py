@@ -1,7 +1,7 @@
-"""The stages of a radiograph in their order: what asks for each, and what it does to the latent image.
+"""Imaging stages in their order: the protocols that need each one, and its effect on the latent image.
 
-A stage reads the chain, which is resolved once. One that the protocol does not ask for is not run, and costs nothing.
-Anatomy and rays come before all of them, since paths may be given.
+All stages read one `StageContext`, which is resolved once. A stage that the protocol does not need is skipped and costs
+nothing. Anatomy and ray casting come before all stages, because path lengths may be given.
 """
 
 from collections.abc import Callable, Mapping
@@ -13,36 +13,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .core.checks import Array
-from .core.timer import Timer
-from .detector import blur
-from .detector.marker import lead_letter
-from .detector.noise import Map, quantum_noise
-from .detector.panel import readout
+from .core.stage_timer import Timer
+from .detector import detector_blur
+from .detector.panel_readout import simulate_readout
+from .detector.quantum_noise import Map, sample_quantum_noise
+from .detector.side_marker import compute_marker_transmission
 from .geometry.scene import Scene
-from .geometry.view import View, spot_views
+from .geometry.view import View, make_focal_spot_views
 from .model.protocol import Protocol
-from .raycast import trace_strips
-from .scatter.grid import grid_of, scatter_passing, transmit_through_grid
-from .scatter.kernel import exit_gaps_mm, middle_gap_mm, scatter_kev
-from .scatter.monte_carlo import scatter_monte_carlo
-from .xray.primary import Signal, primary_of, primary_through
-from .xray.spectrum import beam_of
-from .xray.technique import Technique
+from .raycast import trace_sparse
+from .scatter.antiscatter_grid import compute_scatter_transmission, make_grid, transmit_through_grid
+from .scatter.monte_carlo import compute_monte_carlo_scatter_kev
+from .scatter.scatter_kernel import central_air_gap_mm, compute_air_gaps_mm, compute_kernel_scatter_kev
+from .xray.primary_beam import Signal, compute_primary, compute_primary_before_and_behind
+from .xray.resolved_technique import Technique
+from .xray.spectrum import compute_beam
 
-# Stream below a radiograph's seed; shape and pose are drawn with the knee, before it.
-_NOISE = 3
-_POINTS = 3  # a side of the focal spot that rays come from where it is sampled
+# Number of the random stream of noise below the seed of a radiograph. Shape and pose are sampled before, with the knee.
+_NOISE_STREAM = 3
+# Number of points along each side of a sampled focal spot.
+_FOCAL_SPOT_POINTS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Chain:
-    """What all stages read.
+class StageContext:
+    """Everything that all stages read.
 
-    technique  the protocol, resolved
-    engine     that casts rays from points of the focal spot
-    seed       of this exposure; quantum and readout noise own separate streams below it
-    keep       maps to hold
-    workers    threads
+    Parameters
+    ----------
+    technique : Technique
+        Resolved protocol.
+    engine : {"embree", "scanline"}, default "embree"
+        Caster of the rays from points of the focal spot.
+    seed : int, default 0
+        Seed of this exposure. Quantum noise and readout noise have their own streams below it.
+    keep : frozenset of str
+        Names of the maps to keep.
+    workers : int, default 2
+        Number of threads; it does not change the result.
     """
 
     technique: Technique
@@ -51,247 +59,451 @@ class Chain:
     keep: frozenset[str] = frozenset()
     workers: int = 2
 
-    def stream(self, number: int) -> np.random.SeedSequence:
-        """Of noise: 0 quanta, 1 readout."""
-        return np.random.SeedSequence(self.seed, spawn_key=(_NOISE, number))
+    def make_noise_seed(self, number: int) -> np.random.SeedSequence:
+        """Make the seed of one kind of noise.
+
+        Parameters
+        ----------
+        number : int
+            0 for quantum noise, 1 for readout noise.
+
+        Returns
+        -------
+        numpy.random.SeedSequence
+            Seed of its random stream.
+        """
+        return np.random.SeedSequence(self.seed, spawn_key=(_NOISE_STREAM, number))
 
 
 @dataclass(kw_only=True)
 class LatentImage:
-    """What the stages hand on; maps are (rows, cols) float32, keV a pixel.
+    """Image between the stages; maps are (rows, cols) float32 in keV per pixel.
 
-    path_mm        material -> (rows, cols)  path lengths, as arrays or in strips; none once no stage reads them
-    scene          that they are of; None for an open beam
-    gap_mm         from the object's exit to the detector plane; of the scene, where it is asked for, if None
-    primary        signal of the straight rays
-    behind_grid    of the same rays, where the protocol has a grid
-    scatter        of the others
-    signal         both, without noise
-    noisy          with quantum noise
-    kept           what is held
-    pixels         (rows, cols) uint16
+    Parameters
+    ----------
+    path_mm : mapping of str to (rows, cols) array
+        Path length per material, in mm, as arrays or sparse maps. It is empty once no later stage reads it.
+    scene : Scene, optional
+        Scene of the path lengths; None for an open beam.
+    air_gaps_mm : (32, 32) float64 array or float, optional
+        Distance from the exit of the object to the detector plane, in mm. If None, it is computed from the scene when
+        first needed.
+    primary : Signal, optional
+        Signal of unscattered photons.
+    primary_behind_grid : Signal, optional
+        The same behind the grid, if the protocol has one.
+    scatter : (rows, cols) float32 array, optional
+        Signal of scattered photons.
+    signal : (rows, cols) float32 array, optional
+        Primary and scatter without noise.
+    noisy : (rows, cols) float32 array, optional
+        Signal with quantum noise.
+    kept : dict
+        Maps to keep, by name.
+    pixels : (rows, cols) uint16 array, optional
+        Pixel values in DN.
+    frequencies : (rows, cols) complex64 array, optional
+        Signal in frequency space, padded.
     """
 
     path_mm: Mapping[str, Any]
     scene: Scene | None = None
-    gaps_mm: Array | float | None = None
+    air_gaps_mm: Array | float | None = None
     primary: Signal | None = None
-    behind_grid: Signal | None = None
+    primary_behind_grid: Signal | None = None
     scatter: Map | None = None
     signal: Map | None = None
     noisy: Map | None = None
     kept: dict[str, Any] = field(default_factory=dict)
     pixels: NDArray[np.uint16] | None = None
-    frequencies: blur.Frequencies | None = None
+    frequencies: detector_blur.Frequencies | None = None
 
-    def exit_gaps_mm(self, view: View) -> Array | float:
-        """From where rays leave the object to the detector plane: for the kernel of scatter, and for a grid."""
-        if self.gaps_mm is None:
-            self.gaps_mm = 0.0 if self.scene is None else exit_gaps_mm(self.scene, view)
-        return self.gaps_mm
+    def compute_air_gaps_mm(self, view: View) -> Array | float:
+        """Compute the distance from the exit of the object to the detector plane.
+
+        The scatter kernel and the anti-scatter grid need it.
+
+        Parameters
+        ----------
+        view : View
+            Source and detector.
+
+        Returns
+        -------
+        (32, 32) float64 array or float
+            Air gaps in mm, computed at the first call; 0 without a scene.
+        """
+        if self.air_gaps_mm is None:
+            self.air_gaps_mm = 0.0 if self.scene is None else compute_air_gaps_mm(self.scene, view)
+        return self.air_gaps_mm
 
     @property
-    def straight(self) -> Signal:
-        """The primary, which a stage before has made."""
+    def computed_primary(self) -> Signal:
+        """Primary signal, computed by an earlier stage."""
         assert self.primary is not None
         return self.primary
 
     @property
-    def mean(self) -> Map:
-        """Primary and scatter, added up when they are first asked for together."""
+    def expected_signal(self) -> Map:
+        """Sum of primary and scatter in keV per pixel, computed at the first call."""
         if self.signal is None:
-            primary = self.straight.kev
+            primary = self.computed_primary.kev
             self.signal = primary if self.scatter is None else primary + self.scatter
         return self.signal
 
-    def transform(self, workers: int) -> blur.Frequencies:
-        """The signal in frequency, which focal spot and panel both multiply."""
+    def compute_frequencies(self, workers: int) -> detector_blur.Frequencies:
+        """Transform the signal to frequency space, which focal spot and panel both use.
+
+        Parameters
+        ----------
+        workers : int
+            Number of threads.
+
+        Returns
+        -------
+        (padded rows, padded cols / 2 + 1) complex64 array
+            Frequencies of the padded signal, computed at the first call.
+        """
         if self.frequencies is None:
-            self.frequencies = blur.forward(self.mean, workers)
+            self.frequencies = detector_blur.transform_to_frequency(self.expected_signal, workers)
         return self.frequencies
 
 
 @dataclass(frozen=True)
 class Stage:
-    """One step of the chain.
+    """One step of the imaging chain.
 
-    name    its time is put down under
-    wanted  whether a protocol asks for it
-    run     changes the image
-    reads   maps that are let go before later stages, unless these read them: "paths", and primary and scatter apart
-            with them; "photons", of the primary what a photon brings
+    Parameters
+    ----------
+    name : str
+        Name under which the run time is reported.
+    is_requested : callable
+        Function of a protocol that returns True if it needs the stage.
+    run : callable
+        Function of a latent image and a context that changes the image.
+    reads : {"paths", "photons"}, optional
+        Maps that must be kept until this stage. ``"paths"`` stands for path lengths, and primary and scatter as
+        separate maps. ``"photons"`` stands for the mean photon energy of the primary.
     """
 
     name: str
-    wanted: Callable[[Protocol], bool]
-    run: Callable[[LatentImage, Chain], None]
+    is_requested: Callable[[Protocol], bool]
+    run: Callable[[LatentImage, StageContext], None]
     reads: Literal["paths", "photons"] | None = None
 
 
-def load_spectrum(image: LatentImage, chain: Chain) -> None:
-    """SpekPy's spectrum, computed where it is new, so that the next stage's time is its own."""
-    beam_of(chain.technique)
+def prepare_spectrum(image: LatentImage, context: StageContext) -> None:
+    """Compute the spectrum if it is not in the cache, so that the run time of the next stage does not include it.
+
+    Parameters
+    ----------
+    image : LatentImage
+        Not used.
+    context : StageContext
+        Technique of the spectrum.
+    """
+    compute_beam(context.technique)
 
 
-def attenuate(image: LatentImage, chain: Chain) -> None:
-    """Primary by Beer and Lambert, along the rays from the middle of the focal spot."""
-    technique = chain.technique
+def attenuate(image: LatentImage, context: StageContext) -> None:
+    """Compute the primary by the Beer-Lambert law, for rays from the centre of the focal spot.
+
+    Parameters
+    ----------
+    image : LatentImage
+        Image with path lengths; the primary is set, and the one behind the grid if there is a grid.
+    context : StageContext
+        Technique and settings.
+    """
+    technique = context.technique
     if technique.protocol.grid_ratio > 0:
-        image.primary, image.behind_grid = _about_grid(image, chain)
+        image.primary, image.primary_behind_grid = _compute_primary_at_grid(image, context)
     else:
-        image.primary = primary_of(image.path_mm, technique, chain.workers)
+        image.primary = compute_primary(image.path_mm, technique, context.workers)
 
 
-def sample_focal_spot(image: LatentImage, chain: Chain) -> None:
-    """Primary along rays from points of the focal spot, right at every depth."""
+def sample_focal_spot(image: LatentImage, context: StageContext) -> None:
+    """Compute the primary as the mean over points of the focal spot, with the right blur at every depth.
+
+    Parameters
+    ----------
+    image : LatentImage
+        Image with a scene; the primary is set.
+    context : StageContext
+        Technique and settings.
+    """
     assert image.scene is not None
-    image.primary = sampled_primary(image.scene, chain.technique, chain.engine, chain.workers)
+    image.primary = compute_sampled_primary(image.scene, context.technique, context.engine, context.workers)
 
 
-def scatter_by_kernel(image: LatentImage, chain: Chain) -> None:
-    """Scatter by the kernel fitted to the Monte Carlo."""
-    image.scatter = scatter_kev(
-        image.straight.kev, image.path_mm, image.exit_gaps_mm(chain.technique.view), chain.technique, chain.workers
+def add_kernel_scatter(image: LatentImage, context: StageContext) -> None:
+    """Compute the scatter with the kernel fitted to the Monte Carlo.
+
+    Parameters
+    ----------
+    image : LatentImage
+        Image with primary and path lengths; the scatter is set.
+    context : StageContext
+        Technique and settings.
+    """
+    image.scatter = compute_kernel_scatter_kev(
+        image.computed_primary.kev,
+        image.path_mm,
+        image.compute_air_gaps_mm(context.technique.view),
+        context.technique,
+        context.workers,
     )
 
 
-def scatter_by_photons(image: LatentImage, chain: Chain) -> None:
-    """Scatter by photons followed through the scene's voxels, and how sure it is."""
+def add_monte_carlo_scatter(image: LatentImage, context: StageContext) -> None:
+    """Compute the scatter by Monte Carlo, with its statistical error.
+
+    Parameters
+    ----------
+    image : LatentImage
+        Image with a scene; the scatter is set, and its error is kept as ``scatter_error``.
+    context : StageContext
+        Technique and settings.
+    """
     assert image.scene is not None
-    image.scatter, image.kept["scatter_error"] = scatter_monte_carlo(
+    image.scatter, image.kept["scatter_error"] = compute_monte_carlo_scatter_kev(
         image.scene,
-        chain.technique,
-        photons=chain.technique.protocol.scatter_photons,
-        seed=chain.seed,
-        workers=chain.workers,
+        context.technique,
+        photons=context.technique.protocol.scatter_photons,
+        seed=context.seed,
+        workers=context.workers,
     )
 
 
-def pass_grid(image: LatentImage, chain: Chain) -> None:
-    """What of primary and scatter passes a grid; the primary by its energies in each pixel."""
-    technique, primary, grid = chain.technique, image.straight, grid_of(chain.technique.protocol)
-    if image.behind_grid is not None:
-        image.primary, image.behind_grid = image.behind_grid, None
+def apply_grid(image: LatentImage, context: StageContext) -> None:
+    """Attenuate primary and scatter by the anti-scatter grid; the primary by its spectrum in each pixel.
+
+    Parameters
+    ----------
+    image : LatentImage
+        Image with primary and path lengths; primary and scatter are changed.
+    context : StageContext
+        Technique and settings.
+    """
+    technique, primary, grid = context.technique, image.computed_primary, make_grid(context.technique.protocol)
+    if image.primary_behind_grid is not None:
+        image.primary, image.primary_behind_grid = image.primary_behind_grid, None
     else:
-        # Rays from the middle of the spot say what share passes of those from all over it.
-        before, after = _about_grid(image, chain)
+        # The transmission of rays from the centre of the focal spot is applied to the mean over the whole spot.
+        before, after = _compute_primary_at_grid(image, context)
         passed = np.divide(after.kev, before.kev, out=np.zeros_like(after.kev), where=before.kev > 0)
         image.primary = Signal(primary.kev * passed, after.photon_kev)
     if image.scatter is not None:
-        gap_mm = middle_gap_mm(image.exit_gaps_mm(technique.view))
+        gap_mm = central_air_gap_mm(image.compute_air_gaps_mm(technique.view))
         image.scatter = image.scatter * np.float32(
-            scatter_passing(grid, beam_of(technique), gap_mm, technique.material("muscle"))
+            compute_scatter_transmission(grid, compute_beam(technique), gap_mm, technique.material("muscle"))
         )
 
 
-def _about_grid(image: LatentImage, chain: Chain) -> tuple[Signal, Signal]:
-    """Primary before and behind the grid, along the rays from the middle of the focal spot."""
-    through = partial(transmit_through_grid, grid_of(chain.technique.protocol))
-    return primary_through(image.path_mm, chain.technique, through, chain.workers)
+def _compute_primary_at_grid(image: LatentImage, context: StageContext) -> tuple[Signal, Signal]:
+    """Compute the primary before and behind the grid, for rays from the centre of the focal spot."""
+    through = partial(transmit_through_grid, make_grid(context.technique.protocol))
+    return compute_primary_before_and_behind(image.path_mm, context.technique, through, context.workers)
 
 
-def blur_focal_spot(image: LatentImage, chain: Chain) -> None:
-    """Blur of the whole image, as of an edge in the joint plane."""
-    protocol, shape, values = chain.technique.protocol, image.mean.shape, image.transform(chain.workers)
-    blur.by_focal_spot(values, shape, blur.shadow_px(protocol.focal_spot_mm, chain.technique.view))
-    signal = blur.backward(values, shape, chain.workers)
+def blur_focal_spot(image: LatentImage, context: StageContext) -> None:
+    """Blur the whole image by the focal spot, as for an edge in the joint plane.
+
+    Parameters
+    ----------
+    image : LatentImage
+        Image with primary and scatter; the signal is changed.
+    context : StageContext
+        Technique and settings.
+    """
+    protocol, shape, values = (
+        context.technique.protocol,
+        image.expected_signal.shape,
+        image.compute_frequencies(context.workers),
+    )
+    detector_blur.apply_focal_spot_blur(
+        values, shape, detector_blur.focal_spot_width_px(protocol.focal_spot_mm, context.technique.view)
+    )
+    signal = detector_blur.transform_to_image(values, shape, context.workers)
     image.signal = np.maximum(signal, 0, out=signal)
 
 
-def lay_marker(image: LatentImage, chain: Chain) -> None:
-    """A letter of lead on the detector's cover, near enough to cast a sharp shadow."""
-    image.signal = image.mean * lead_letter(chain.technique)
+def add_side_marker(image: LatentImage, context: StageContext) -> None:
+    """Add the shadow of a lead letter on the detector cover; it is sharp, since the letter is close to the detector.
+
+    Parameters
+    ----------
+    image : LatentImage
+        Image with a signal, which is changed.
+    context : StageContext
+        Technique and settings.
+    """
+    image.signal = image.expected_signal * compute_marker_transmission(context.technique)
     image.frequencies = None
 
 
-def draw_quanta(image: LatentImage, chain: Chain) -> None:
-    """The chance of how many photons are absorbed."""
-    photon_kev, swank = image.straight.photon_kev, chain.technique.detector.swank
-    image.noisy = quantum_noise(image.mean, photon_kev, swank, chain.stream(0), chain.workers)
+def add_quantum_noise(image: LatentImage, context: StageContext) -> None:
+    """Add quantum (Poisson) noise.
+
+    Parameters
+    ----------
+    image : LatentImage
+        Image with a signal; the noisy signal is set.
+    context : StageContext
+        Technique and settings.
+    """
+    photon_kev, swank = image.computed_primary.photon_kev, context.technique.detector.swank
+    image.noisy = sample_quantum_noise(
+        image.expected_signal, photon_kev, swank, context.make_noise_seed(0), context.workers
+    )
 
 
-def blur_panel(image: LatentImage, chain: Chain) -> None:
-    """The panel's blur: of the signal by its MTF, of quantum noise by a transfer of its own."""
-    panel = (chain.technique.protocol.pixel_mm, chain.technique.detector)
-    signal, noise, values = image.mean, image.noisy, image.transform(chain.workers)
-    blur.by_panel(values, signal.shape, *panel)
-    if "noise_free" in chain.keep or noise is None:
-        image.signal = blur.backward(values, signal.shape, chain.workers)
+def blur_panel(image: LatentImage, context: StageContext) -> None:
+    """Blur the signal by the MTF of the panel, and quantum noise by its own transfer function.
+
+    Parameters
+    ----------
+    image : LatentImage
+        Image with a signal, which is changed; the noisy signal as well, if there is one.
+    context : StageContext
+        Technique and settings.
+    """
+    panel = (context.technique.protocol.pixel_mm, context.technique.detector)
+    signal, noise, values = image.expected_signal, image.noisy, image.compute_frequencies(context.workers)
+    detector_blur.apply_panel_blur(values, signal.shape, *panel)
+    if "noise_free" in context.keep or noise is None:
+        image.signal = detector_blur.transform_to_image(values, signal.shape, context.workers)
     if noise is not None:
         noise -= signal
-        coloured = blur.forward(noise, chain.workers)
-        # What is no longer read goes before more is made.
+        coloured = detector_blur.transform_to_frequency(noise, context.workers)
+        # Maps that are no longer needed are released before new ones are made.
         image.noisy = None
         del noise
-        blur.by_panel(coloured, signal.shape, *panel, part="ntf")
+        detector_blur.apply_panel_blur(coloured, signal.shape, *panel, curve="ntf")
         coloured += values
         image.frequencies = None
         del values
-        image.noisy = blur.backward(coloured, signal.shape, chain.workers)
+        image.noisy = detector_blur.transform_to_image(coloured, signal.shape, context.workers)
 
 
-def read_out(image: LatentImage, chain: Chain) -> None:
-    """Gain, readout noise, offset, 16 bit."""
-    if "noise_free" in chain.keep:
-        image.kept["noise_free"] = readout(image.mean, chain.technique, None)
-    values, seed = (image.mean, None) if image.noisy is None else (image.noisy, chain.stream(1))
-    image.pixels = readout(values, chain.technique, seed, chain.workers)
+def read_out(image: LatentImage, context: StageContext) -> None:
+    """Convert the signal into pixel values: gain, readout noise, offset and 16 bits.
+
+    Parameters
+    ----------
+    image : LatentImage
+        Image with a signal; the pixels are set, and ``noise_free`` is kept on request.
+    context : StageContext
+        Technique and settings.
+    """
+    if "noise_free" in context.keep:
+        image.kept["noise_free"] = simulate_readout(image.expected_signal, context.technique, None)
+    values, seed = (image.expected_signal, None) if image.noisy is None else (image.noisy, context.make_noise_seed(1))
+    image.pixels = simulate_readout(values, context.technique, seed, context.workers)
 
 
+# All stages in their order.
 STAGES = (
-    Stage("spectrum", lambda protocol: protocol.focal_spot != "sampled", load_spectrum),
+    Stage("spectrum", lambda protocol: protocol.focal_spot != "sampled", prepare_spectrum),
     Stage("attenuation", lambda protocol: protocol.focal_spot != "sampled", attenuate, "paths"),
     Stage("focal spot", lambda protocol: protocol.focal_spot == "sampled", sample_focal_spot),
-    Stage("scatter", lambda protocol: protocol.scatter == "kernel", scatter_by_kernel, "paths"),
-    Stage("scatter", lambda protocol: protocol.scatter == "monte_carlo", scatter_by_photons, "paths"),
-    Stage("grid", lambda protocol: protocol.grid_ratio > 0, pass_grid, "paths"),
+    Stage("scatter", lambda protocol: protocol.scatter == "kernel", add_kernel_scatter, "paths"),
+    Stage("scatter", lambda protocol: protocol.scatter == "monte_carlo", add_monte_carlo_scatter, "paths"),
+    Stage("grid", lambda protocol: protocol.grid_ratio > 0, apply_grid, "paths"),
     Stage("focal spot", lambda protocol: protocol.focal_spot_mm > 0 and protocol.focal_spot == "blur", blur_focal_spot),
-    Stage("marker", lambda protocol: protocol.marker != "none", lay_marker),
-    Stage("quantum noise", lambda protocol: protocol.noise == "quantum", draw_quanta, "photons"),
+    Stage("marker", lambda protocol: protocol.marker != "none", add_side_marker),
+    Stage("quantum noise", lambda protocol: protocol.noise == "quantum", add_quantum_noise, "photons"),
     Stage("detector blur", lambda protocol: protocol.detector_blur != "none", blur_panel),
     Stage("readout", lambda protocol: True, read_out),
 )
 
 
-def stages_of(protocol: Protocol) -> list[Stage]:
-    """The stages that a protocol asks for, in their order."""
-    return [stage for stage in STAGES if stage.wanted(protocol)]
+def select_stages(protocol: Protocol) -> list[Stage]:
+    """Select the stages that a protocol needs, in their order.
 
+    Parameters
+    ----------
+    protocol : Protocol
+        Technique with the requested stages.
 
-def expose(image: LatentImage, chain: Chain) -> dict[str, float]:
-    """Run the stages that the chain's protocol asks for; returns stage -> seconds. The image holds what is kept alone.
-
-    raises  InputError as the stages
+    Returns
+    -------
+    list of Stage
+        Stages to run.
     """
-    clock, stages = Timer(), stages_of(chain.technique.protocol)
+    return [stage for stage in STAGES if stage.is_requested(protocol)]
+
+
+def run_stages(image: LatentImage, context: StageContext) -> dict[str, float]:
+    """Run the stages that the protocol of a context needs.
+
+    Parameters
+    ----------
+    image : LatentImage
+        Image with path lengths; pixels and kept maps are set, and other maps are released.
+    context : StageContext
+        Technique and settings.
+
+    Returns
+    -------
+    dict of str to float
+        Run time per stage, in s.
+
+    Raises
+    ------
+    InputError
+        If a stage raises it.
+    """
+    clock, stages = Timer(), select_stages(context.technique.protocol)
     for place, stage in enumerate(stages, 1):
-        stage.run(image, chain)
+        stage.run(image, context)
         clock.lap(stage.name)
-        _let_go(image, {later.reads for later in stages[place:]}, chain.keep)
+        _drop_unread_maps(image, {later.reads for later in stages[place:]}, context.keep)
     return clock.seconds
 
 
-def _let_go(image: LatentImage, read_later: set[str | None], keep: frozenset[str]) -> None:
-    """Drop maps that no later stage reads: of a large detector each is a quarter of a gigabyte."""
+def _drop_unread_maps(image: LatentImage, read_later: set[str | None], keep: frozenset[str]) -> None:
+    """Release the maps that no later stage reads; for a large detector, each takes a quarter of a gigabyte."""
     if "paths" in read_later or image.primary is None:
         return
     image.path_mm = {}
     for name, held in (("primary", image.primary.kev), ("scatter", image.scatter)):
         if name in keep and held is not None:
             image.kept.setdefault(name, held)
-    signal = image.mean
-    # Quantum noise reads of the primary what a photon brings; the sum stands in for the energy, which none reads again.
+    signal = image.expected_signal
+    # Quantum noise reads only the mean photon energy of the primary, so that the sum can replace the primary itself.
     image.primary = Signal(signal, image.primary.photon_kev) if "photons" in read_later else None
     image.scatter = None
 
 
-def sampled_primary(scene: Scene, technique: Technique, engine: str, workers: int, points: int = _POINTS) -> Signal:
-    """Primary signal as the mean over rays from points of the focal spot, so many a side (`geometry.spot_views`)."""
+def compute_sampled_primary(
+    scene: Scene, technique: Technique, engine: str, workers: int, points_per_side: int = _FOCAL_SPOT_POINTS
+) -> Signal:
+    """Compute the primary as the mean over rays from points of the focal spot.
+
+    Parameters
+    ----------
+    scene : Scene
+        Closed surfaces with their materials.
+    technique : Technique
+        Resolved protocol.
+    engine : {"embree", "scanline"}
+        Ray caster.
+    workers : int
+        Number of threads; it does not change the result.
+    points_per_side : int, default 3
+        Points along each side of the focal spot, see `geometry.view.make_focal_spot_views`.
+
+    Returns
+    -------
+    Signal
+        Mean absorbed energy and its variance over mean, per pixel.
+    """
     protocol, shape = technique.protocol, (technique.view.rows, technique.view.cols)
     kev, square = (np.zeros(shape, np.float32) for _ in range(2))
-    for view, share in spot_views(protocol, points):
-        path_mm, _ = trace_strips(scene, view, engine=engine, texture=protocol.texture != "none", workers=workers)
-        one = primary_of(path_mm, technique, workers, view)
+    for view, share in make_focal_spot_views(protocol, points_per_side):
+        path_mm, _ = trace_sparse(scene, view, engine=engine, texture=protocol.texture != "none", workers=workers)
+        one = compute_primary(path_mm, technique, workers, view)
         kev += np.float32(share) * one.kev
         square += np.float32(share) * one.kev * one.photon_kev
     return Signal(kev, np.divide(square, kev, out=np.zeros_like(kev), where=kev > 0))

@@ -4,15 +4,15 @@ from itertools import pairwise
 
 import numpy as np
 
-from pssf.geometry.view import view_of
+from pssf.geometry.view import resolve_view
 
 BONES = ("femur", "tibia", "fibula", "patella", "fabella")
 
 
 def rays_of(protocol):
     """The source (3,), and ends (rows x cols, 3) of the rays at the pixel centres, mm."""
-    view = view_of(protocol)
-    source, corner = np.array(view.source_mm), np.array(view.corner_mm)
+    view = resolve_view(protocol)
+    source, corner = np.array(view.source_mm), np.array(view.first_pixel_mm)
     row, col = np.mgrid[: view.rows, : view.cols]
     step = np.stack((col * view.pixel_mm, np.zeros(row.shape), -row * view.pixel_mm), axis=-1)
     return source, (corner + step).reshape(-1, 3)
@@ -48,7 +48,7 @@ class BruteRays:
         self.scene, self.pixels = scene, pixels
         self.source, ends = rays_of(protocol)
         self.ends = ends[pixels]
-        self.crossed = [[crossings(s.arrays, self.source, end) for s in scene.surfaces] for end in self.ends]
+        self.crossed = [[crossings(s.mesh_arrays, self.source, end) for s in scene.surfaces] for end in self.ends]
 
     def paths(self, steps, *, texture):
         """Material -> (rays,) path lengths, mm; and which rays met every mesh an even number of times.

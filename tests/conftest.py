@@ -20,8 +20,8 @@ from hypothesis import HealthCheck, settings
 
 import pssf
 from pssf import cohort, study
-from pssf.cohort import make
-from pssf.data import code
+from pssf.cohort import cohort_maker
+from pssf.data import code_hash
 from pssf.study import StudyResult
 
 # Hundreds of processes are started here, and each would compile all that it imports.
@@ -54,17 +54,17 @@ def built(knee: pssf.Knee) -> pssf.BuiltKnee:
 def copied_code(tmp_path, monkeypatch) -> Iterator[Path]:
     """A copy of the package, which digests of code are taken of."""
     folder = tmp_path / "copied" / "pssf"
-    shutil.copytree(code.ROOT, folder, ignore=shutil.ignore_patterns("__pycache__"))
-    monkeypatch.setattr(code, "ROOT", folder)
-    code.code_digest.cache_clear()
+    shutil.copytree(code_hash.PACKAGE_ROOT, folder, ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(code_hash, "PACKAGE_ROOT", folder)
+    code_hash.compute_code_hashes.cache_clear()
     yield folder
-    code.code_digest.cache_clear()
+    code_hash.compute_code_hashes.cache_clear()
 
 
 def change(path: Path) -> None:
     """One byte more in a file of `copied_code`."""
     path.write_bytes(path.read_bytes() + b"\n")
-    code.code_digest.cache_clear()
+    code_hash.compute_code_hashes.cache_clear()
 
 
 @pytest.fixture(scope="session")
@@ -89,8 +89,8 @@ def small_protocols(tmp_path_factory) -> list[str]:
 def built_once() -> Iterator[None]:
     """Cohorts of this process build a knee once, however often they make it; other processes build their own."""
     with pytest.MonkeyPatch.context() as patch:
-        built = lru_cache(maxsize=8)(make.build)
-        patch.setattr(make, "build", built)
+        built = lru_cache(maxsize=8)(cohort_maker.build)
+        patch.setattr(cohort_maker, "build", built)
         yield
         built.cache_clear()
 

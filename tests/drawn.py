@@ -11,9 +11,9 @@ from made_up import PROTOCOLS
 from PIL import Image
 from scipy.ndimage import gaussian_filter, zoom
 
-from pssf.detector import present
-from pssf.io.films import FilmImage, list_films, read_film
-from pssf.radiomics.patches import Template
+from pssf.detector import render_for_display
+from pssf.io.patients.patient_radiographs import FilmImage, list_films, read_film
+from pssf.radiomics.localisation.templates import Template
 from pssf.study import FilmSet, StudySettings
 
 SIZE, PIXEL_MM = 256, 0.6
@@ -80,14 +80,16 @@ class Cohort:
     def display(self, file: str) -> FilmImage:
         """One of its radiographs as a film of it would be displayed."""
         row = next(row for row in self.rows if row["file"] == file)
-        return FilmImage(pixels=present(self.load(file), bits=16) / 65535.0, pixel_mm=PIXEL_MM, side=row["side"])
+        return FilmImage(
+            pixels=render_for_display(self.load(file), bits=16) / 65535.0, pixel_mm=PIXEL_MM, side=row["side"]
+        )
 
 
 def film(path: Path, grade: int, side: str, seed: int, *, polarity: str = "bone bright", zoomed: float = 0.8) -> Path:
     """Write a film of a knee of blocks as a PNG of 8 bit, of `zoomed` as many pixels."""
     rng = np.random.default_rng(seed)
     pixels = draw(grade, *rng.uniform(120, 136, 2), side, 1.0, 30000, 1000 + seed)
-    shown = np.clip(zoom(present(pixels).astype(float), zoomed, order=1), 0, 255).astype(np.uint8)
+    shown = np.clip(zoom(render_for_display(pixels).astype(float), zoomed, order=1), 0, 255).astype(np.uint8)
     path.parent.mkdir(parents=True, exist_ok=True)
     Image.fromarray(255 - shown if polarity == "bone dark" else shown).save(path)
     return path

@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 
 from pssf.study import StudySettings
-from pssf.study.learn.models import Fitted, tune
-from pssf.study.learn.selection import preparation
+from pssf.study.learn.models.classifiers import FittedModel, tune_classifier
+from pssf.study.learn.models.feature_selection import build_feature_pipeline
 
 PROTOCOLS = ("reference", "low_dose", "geometry_shift")
 NAMES = ["signal", "copy", *[f"n{i}" for i in range(12)]]
@@ -55,7 +55,13 @@ def settings_of(**more) -> StudySettings:
     return StudySettings(**({"selections": ("l1",), "models": ("lr",), "reference": "a"} | more))
 
 
-def fitted(model: str, table: pd.DataFrame) -> tuple[Fitted, pd.DataFrame, np.ndarray]:
+def fitted(model: str, table: pd.DataFrame) -> tuple[FittedModel, pd.DataFrame, np.ndarray]:
     """A model of grade 2 against the others of a `measured_cohort`, its features and truth."""
     X, y = table[SHAKY_NAMES], (table["grade"] == 2).astype(int).to_numpy()
-    return tune(preparation("l1", rho=0.9, most=5, seed=0).fit(X, y), model, (X, y), (X, y), seed=0), X, y
+    return (
+        tune_classifier(
+            build_feature_pipeline("l1", rho=0.9, max_features=5, seed=0).fit(X, y), model, (X, y), (X, y), seed=0
+        ),
+        X,
+        y,
+    )

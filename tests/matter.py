@@ -1,19 +1,19 @@
 """Materials by name, as a technique has them."""
 
-from pssf.accuracy import scatter
-from pssf.data.tissues import tissues
+from pssf.data.anatomy.tissue_table import load_tissues
 from pssf.geometry.scene import Scene
-from pssf.xray.materials import Material, attenuation_per_mm, material_of
+from pssf.validation.imaging import scatter_phantoms
+from pssf.xray.materials import Material, attenuation_per_mm, resolve_material
 
 
 def material(name: str) -> Material:
     """The material that a name stands for."""
-    return material_of(name, tissues())
+    return resolve_material(name, load_tissues())
 
 
 def limb(thick_mm: float) -> Scene:
     """An elliptic limb of tissues by name."""
-    return scatter.limb(thick_mm, tissues())
+    return scatter_phantoms.build_limb(thick_mm, load_tissues())
 
 
 def attenuation(name, energies_kev):

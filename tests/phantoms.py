@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from pssf.radiomics.patches import Template
+from pssf.radiomics.localisation.templates import Template
 
 PIXEL_MM = 0.5
 SHAPE = (320, 320)

@@ -3,13 +3,13 @@
 from concurrent.futures import ThreadPoolExecutor
 
 from pssf import Knee
-from pssf.anatomy import bones
-from pssf.anatomy.joint import KneeAssembly
-from pssf.anatomy.placed_bones import place_bones
+from pssf.anatomy.bones import bone_shells
+from pssf.anatomy.posture.knee_assembly import KneeAssembly
+from pssf.anatomy.posture.placed_bones import place_bones
 
 
-def standing_bones(knee: Knee, assembly: KneeAssembly) -> dict[str, bones.Bone]:
+def standing_bones(knee: Knee, assembly: KneeAssembly) -> dict[str, bone_shells.Bone]:
     """The solids of each bone, by name."""
     with ThreadPoolExecutor(1) as aside:
-        placed = place_bones(knee, assembly, bones.shells_mm(assembly.build), aside)
+        placed = place_bones(knee, assembly, bone_shells.compute_cortex_depths_mm(assembly.bone_parameters), aside)
     return {name: part.solids for name, part in placed.items()}

@@ -8,8 +8,8 @@ import trimesh
 from command import run
 
 import pssf
-from pssf.core.checks import one_line, require_whole, shown
-from pssf.io.images import save_parameters
+from pssf.core.checks import format_one_line, format_value, require_integer
+from pssf.io.radiograph_files import save_parameters
 
 NUMBERS = ["9" * 5000, "0x" + "f" * 5000, "9" * 4000, "-" + "9" * 5000, "9" * 400, "1e" + "9" * 5000]
 PATH = "p" * 5000
@@ -77,7 +77,7 @@ def test_a_number_of_thousands_of_digits_in_json_is_refused_in_one_line(tmp_path
         ("cohort", "--out", "o", "--knees", "1", "--protocols", PATH),
         ("cohort", "--out", "o", "--preset", PATH),
         ("protocols", PATH),
-        ("read", PATH, "x.png", "--out", "o"),
+        ("predict", PATH, "x.png", "--out", "o"),
     ],
     ids=lambda arguments: " ".join(word[:12] for word in arguments),
 )
@@ -88,16 +88,16 @@ def test_a_path_of_thousands_of_characters_is_refused_in_one_line(tmp_path, monk
 
 def test_long_words_are_shortened_and_usual_paths_are_not():
     usual = "/".join(["folder_of_a_long_name"] * 20)
-    assert one_line(usual) == usual
-    assert one_line(f"file {PATH} is") == f"file {'p' * 80}...(5000 characters)...{'p' * 80} is"
+    assert format_one_line(usual) == usual
+    assert format_one_line(f"file {PATH} is") == f"file {'p' * 80}...(5000 characters)...{'p' * 80} is"
 
 
 def test_an_integer_that_python_does_not_write_out_is_told_by_its_digits():
-    assert shown(7) == "7"
-    assert shown(16**5000) == "an integer of some 6021 digits"
-    assert "more than 4300 digits" in shown([16**5000])
-    with pytest.raises(pssf.InputError, match="seed = an integer of some 6021 digits"):
-        require_whole("seed", 16**5000, 0, 9, "")
+    assert format_value(7) == "7"
+    assert format_value(16**5000) == "an integer of some 6021 digits"
+    assert "more than 4300 digits" in format_value([16**5000])
+    with pytest.raises(pssf.InputError, match=r"seed must be .*, got an integer of some 6021 digits"):
+        require_integer("seed", 16**5000, 0, 9, "")
 
 
 @pytest.mark.parametrize("material", ["Es@8", "Lr@5", "Fm2O3@5"])
@@ -105,7 +105,7 @@ def test_an_integer_that_python_does_not_write_out_is_told_by_its_digits():
 def test_an_element_beyond_the_tables_of_cross_sections_is_named(small, material, scatter):
     box = pssf.Scene([pssf.Surface(trimesh.creation.box(extents=(20, 20, 20)), material, "air")])
     symbol = material[:2]
-    with pytest.raises(pssf.InputError, match=rf"must be of elements up to Cf \(98\), got {symbol}"):
+    with pytest.raises(pssf.InputError, match=rf"must contain only elements up to Cf \(98\), got {symbol}"):
         pssf.simulate(box, dataclasses.replace(small, scatter=scatter), engine="scanline")
 
 

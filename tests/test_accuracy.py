@@ -10,29 +10,25 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose
 
-from pssf import InputError, accuracy, load_protocol
-from pssf.accuracy import (
-    ablation,
-    agreement,
-    builds,
-    chain,
-    engines,
-    figure,
-    localisation,
-    morphometry,
-    solids,
-    stages,
-    tessellation,
-    texture,
-)
+from pssf import InputError, load_protocol, validation
 from pssf.cohort import plan_cohort
-from pssf.data.references import references
-from pssf.geometry.view import view_of
+from pssf.data.analysis.reference_table import load_reference_tables
+from pssf.geometry.view import resolve_view
 from pssf.study import StudySettings
+from pssf.validation import validation_figure
+from pssf.validation.imaging import stage_errors, stage_times
+from pssf.validation.knees import build_success, morphometry, trabecular_error
+from pssf.validation.raycasting import (
+    engine_agreement,
+    raycast_engines,
+    sphere_phantoms,
+    tessellation_error,
+)
+from pssf.validation.study_methods import localisation_rates, study_ablation
 
 
 def test_engines_meet_the_exact_polyhedron_and_leak_nothing():
-    rows = engines.engine_rows(2, triangles=(1000,), sides=(64, 128), runs=1)
+    rows = raycast_engines.measure_engines(2, triangles=(1000,), sides=(64, 128), runs=1)
     assert {(row["engine"], row["precision"]) for row in rows} == {
         (engine, precision) for engine in ("embree", "scanline") for precision in ("float32", "float64")
     }
@@ -46,7 +42,7 @@ def test_engines_meet_the_exact_polyhedron_and_leak_nothing():
 
 @pytest.mark.slow
 def test_nested_spheroids_leave_no_ray_unrepaired():
-    rows = engines.nested_rows(2, runs=1)
+    rows = raycast_engines.measure_nested_spheroids(2, runs=1)
     assert [row["engine"] for row in rows] == ["embree", "embree", "scanline", "scanline"]
     assert not any(row["unrepaired"] for row in rows)
 
@@ -56,12 +52,12 @@ def test_a_quadrupled_image_in_quadrupled_time_grows_with_exponent_one():
         {"engine": "scanline", "triangles": 100_000, "pixels": pixels, "precision": "float32", "seconds": seconds}
         for pixels, seconds in ((1000, 0.1), (4000, 0.4), (16000, 0.8))
     ]
-    found = [row for row in accuracy.growth_rows(rows) if row["grows_with"] == "pixels"]
+    found = [row for row in validation.compute_growth_exponents(rows) if row["grows_with"] == "pixels"]
     assert [row["exponent"] for row in found] == [1.0, 0.5]
 
 
 def test_both_engines_agree_on_random_knees_from_random_sides():
-    rows = agreement.agreement_rows(3, 2, side=192)
+    rows = engine_agreement.compare_engines(3, 2, side_px=192)
     assert [row["knee"] for row in rows] == [0, 1, 2]
     for row in rows:
         assert row["differs_mm"] < 2e-4
@@ -71,7 +67,7 @@ def test_both_engines_agree_on_random_knees_from_random_sides():
 
 @pytest.mark.parametrize("triangles", [1000, 20_000])
 def test_a_globe_is_a_closed_convex_ball_of_about_so_many_triangles(triangles):
-    mesh = solids.globe(triangles, 60.0)
+    mesh = sphere_phantoms.make_sphere_polyhedron(triangles, 60.0)
     assert abs(len(mesh.faces) / triangles - 1) < 0.1
     assert mesh.is_watertight
     assert mesh.is_convex
@@ -80,25 +76,25 @@ def test_a_globe_is_a_closed_convex_ball_of_about_so_many_triangles(triangles):
 
 def test_the_exact_chord_of_a_box_through_its_middle_is_its_depth():
     box = trimesh.creation.box(extents=(20, 30, 20))
-    view = view_of(dataclasses.replace(load_protocol("reference"), rows=3, cols=3, pixel_mm=50.0))
+    view = resolve_view(dataclasses.replace(load_protocol("reference"), rows=3, cols=3, pixel_mm=50.0))
     middle = np.array([[1, 1], [0, 0]])
-    assert_allclose(solids.polyhedron_chords(box, middle, view), [30.0, 0.0], rtol=1e-12)
-    assert_allclose(solids.sphere_chords(15.0, middle, view), [30.0, 0.0], rtol=1e-12)
+    assert_allclose(sphere_phantoms.polyhedron_chords_mm(box, middle, view), [30.0, 0.0], rtol=1e-12)
+    assert_allclose(sphere_phantoms.sphere_chords_mm(15.0, middle, view), [30.0, 0.0], rtol=1e-12)
 
 
 def test_the_best_front_is_what_nothing_beats_in_both():
     points = [(1.0, 5.0), (2.0, 3.0), (2.5, 4.0), (3.0, 3.0), (9.0, 1.0)]
-    assert figure.best_front(points) == [(1.0, 5.0), (2.0, 3.0), (9.0, 1.0)]
+    assert validation_figure.find_pareto_front(points) == [(1.0, 5.0), (2.0, 3.0), (9.0, 1.0)]
 
 
 def test_the_figure_is_a_png():
     row = {"engine_error_mm": 1e-6, "tessellation_rms_mm": 0.1, "seconds": 0.1, "triangles": 1000, "pixels": 65536}
     rows = [{**row, "engine": e, "precision": p} for e in ("embree", "scanline") for p in ("float32", "float64")]
-    assert figure.draw(rows).startswith(b"\x89PNG")
+    assert validation_figure.plot_error_against_time(rows).startswith(b"\x89PNG")
 
 
 def test_a_finer_tolerance_of_the_spectrum_is_kept_with_more_nodes():
-    rows = stages.spectrum_rows((1e-2, 5e-4, 1e-5))
+    rows = stage_times.measure_spectrum_nodes((1e-2, 5e-4, 1e-5))
     assert [row["used"] for row in rows] == [False, True, False]
     assert rows[0]["nodes"] < rows[1]["nodes"] < rows[2]["nodes"]
     for row in rows:
@@ -107,8 +103,8 @@ def test_a_finer_tolerance_of_the_spectrum_is_kept_with_more_nodes():
 
 @pytest.mark.slow
 def test_outlines_of_the_bones_are_within_a_fiftieth_of_a_millimetre(monkeypatch):
-    monkeypatch.setattr(tessellation, "_EXACT_MM", 0.008)
-    rows = tessellation.tessellation_rows(coarse_mm=(0.1,), finer=())
+    monkeypatch.setattr(tessellation_error, "_REFERENCE_TOLERANCE_MM", 0.008)
+    rows = tessellation_error.measure_tessellation_error(coarse_tolerances_mm=(0.1,), refinement_factors=())
     for bone in ("femur", "tibia"):
         some = [row for row in rows if row["bone"] == bone]
         assert all(one["rms_mm"] >= other["rms_mm"] for one, other in pairwise(some))
@@ -119,7 +115,7 @@ def test_outlines_of_the_bones_are_within_a_fiftieth_of_a_millimetre(monkeypatch
 
 
 def test_the_error_of_the_step_is_as_stated_and_falls_with_it():
-    rows = texture.step_rows()
+    rows = trabecular_error.measure_integration_steps()
     coarse = [row for row in rows if row["used"]]
     assert [row["turned_deg"] for row in coarse] == [0.0, 5.0, 10.0]
     for row, rms, most in zip(coarse, (0.001, 0.004, 0.006), (0.01, 0.05, 0.08), strict=True):
@@ -131,8 +127,10 @@ def test_the_error_of_the_step_is_as_stated_and_falls_with_it():
 
 def test_a_trace_spends_a_part_of_its_time_on_integrals_of_density(monkeypatch):
     small = {"rows": 128, "cols": 128, "pixel_mm": 2.0}
-    monkeypatch.setattr(texture, "load_protocol", lambda name: dataclasses.replace(load_protocol(name), **small))
-    rows = texture.trace_rows()
+    monkeypatch.setattr(
+        trabecular_error, "load_protocol", lambda name: dataclasses.replace(load_protocol(name), **small)
+    )
+    rows = trabecular_error.measure_texture_cost()
     assert [row["engine"] for row in rows] == ["embree", "scanline"]
     assert rows[0]["samples"] == rows[1]["samples"] > 0
     assert all(0 < row["share"] < 1 and row["ns"] > 0 for row in rows)
@@ -143,20 +141,22 @@ def test_texture_of_a_made_field_is_what_it_was_made_of():
     f = np.hypot(*np.meshgrid(*2 * [np.fft.fftfreq(256, 0.1)]))
     spectrum = np.fft.fft2(rng.standard_normal((256, 256))) * np.where(f > 0, np.maximum(f, 1e-9) ** -1.0, 0)
     field = np.fft.ifft2(spectrum).real
-    found = texture.texture(100 + 3 * field / field.std(), 0.1)
+    found = trabecular_error.measure_texture(100 + 3 * field / field.std(), 0.1)
     assert found["slope_0.2_2"] == pytest.approx(-2.0, abs=0.15)
     assert found["vertical_over_horizontal"] == pytest.approx(1.0, abs=0.25)
     # Of 1 / f^2 in rings: ln(3 / 2) / (3^2 - 2^2) over ln(0.8 / 0.4) / (0.8^2 - 0.4^2).
     assert found["fine_over_coarse"] == pytest.approx(np.log(1.5) / 5 * 0.48 / np.log(2), rel=0.25)
-    assert "fine_over_coarse" not in texture.texture(100 + field, 0.2)
-    stripes = texture.texture(100 + 3 * np.cos(2 * np.pi * 0.8 * 0.1 * np.arange(256)) + field[:, :], 0.1)
+    assert "fine_over_coarse" not in trabecular_error.measure_texture(100 + field, 0.2)
+    stripes = trabecular_error.measure_texture(
+        100 + 3 * np.cos(2 * np.pi * 0.8 * 0.1 * np.arange(256)) + field[:, :], 0.1
+    )
     assert stripes["vertical_over_horizontal"] > 3
 
 
 # Of six knees the SD over mean is .027, of 96 it is .031: it takes the longer run.
 @pytest.fixture(scope="module", params=[6, pytest.param(24, marks=pytest.mark.slow)])
 def drawn_texture(request):
-    return {row["quantity"]: row for row in texture.spread_rows(request.param, 1)}
+    return {row["quantity"]: row for row in trabecular_error.compare_texture_with_patients(request.param, 1)}
 
 
 # Quantum noise at 2 mAs lies over the texture there: the slope is flatter than that of real full frames.
@@ -167,7 +167,7 @@ _NOISY = pytest.mark.xfail(
 
 @pytest.mark.parametrize(
     "quantity",
-    [pytest.param(name, marks=_NOISY) if name == "slope_0.8_2" else name for name in references().texture],
+    [pytest.param(name, marks=_NOISY) if name == "slope_0.8_2" else name for name in load_reference_tables().texture],
 )
 def test_a_drawn_knee_of_grade_0_has_texture_like_a_real_one(drawn_texture, quantity):
     row = drawn_texture[quantity]
@@ -179,7 +179,7 @@ def test_a_drawn_knee_of_grade_0_has_texture_like_a_real_one(drawn_texture, quan
 
 
 def test_knees_measure_about_what_is_published():
-    rows = morphometry.knee_rows(8, 1)
+    rows = morphometry.compare_sizes_with_literature(8, 1)
     labels = {row["quantity"]: row["value"] for row in rows if not row["reference"]}
     assert labels["error of jsw_medial_mm"] < 1e-3
     assert labels["error of varus_deg"] < 0.1
@@ -194,8 +194,8 @@ def test_knees_measure_about_what_is_published():
 
 def test_random_knees_build():
     told: list[str] = []
-    (row,) = builds.build_rows(4, 1, told.append)
-    assert told == [f"builds: {done} of 4, 0 refused" for done in range(1, 5)]
+    (row,) = build_success.measure_knee_builds(4, 1, told.append)
+    assert told == [f"builds: {done} of 4 knees, 0 could not be built" for done in range(1, 5)]
     assert -1e-6 < row["least_path_mm"] <= 0
     assert (row["built"], row["refused"], row["first_refusal"]) == (4, 0, "")
     assert row["jsw_error_mm"] < 1e-3
@@ -204,11 +204,12 @@ def test_random_knees_build():
 
 
 def test_a_run_writes_the_tables_that_are_asked_for(tmp_path, monkeypatch):
-    for name in ("spectrum_rows", "stage_rows", "physics_rows", "knee_rows", "agreement_rows"):
-        monkeypatch.setattr(accuracy, name, lambda *a: [{"a": 1, "b": 2.5}])
+    names = ("measure_spectrum_nodes", "measure_cold_and_warm_runs", "compare_physics_with_references")
+    for name in (*names, "compare_sizes_with_literature", "compare_engines"):
+        monkeypatch.setattr(validation, name, lambda *a: [{"a": 1, "b": 2.5}])
     told = []
     asked = ("spectrum", "stages", "agreement")
-    paths = accuracy.measure(tmp_path / "out", workers=1, tables=asked, progress=told.append)
+    paths = validation.run_validation(tmp_path / "out", workers=1, tables=asked, progress=told.append)
     assert [p.name for p in paths] == ["stages.csv", "agreement.csv", "spectrum.csv", "machine.json"]
     assert told == ["stages", "agreement", "spectrum"]
     with open(paths[0]) as handle:
@@ -216,13 +217,13 @@ def test_a_run_writes_the_tables_that_are_asked_for(tmp_path, monkeypatch):
 
 
 def test_an_unknown_table_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"table = 'engine'; allowed: .* \(did you mean 'engines'\?\)"):
-        accuracy.measure(tmp_path, tables=("engine",))
+    with pytest.raises(InputError, match=r"table must be one of .*, got 'engine' \(did you mean 'engines'\?\)"):
+        validation.run_validation(tmp_path, tables=("engine",))
 
 
 @pytest.mark.slow
 def test_stages_are_measured_in_processes_of_their_own():
-    rows = stages.stage_rows(2)
+    rows = stage_times.measure_cold_and_warm_runs(2)
     runs = {row["run"]: row for row in rows if row["engine"] == "embree"}
     assert list(runs) == ["cold", "first", "second"]
     # SpekPy's spectrum is made by the cold run alone.
@@ -234,21 +235,23 @@ def test_a_cold_run_finds_nothing_kept_and_keeps_bytecode(tmp_path, monkeypatch)
         monkeypatch.setenv(name, "elsewhere")
     monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
     code = (
-        "import sys, numba\nfrom pssf.data.store import _folder\n"
-        "print(sys.dont_write_bytecode, sys.pycache_prefix, numba.config.CACHE_DIR, _folder(), sep='\\n')"
+        "import sys, numba\nfrom pssf.data.array_cache import _cache_folder\n"
+        "print(sys.dont_write_bytecode, sys.pycache_prefix, numba.config.CACHE_DIR, _cache_folder(), sep='\\n')"
     )
     command = [sys.executable, "-c", code]
-    done = subprocess.run(command, env=stages._environment(tmp_path), capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        command, env=stage_times._make_cache_environment(tmp_path), capture_output=True, text=True, check=True
+    )
     assert done.stdout.split() == ["False", *(str(tmp_path / name) for name in ("bytecode", "numba", "pssf"))]
 
 
 @pytest.mark.slow
 def test_the_chain_tells_seconds_share_and_error_of_every_stage(monkeypatch, small):
     protocol = dataclasses.replace(small, rows=512, cols=512, pixel_mm=0.6)
-    monkeypatch.setattr(chain, "load_protocol", lambda name: protocol)
-    monkeypatch.setattr(chain, "_PHOTONS", 1_000_000)
-    monkeypatch.setattr(chain, "_RUNS", 1)
-    rows = {row["stage"]: row for row in chain.chain_rows(2)}
+    monkeypatch.setattr(stage_errors, "load_protocol", lambda name: protocol)
+    monkeypatch.setattr(stage_errors, "_PHOTONS", 1_000_000)
+    monkeypatch.setattr(stage_errors, "_RUNS", 1)
+    rows = {row["stage"]: row for row in stage_errors.measure_imaging_chain(2)}
     assert set(rows) >= {"rays", "attenuation", "scatter", "focal spot", "quantum noise", "detector blur", "readout"}
     for engine in ("scanline", "embree"):
         assert sum(row[f"{engine}_share"] for row in rows.values()) == pytest.approx(1, abs=0.01)
@@ -259,11 +262,11 @@ def test_the_chain_tells_seconds_share_and_error_of_every_stage(monkeypatch, sma
 
 
 def test_what_may_be_left_out_of_the_study_is_taken_by_it(tmp_path):
-    for case in ablation.CASES:
-        plan_cohort("quick", seed=0, overrides={**ablation._COHORT, **case.cohort})
+    for case in study_ablation.ABLATION_CASES:
+        plan_cohort("quick", seed=0, overrides={**study_ablation._COHORT, **case.cohort})
         StudySettings(**case.settings)
-        if case.technique:
-            path = ablation._variant(tmp_path, "low_dose", case.technique)
+        if case.protocol_toml:
+            path = study_ablation._write_protocol_variant(tmp_path, "low_dose", case.protocol_toml)
             plain, changed = load_protocol("low_dose"), load_protocol(path)
             assert changed != plain
             assert (changed.name, changed.mas) == ("low_dose", plain.mas)
@@ -274,33 +277,38 @@ def test_times_of_what_is_left_out_are_shares_of_the_whole(monkeypatch):
     asked = []
 
     def timed(out, case, workers):
-        asked.append((out.name, case.what))
+        asked.append((out.name, case.omitted))
         return 27, next(seconds)
 
-    monkeypatch.setattr(ablation, "_timed", timed)
-    rows = ablation.ablation_rows(2, ablation.CASES[:3])
+    monkeypatch.setattr(study_ablation, "_time_case", timed)
+    rows = study_ablation.measure_ablations(2, study_ablation.ABLATION_CASES[:3])
     assert [row["share"] for row in rows] == [1.0, 0.5, 0.25, 0.05]
     assert [name for name, _ in asked] == ["warm", "0", "1", "2", "0"]
 
 
 def located(case, status, kind="study", **measures):
-    usual = dict.fromkeys(localisation._MEASURES, 0.9) | {"scale": 1.0, "apart_mm": 1.0}
+    usual = dict.fromkeys(localisation_rates._MEASURES, 0.9) | {"scale": 1.0, "match_distance_mm": 1.0}
     return {"case": case, "kind": kind, "status": status, "error_mm": 0.5, **usual, **measures}
 
 
 def test_limits_of_localisation_lie_between_what_is_right_and_what_is_wrong_on_purpose(monkeypatch):
     made = [located("right", "found", scale=scale) for scale in (0.8, 1.0)]
-    made += [located("without bones", "no knee", score=both, both=both, way_evidence=-0.1) for both in (0.3, 0.4)]
-    made += [located("wrong side", "wrong side", side_evidence=-0.08), located("right, no pitch", "found", both=0.6)]
-    made += [located("without bones, no pitch", "no knee", both=0.45, side_evidence=-0.3)]
+    made += [
+        located("without bones", "no knee", score=both, mean_score=both, orientation_evidence=-0.1)
+        for both in (0.3, 0.4)
+    ]
+    made += [located("wrong side", "wrong side", side_evidence=-0.08)]
+    made += [located("right, no pitch", "found", mean_score=0.6)]
+    made += [located("without bones, no pitch", "no knee", mean_score=0.45, side_evidence=-0.3)]
     made += [located("pitch x 1.5", "wrong scale", scale=1.44), located("pitch x 0.5", "wrong scale", scale=0.2)]
-    monkeypatch.setattr(localisation, "_located", lambda count, workers, modes, table: made)
-    limits = {row["limit"]: row["simulations"] for row in localisation.limit_rows(2, 1)}
+    monkeypatch.setattr(localisation_rates, "_locate_all_knees", lambda count, workers, modes, table: made)
+    limits = {row["limit"]: row["simulations"] for row in localisation_rates.derive_localisation_limits(2, 1)}
     assert limits == {
-        "both": 0.4, "doubtful": 0.45, "sided": 0.3, "clear": 0.45, "sure": 0.6, "side": 0.08,
-        "way": 0.1, "apart_mm": 1.0, "scale, least": 0.4, "scale, greatest": 1.2,
+        "min_score": 0.4, "min_score_unknown_pitch": 0.45, "min_side_evidence_unknown_pitch": 0.3,
+        "min_score_square_pixels": 0.45, "min_score_stop_search": 0.6, "max_opposite_side_evidence": 0.08,
+        "max_upside_down_evidence": 0.1, "max_match_distance_mm": 1.0, "scale, least": 0.4, "scale, greatest": 1.2,
     }  # fmt: skip
-    rows = {row["case"]: row for row in localisation.localisation_rows(2, 1)}
+    rows = {row["case"]: row for row in localisation_rates.measure_localisation(2, 1)}
     assert (rows["right"]["found"], rows["right"]["mean_error_mm"]) == (2, 0.5)
     assert (rows["without bones"]["found"], rows["without bones"]["as_meant"]) == (0, 2)
     assert (rows["without bones"]["least_score"], rows["without bones"]["most_score"]) == (0.3, 0.4)
@@ -311,12 +319,12 @@ def test_a_knee_is_located_in_every_case(monkeypatch):
 
     def find(case, pixels, knee, protocol, templates, table):
         seen.append((case, pixels.mean()))
-        return SimpleNamespace(row=0.0, col=0.0, status="found", **dict.fromkeys(localisation._MEASURES, 0.0))
+        return SimpleNamespace(row=0.0, col=0.0, status="found", **dict.fromkeys(localisation_rates._MEASURES, 0.0))
 
-    monkeypatch.setattr(localisation, "_find", find)
-    monkeypatch.setattr(localisation, "_SIDE_PX", 64)
-    rows = localisation._of_knee(0, templates=(), modes=0, table=None)
-    assert [row["case"] for row in rows] == list(localisation._CASES)
+    monkeypatch.setattr(localisation_rates, "_locate_joint", find)
+    monkeypatch.setattr(localisation_rates, "_SIDE_PX", 64)
+    rows = localisation_rates._locate_knee_in_all_cases(0, templates=(), modes=0, table=None)
+    assert [row["case"] for row in rows] == list(localisation_rates._CASES)
     means = dict(seen)
-    assert means[localisation._CASES["without bones"]] > means[localisation._CASES["right"]]
+    assert means[localisation_rates._CASES["without bones"]] > means[localisation_rates._CASES["right"]]
     assert rows[0]["error_mm"] > 100

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from pssf.core import aside
-from pssf.core.aside import beside, can_run_beside
+from pssf.core.processes import background_process
+from pssf.core.processes.background_process import can_run_in_background, run_in_background
 
 ROOT = Path(__file__).parents[1]
 
@@ -46,7 +46,7 @@ def processes(monkeypatch):
 
 
 def run_beside(code, patience_s=60.0):
-    return beside("builtins", "exec", code, environment={}, patience_s=patience_s)
+    return run_in_background("builtins", "exec", code, environment={}, timeout_s=patience_s)
 
 
 def test_what_runs_beside_is_done_when_the_block_ends(tmp_path):
@@ -93,9 +93,10 @@ def test_it_is_killed_when_the_block_fails(monkeypatch, tmp_path):
 def test_it_ends_with_a_parent_that_is_killed(tmp_path):
     lines = (
         "import os, time",
-        "from pssf.core.aside import beside",
+        "from pssf.core.processes.background_process import run_in_background",
         f"path = {str(tmp_path / 'ticks')!r}",
-        f"with beside('builtins', 'exec', {ticking(tmp_path / 'ticks')!r}, environment={{}}, patience_s=60.0):",
+        f"with run_in_background('builtins', 'exec', {ticking(tmp_path / 'ticks')!r}, "
+        "environment={}, timeout_s=60.0):",
         "    while not os.path.exists(path):",
         "        time.sleep(0.02)",
         "    os._exit(0)",
@@ -118,13 +119,13 @@ def test_files_of_the_users_folder_are_not_run(monkeypatch, tmp_path):
     [
         (sys, "executable", "/usr/bin/blender"),
         (sys, "executable", None),
-        (aside, "cores", lambda: 1),
-        (aside, "parent_process", lambda: "a pool"),
+        (background_process, "count_cores", lambda: 1),
+        (background_process, "parent_process", lambda: "a pool"),
     ],
 )
 def test_nothing_runs_beside_where_it_would_not_help_or_would_be_something_else(monkeypatch, where, name, value):
-    monkeypatch.setattr(aside, "cores", lambda: 2)
+    monkeypatch.setattr(background_process, "count_cores", lambda: 2)
     monkeypatch.setattr(sys, "executable", "/usr/bin/python3")
-    assert can_run_beside()
+    assert can_run_in_background()
     monkeypatch.setattr(where, name, value)
-    assert not can_run_beside()
+    assert not can_run_in_background()

@@ -4,27 +4,27 @@ import numpy as np
 import pytest
 
 import pssf
-from pssf.data.bones import mean_shape
-from pssf.model.axes import axes
+from pssf.data.anatomy.bone_tables import load_template_anatomy
+from pssf.model.limb_axes import compute_alignment
 
-FEMUR = mean_shape().femur
+FEMUR = load_template_anatomy().femur
 
 
 @pytest.mark.parametrize(("varus_deg", "angle_deg"), [(0.0, 175.0), (5.0, 180.0), (-3.5, 171.5)])
 def test_the_femorotibial_angle_is_lateral_and_straight_at_180(varus_deg, angle_deg):
-    assert axes(pssf.Knee(varus_deg=varus_deg), FEMUR)["femorotibial_deg"] == angle_deg
+    assert compute_alignment(pssf.Knee(varus_deg=varus_deg), FEMUR)["femorotibial_deg"] == angle_deg
 
 
 def test_the_mechanical_axes_of_a_usual_leg_are_nearly_one_line():
     usual, bowed, far = (
-        axes(knee, FEMUR)["hip_knee_ankle_deg"]
+        compute_alignment(knee, FEMUR)["hip_knee_ankle_deg"]
         for knee in (pssf.Knee(), pssf.Knee(varus_deg=4.0), pssf.Knee(mechanical_axis_deg=7.5))
     )
     assert (usual, bowed, far) == (180.4, 184.4, 182.5)
 
 
 def test_all_that_is_read_has_a_name():
-    read = axes(pssf.Knee(tibial_slope_deg=7.5, insall_salvati=1.3), FEMUR)
+    read = compute_alignment(pssf.Knee(tibial_slope_deg=7.5, insall_salvati=1.3), FEMUR)
     assert read == {
         "femorotibial_deg": 175.0, "hip_knee_ankle_deg": 180.4, "tibial_slope_deg": 7.5, "insall_salvati": 1.3,
     }  # fmt: skip
@@ -41,14 +41,16 @@ def test_a_hip_moves_no_pixel():
 
 
 def test_people_differ_in_hips_and_nothing_else_is_drawn_otherwise():
-    drawn = [pssf.draw_knee(grade=2, rng=np.random.default_rng(seed), grade_table="population") for seed in range(200)]
+    drawn = [
+        pssf.sample_knee(grade=2, rng=np.random.default_rng(seed), grade_table="population") for seed in range(200)
+    ]
     angles = np.array([knee.mechanical_axis_deg for knee in drawn])
     # Five standard errors; two deviations are the farthest, which leaves 0.768 of 0.8.
     assert angles.mean() == pytest.approx(5.4, abs=5 * 0.8 / np.sqrt(200))
     assert angles.std() == pytest.approx(0.768, rel=5 / np.sqrt(2 * 200))
     rng = np.random.default_rng(3)
-    assert pssf.draw_knee(grade=2, rng=rng, grade_table="population", mechanical_axis_deg=5.0) == dataclasses.replace(
+    assert pssf.sample_knee(grade=2, rng=rng, grade_table="population", mechanical_axis_deg=5.0) == dataclasses.replace(
         drawn[3], mechanical_axis_deg=5.0
     )
-    right, left = pssf.draw_pair(grade=2, rng=np.random.default_rng(0), grade_table="population")
+    right, left = pssf.sample_knee_pair(grade=2, rng=np.random.default_rng(0), grade_table="population")
     assert right.mechanical_axis_deg == left.mechanical_axis_deg

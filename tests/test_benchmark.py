@@ -11,18 +11,18 @@ import pytest
 
 import pssf
 from pssf import cohort, simulation
-from pssf.benchmark import make, make_benchmark
-from pssf.benchmark.croissant import CONFORMS_TO, croissant
-from pssf.benchmark.hashes import agreement, as_toml, hashes
-from pssf.cohort import plan as plan_module
-from pssf.core.execution import Execution
-from pssf.data.benchmark import frozen_hashes, frozen_set
-from pssf.data.presets import presets
-from pssf.radiomics.patches import Template
+from pssf.benchmark import benchmark_maker, make_benchmark
+from pssf.benchmark.croissant import CONFORMS_TO, build_croissant_metadata
+from pssf.benchmark.image_hashes import count_matching_hashes, format_hashes_toml, hash_subject_pixels
+from pssf.cohort import cohort_plan as plan_module
+from pssf.core.processes.execution import Execution
+from pssf.data.analysis.benchmark_table import load_benchmark_definition, load_benchmark_hashes
+from pssf.data.knees.preset_table import load_presets
+from pssf.radiomics.localisation.templates import Template
 from pssf.study import StudySettings
-from pssf.study.learn import network
-from pssf.study.learn.frozen import films_of, predict, splits_of
-from pssf.study.statistics.provenance import warnings_of
+from pssf.study.learn.benchmark_baselines import build_benchmark_data, make_splits, predict_baselines
+from pssf.study.learn.models import small_network
+from pssf.study.statistics.analyses.leakage_checks import find_leakage_warnings
 
 # Seven knees of six people, one of whom gives both; the fewest that can be split in three parts.
 FEW = {"knees": (4, 0, 3), "bilateral": 1, "doses": (1.0, 0.5), "tilts_deg": (0.0,)}
@@ -55,14 +55,18 @@ def tiny(tmp_path_factory):
     path.write_text("".join(f"{name} = {json.dumps(value)}\n" for name, value in fields.items()))
     templates, wanted = (template(),), {**FEW, "protocols": (str(path),)}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(make, "standard_templates", lambda workers: templates)
+        patch.setattr(benchmark_maker, "make_standard_templates", lambda workers: templates)
         # Numbered grade by grade, so that the data set has something to warn of.
-        patch.setattr(plan_module, "_renumbered", lambda cases, seed: cases)
+        patch.setattr(plan_module, "_renumber_subjects", lambda cases, seed: cases)
         result = make_benchmark(folder / "out", Execution(workers=1), overrides=wanted)
         before = digests(result.folder)
         execution = Execution(workers=1)
         make_benchmark(folder / "out", execution, overrides=wanted)
-    return result, before, {name: (stage.kept, stage.made) for name, stage in execution.timer.stages.items()}
+    return (
+        result,
+        before,
+        {name: (stage.already_done, stage.newly_done) for name, stage in execution.timer.stages.items()},
+    )
 
 
 def digests(folder):
@@ -98,7 +102,7 @@ def test_every_split_has_every_person_once_and_both_knees_of_one_in_one_part(tin
         assert set(tested.loc[tested["repeat"] == repeat, "subject"]) == test
         grades = manifest.merge(split, on="subject").groupby("part")["grade"].nunique()
         assert (grades == 2).all()
-    assert splits["repeat"].nunique() == frozen_set().splits
+    assert splits["repeat"].nunique() == load_benchmark_definition().splits
 
 
 def test_baselines_are_tested_under_every_dose_but_those_that_are_of_the_knee(tiny):
@@ -107,11 +111,11 @@ def test_baselines_are_tested_under_every_dose_but_those_that_are_of_the_knee(ti
     where = rows.groupby("model")["tested_on"].agg(set).to_dict()
     assert where["jsw"] == where["measured"] == {"fixed_flexion"}
     assert where["radiomics"] == {"fixed_flexion", "fixed_flexion_dose50"}
-    there = network.is_installed()
+    there = small_network.is_pytorch_installed()
     assert ("cnn" in where) == there
     assert any("PyTorch is not installed" in note for note in result.notes) != there
-    assert any("fewer than 6 people" in note for note in result.notes)
-    assert result.frozen == (0, 0)  # another data set is held against no hash
+    assert any("fewer than 6 subjects" in note for note in result.notes)
+    assert result.hash_agreement == (0, 0)  # another data set is held against no hash
 
 
 def test_the_datasheet_answers_under_every_heading_and_says_that_these_are_others(tiny):
@@ -119,19 +123,19 @@ def test_the_datasheet_answers_under_every_heading_and_says_that_these_are_other
     assert re.findall(r"^## (.*)$", page, re.MULTILINE) == list(HEADINGS)
     for part in re.split(r"^## .*$", page, flags=re.MULTILINE)[1:]:
         assert len(part.split()) > 20
-    assert "14 radiographs of 7 knees of 6 people; 1 people gave both" in " ".join(page.split())
+    assert "14 radiographs of 7 knees of 6 subjects; both knees are included for 1 of them" in " ".join(page.split())
     assert "**This folder is not benchmark-1**: it was made with other knees and bilateral and doses" in page
     citation = (tiny[0].folder / "CITATION.cff").read_text()
     assert "type: dataset" in citation
-    assert f"version: {frozen_set().version}" in citation
+    assert f"version: {load_benchmark_definition().version}" in citation
     assert "arXiv:2601.11642" in citation
 
 
 def test_where_subjects_are_numbered_by_grade_it_is_told_that_names_are_not_to_be_learnt_from(tiny):
     (told,) = [note for note in tiny[0].notes if "numbered by their grade" in note]
-    assert "names of files that have it, knows the grade: leave them out of what is learnt from" in told
+    assert "file names that contain it, can predict the grade. Do not use them as predictors" in told
     page = (tiny[0].folder / "datasheet.md").read_text()
-    assert f"**Mind:** {told}" in page.split("## Collection process")[0].split("## Composition")[1]
+    assert f"**Warning:** {told}" in page.split("## Collection process")[0].split("## Composition")[1]
 
 
 def held_by_croissant(described):
@@ -192,7 +196,7 @@ def test_mlcroissant_reads_labels_and_splits(tiny):
 
 def test_columns_that_a_manifest_lacks_are_not_described():
     files = {name: ("0" * 64, 1) for name in ("manifest.csv", "splits.csv")}
-    described = croissant(frozen_set(), files, ["radiograph", "grade"])
+    described = build_croissant_metadata(load_benchmark_definition(), files, ["radiograph", "grade"])
     held_by_croissant(described)
     names = [field["@id"] for field in described["recordSet"][0]["field"]]
     assert names == ["radiographs/radiograph", "radiographs/grade", "radiographs/image"]
@@ -200,7 +204,7 @@ def test_columns_that_a_manifest_lacks_are_not_described():
 
 def test_numbers_of_its_people_tell_no_grade_and_change_no_image(monkeypatch):
     whole = cohort.plan_cohort("benchmark-1", seed=0)
-    monkeypatch.setattr(plan_module, "_renumbered", lambda cases, seed: cases)
+    monkeypatch.setattr(plan_module, "_renumber_subjects", lambda cases, seed: cases)
     by_grade = cohort.plan_cohort("benchmark-1", seed=0)
 
     def images(plan):
@@ -212,44 +216,49 @@ def test_numbers_of_its_people_tell_no_grade_and_change_no_image(monkeypatch):
     assert sorted({case.subject for case in whole.cases}) == list(range(1000))
     for case in whole.cases:
         assert all(taken.name.startswith(f"s{case.subject:04d}_k{case.index:04d}_fixed") for taken in case.exposures)
-    for plan, told in ((by_grade, 1), (whole, 0), (cohort.some_people(whole, 50), 0)):
+    for plan, told in ((by_grade, 1), (whole, 0), (cohort.select_subjects(whole, 50), 0)):
         rows = [(case.subject, case.index, case.knee.grade) for case in plan.cases]
         people = pd.DataFrame(rows, columns=["subject", "knee", "grade"])
         assert people["subject"].is_monotonic_increasing
         assert people.groupby("subject")["grade"].nunique().max() == 1
-        assert sum("numbered by their grade" in line for line in warnings_of(people.assign(protocol="one"))) == told
+        assert (
+            sum("numbered by their grade" in line for line in find_leakage_warnings(people.assign(protocol="one")))
+            == told
+        )
 
 
 def test_some_people_are_spread_over_the_grades_with_the_images_of_the_whole():
     whole = cohort.plan_cohort("benchmark-1", seed=0)
-    part, fewer = cohort.some_people(whole, 50), cohort.some_people(whole, 25)
+    part, fewer = cohort.select_subjects(whole, 50), cohort.select_subjects(whole, 25)
     assert set(fewer.cases) < set(part.cases) < set(whole.cases)
     people = {case.subject: case.knee.grade for case in part.cases}
     assert sorted(people.values()) == sorted([0, 1, 2, 3, 4] * 10)
     assert len(part.cases) > 50  # some gave both knees
     for wrong in (0, 7, 1005):
-        with pytest.raises(pssf.InputError, match=rf"people = {wrong}; allowed: a multiple of 5 grades, to 1000"):
-            cohort.some_people(whole, wrong)
+        with pytest.raises(pssf.InputError, match=rf"people must be a multiple of 5, .* up to 1000, got {wrong}"):
+            cohort.select_subjects(whole, wrong)
 
 
 def test_a_hash_is_of_a_persons_pixels_and_the_radiographs_names_and_of_nothing_else():
     images = {f"{k}.tif": np.full((4, 4), k, np.uint16) for k in range(3)}
     rows = [{"subject": k // 2, "radiograph": f"r{k}", "file": f"{k}.tif"} for k in range(3)]
-    made = hashes(pd.DataFrame(rows), images.__getitem__)
+    made = hash_subject_pixels(pd.DataFrame(rows), images.__getitem__)
     assert set(made) == {"0", "1"}
-    assert hashes(pd.DataFrame(rows[::-1]), images.__getitem__) == made
+    assert hash_subject_pixels(pd.DataFrame(rows[::-1]), images.__getitem__) == made
     images["1.tif"] = images["1.tif"] + np.uint16(1)
-    other = hashes(pd.DataFrame(rows), images.__getitem__)
+    other = hash_subject_pixels(pd.DataFrame(rows), images.__getitem__)
     assert (other["0"] == made["0"], other["1"] == made["1"]) == (False, True)
     images["1.tif"] = images["1.tif"] - np.uint16(1)
     elsewhere = {row["file"]: f"moved/{row['file']}" for row in rows}
     moved = [row | {"file": elsewhere[row["file"]], "dose": 1.0} for row in rows]
-    assert hashes(pd.DataFrame(moved), lambda file: images[file.removeprefix("moved/")]) == made
-    renamed = hashes(pd.DataFrame([rows[0], rows[1], rows[2] | {"radiograph": "other"}]), images.__getitem__)
+    assert hash_subject_pixels(pd.DataFrame(moved), lambda file: images[file.removeprefix("moved/")]) == made
+    renamed = hash_subject_pixels(
+        pd.DataFrame([rows[0], rows[1], rows[2] | {"radiograph": "other"}]), images.__getitem__
+    )
     assert (renamed["0"] == made["0"], renamed["1"] == made["1"]) == (True, False)
-    assert agreement(other, made) == (1, 2)
-    assert agreement(made, {}) == (0, 0)
-    assert f'"0" = "{made["0"]}"' in as_toml(made)
+    assert count_matching_hashes(other, made) == (1, 2)
+    assert count_matching_hashes(made, {}) == (0, 0)
+    assert f'"0" = "{made["0"]}"' in format_hashes_toml(made)
 
 
 def made_up(per_grade=12):
@@ -273,11 +282,13 @@ def made_up(per_grade=12):
 
 def test_baselines_learn_from_one_protocol_and_from_training_people_alone():
     usable = made_up()
-    splits = splits_of(usable, LIGHT)
+    splits = make_splits(usable, LIGHT)
     parameters = usable.drop_duplicates("knee")[["knee", "nominal_jsw_medial_mm", "nominal_jsw_lateral_mm"]]
 
     def scores(table):
-        predictions = predict(films_of(table, ["signal", "noise"], parameters, LIGHT), splits, LIGHT, Execution())
+        predictions = predict_baselines(
+            build_benchmark_data(table, ["signal", "noise"], parameters, LIGHT), splits, LIGHT, Execution()
+        )
         return predictions.set_index(["repeat", "model", "radiograph"]).sort_index()
 
     first = scores(usable)
@@ -299,62 +310,69 @@ def test_baselines_learn_from_one_protocol_and_from_training_people_alone():
 
 def test_baselines_of_nothing_to_learn_from_are_refused():
     usable = made_up()
-    splits, names = splits_of(usable, LIGHT), ["signal", "noise"]
+    splits, names = make_splits(usable, LIGHT), ["signal", "noise"]
     parameters = usable.drop_duplicates("knee")[["knee", "nominal_jsw_medial_mm", "nominal_jsw_lateral_mm"]]
     for found in (usable[usable["protocol"] == "two"], usable[:0]):
-        with pytest.raises(pssf.InputError, match="regions found under one = 0; allowed: 1 or more"):
-            films_of(found, names, parameters, LIGHT)
-    films = films_of(usable[usable["grade"] == 2], names, parameters, LIGHT)
-    with pytest.raises(pssf.InputError, match=r"grades with a region found = \[2\]; allowed: those of one of 0 vs 2, "):
-        predict(films, splits, LIGHT, Execution())
+        with pytest.raises(pssf.InputError, match="at least one region must be located under one, got 0"):
+            build_benchmark_data(found, names, parameters, LIGHT)
+    films = build_benchmark_data(usable[usable["grade"] == 2], names, parameters, LIGHT)
+    with pytest.raises(
+        pssf.InputError, match=r"grades with a located region must be those of one of 0 vs 2, .*got \[2\]"
+    ):
+        predict_baselines(films, splits, LIGHT, Execution())
 
 
 @pytest.mark.parametrize("side_px", [16, 110, 127, 128, 511, 512, 513])
 def test_a_network_sees_no_more_than_it_is_said_to(side_px):
-    shown = network.seen(np.full((side_px, side_px), 7, np.uint16), "left")
-    assert min(side_px, network.SIDE_PX) / 2 < shown.shape[0] <= network.SIDE_PX
+    shown = small_network.make_network_input(np.full((side_px, side_px), 7, np.uint16), "left")
+    assert min(side_px, small_network.INPUT_SIDE_PX) / 2 < shown.shape[0] <= small_network.INPUT_SIDE_PX
     assert np.allclose(shown, np.log(7))
 
 
 def test_a_network_sees_medial_on_one_side():
     region = np.arange(1, 129 * 128 + 1, dtype=np.uint16)[: 128 * 128].reshape(128, 128)
-    right, left = network.seen(region, "right"), network.seen(region[:, ::-1], "left")
+    right, left = (
+        small_network.make_network_input(region, "right"),
+        small_network.make_network_input(region[:, ::-1], "left"),
+    )
     assert right.shape == (64, 64)
     assert np.array_equal(right, left)
 
 
 def test_without_pytorch_the_reason_is_told(monkeypatch):
-    monkeypatch.setattr(network, "find_spec", lambda name: None)
-    from pssf.study.learn.frozen import without_network
+    monkeypatch.setattr(small_network, "find_spec", lambda name: None)
+    from pssf.study.learn.benchmark_baselines import explain_missing_network
 
-    assert without_network() == "not run: PyTorch is not installed (pip install '.[cnn]')"
+    assert explain_missing_network() == "not run: PyTorch is not installed (pip install '.[cnn]')"
 
 
-@pytest.mark.skipif(not network.is_installed(), reason="PyTorch, of the extra `cnn`, is not installed")
+@pytest.mark.skipif(not small_network.is_pytorch_installed(), reason="PyTorch, of the extra `cnn`, is not installed")
 def test_a_network_learns_and_is_the_same_for_the_same_seed():
     rng = np.random.default_rng(0)
     truth = np.arange(60) % 2
     images = rng.normal(size=(60, 32, 32)).astype(np.float32)
     images[truth == 1, 8:20, 8:20] += 1.5
     parts = (images[:40], truth[:40]), (images[40:50], truth[40:50])
-    one, again, other = (network.learnt(*parts, 2, seed=seed)(images[50:]) for seed in (1, 1, 2))
+    one, again, other = (small_network.train_network(*parts, 2, seed=seed)(images[50:]) for seed in (1, 1, 2))
     assert np.array_equal(one, again)
     assert not np.array_equal(one, other)
     assert np.allclose(one.sum(axis=1), 1.0)
     assert ((one[:, 1] > 0.5) == (truth[50:] == 1)).mean() >= 0.9
     (train, known), (check, known_too) = parts
     # Labels that are tied to nothing are not learnt: 20 unseen images, half of them right by chance.
-    shuffled = network.learnt((train, rng.permutation(known)), (check, rng.permutation(known_too)), 2, seed=1)
+    shuffled = small_network.train_network(
+        (train, rng.permutation(known)), (check, rng.permutation(known_too)), 2, seed=1
+    )
     assert ((shuffled(images[50:])[:, 1] > 0.5) == (truth[50:] == 1)).mean() < 1.0
     # What it says of an image does not hang on the others that it is asked of.
-    learnt = network.learnt(*parts, 2, seed=1)
+    learnt = small_network.train_network(*parts, 2, seed=1)
     assert np.allclose(np.concatenate([learnt(image[None]) for image in images[50:]]), one, atol=1e-6)
 
 
 def test_the_command_refuses_people_that_cannot_be_had(tmp_path):
-    with pytest.raises(pssf.InputError, match="people = 3; allowed: a multiple of 5"):
+    with pytest.raises(pssf.InputError, match=r"people must be a multiple of 5, .* got 3"):
         make_benchmark(tmp_path / "out", Execution(workers=1), people=3)
-    with pytest.raises(pssf.InputError, match=r"grade 0 has 1 subjects .*allowed: 3 or more"):
+    with pytest.raises(pssf.InputError, match=r"grade 0 must have at least 3 subjects .*got 1"):
         make_benchmark(tmp_path / "out", Execution(workers=1), people=5)
     assert not (tmp_path / "out").exists()
 
@@ -368,12 +386,12 @@ def test_fifty_people_are_as_they_were_frozen(tmp_path):
     assert set(made.baselines["task"]) == {"0 vs 2", "0 vs 3+4", "0/1/2/3/4"}
     held_by_croissant(json.loads((made.folder / "croissant.json").read_text()))
     assert cohort.verify_cohort(made.folder).faults == ()
-    assert "a part of it: 50 of 1000 people" in (made.folder / "datasheet.md").read_text()
+    assert "a part of it: 50 of 1000 subjects" in (made.folder / "datasheet.md").read_text()
     # Other images are another data set: a change that makes them gets another name, or writes the hashes anew.
-    assert len(frozen_hashes()) == 1000
-    assert made.frozen == (50, 50)
+    assert len(load_benchmark_hashes()) == 1000
+    assert made.hash_agreement == (50, 50)
 
 
 def test_the_preset_is_the_one_that_is_told_of():
-    assert frozen_set().preset in presets()
-    assert presets()[frozen_set().preset].repeats == frozen_set().splits
+    assert load_benchmark_definition().preset in load_presets()
+    assert load_presets()[load_benchmark_definition().preset].repeats == load_benchmark_definition().splits

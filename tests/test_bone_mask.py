@@ -8,18 +8,18 @@ import pytest
 from phantoms import PIXEL_MM, phantom
 from scipy.ndimage import gaussian_filter
 
-from pssf import draw_knee, load_protocol, simulate
-from pssf.radiomics.bone import bone_mask
-from pssf.radiomics.overlap import overlap
-from pssf.radiomics.region import cut_region
-from pssf.radiomics.shape2d import shape
+from pssf import load_protocol, sample_knee, simulate
+from pssf.radiomics.features.bone_mask import segment_bone
+from pssf.radiomics.features.mask_overlap import compute_mask_overlap
+from pssf.radiomics.features.shape2d import measure_shape
+from pssf.radiomics.localisation.region_of_interest import cut_region
 
 PITCH_MM, REGION_PX = 0.45, 170
 
 
 def region_and_bone(protocol: str, grade: int):
     """Region about the medial joint line, and the projected bone in it, of a knee of the population."""
-    knee = draw_knee(grade=grade, rng=57 + grade, grade_table="population")
+    knee = sample_knee(grade=grade, rng=57 + grade, grade_table="population")
     wide = replace(load_protocol(protocol), rows=680, cols=680, pixel_mm=PITCH_MM)
     radiograph = simulate(knee, wide, engine="scanline", keep=("masks",), seed=3)
     assert radiograph.truth is not None
@@ -31,7 +31,7 @@ def region_and_bone(protocol: str, grade: int):
 @pytest.mark.parametrize(("protocol", "grade"), [("reference", 0), ("fixed_flexion", 2), ("ap_standing", 4)])
 def test_the_bone_mask_agrees_with_the_projected_bones(protocol, grade):
     region, bone = region_and_bone(protocol, grade)
-    agreement = overlap(bone_mask(region, PITCH_MM), bone, PITCH_MM)
+    agreement = compute_mask_overlap(segment_bone(region, PITCH_MM), bone, PITCH_MM)
     assert agreement["dice"] > 0.95
     assert 0.90 < agreement["area"] < 1.05
     # Otsu's threshold alone fills the joint space: outlines 3 to 10 mm apart.
@@ -41,30 +41,32 @@ def test_the_bone_mask_agrees_with_the_projected_bones(protocol, grade):
 def test_a_steeper_fall_of_soft_tissue_does_not_move_the_bone_mask():
     image = phantom(160, 160)[96:224, 96:224].astype(float)
     fall = np.exp(0.01 * np.arange(128))  # 3.6 times the signal from one side of the region to the other
-    plain, steep = (bone_mask(np.rint(of).astype(np.uint16), PIXEL_MM) for of in (image, image * fall / fall.max()))
-    assert overlap(steep, plain, PIXEL_MM)["dice"] > 0.98
+    plain, steep = (segment_bone(np.rint(of).astype(np.uint16), PIXEL_MM) for of in (image, image * fall / fall.max()))
+    assert compute_mask_overlap(steep, plain, PIXEL_MM)["dice"] > 0.98
 
 
 def test_the_bone_mask_does_not_depend_on_gain_or_noise_of_a_low_dose():
     image = phantom(160, 160)[96:224, 96:224]
-    plain = bone_mask(image, PIXEL_MM)
-    assert overlap(bone_mask(image * np.uint16(2), PIXEL_MM), plain, PIXEL_MM)["dice"] > 0.999
+    plain = segment_bone(image, PIXEL_MM)
+    assert compute_mask_overlap(segment_bone(image * np.uint16(2), PIXEL_MM), plain, PIXEL_MM)["dice"] > 0.999
     noisy = phantom(160, 160, noise=4.0, seed=1)[96:224, 96:224]
-    assert overlap(bone_mask(noisy, PIXEL_MM), plain, PIXEL_MM)["dice"] > 0.97
+    assert compute_mask_overlap(segment_bone(noisy, PIXEL_MM), plain, PIXEL_MM)["dice"] > 0.97
 
 
 @pytest.mark.parametrize("size", [4, 16, 24])
 def test_a_region_smaller_than_the_band_has_a_mask(size):
     noise = np.random.default_rng(size).standard_normal((size, size))
     region = np.rint(1000 + 100 * gaussian_filter(noise, 1.0)).astype(np.uint16)
-    mask = bone_mask(region, 0.5)
+    mask = segment_bone(region, 0.5)
     assert mask.shape == region.shape
     assert mask.any()
 
 
 def test_shape_of_the_bone_is_nearly_the_same_under_other_noise():
     perimeters = [
-        shape(bone_mask(phantom(160, 160, noise=4.0, seed=seed)[96:224, 96:224], PIXEL_MM), PIXEL_MM)["Perimeter"]
+        measure_shape(segment_bone(phantom(160, 160, noise=4.0, seed=seed)[96:224, 96:224], PIXEL_MM), PIXEL_MM)[
+            "Perimeter"
+        ]
         for seed in range(4)
     ]
     assert np.ptp(perimeters) < 0.05 * np.mean(perimeters)

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from scipy.special import expit
 
-from pssf.study.statistics.calibration import calibration, confusions, reliability_curve
+from pssf.study.statistics.scores.calibration import compute_calibration, compute_calibration_curve, count_confusions
 
 
 def predictions(truth: np.ndarray, p1: np.ndarray) -> pd.DataFrame:
@@ -19,14 +19,14 @@ def test_calibration_finds_the_slope_and_intercept_that_were_put_in(stretch, shi
     rng = np.random.default_rng(0)
     logit = 1.5 * rng.normal(size=20_000)
     truth = (rng.random(20_000) < expit(logit)).astype(int)
-    row = calibration(predictions(truth, expit(stretch * logit + shift))).iloc[0]
+    row = compute_calibration(predictions(truth, expit(stretch * logit + shift))).iloc[0]
     # Standard errors of logistic regression on 20000 rows are below 0.025; bound at 4.
     assert row["slope"] == pytest.approx(1 / stretch, abs=0.1)
     assert row["intercept"] == pytest.approx(-shift / stretch, abs=0.1)
     if stretch == 1 and shift == 0:
         p1 = expit(logit)
         assert row["brier"] == pytest.approx((p1 * (1 - p1)).mean(), abs=4 * 0.25 / np.sqrt(20_000))
-        curve = reliability_curve(predictions(truth, p1))
+        curve = compute_calibration_curve(predictions(truth, p1))
         spread = 0.5 / np.sqrt(curve["predictions"])
         assert ((curve["mean_probability"] - curve["observed_share"]).abs() < 4 * spread).all()
         assert curve["predictions"].sum() == 20_000
@@ -34,12 +34,12 @@ def test_calibration_finds_the_slope_and_intercept_that_were_put_in(stretch, shi
 
 @pytest.mark.parametrize("p1", [np.array([0.1, 0.2, 0.8, 0.9]), np.full(4, 0.5), np.array([0.0, 0.0, 1.0, 1.0])])
 def test_a_slope_that_is_not_finite_is_undefined(p1):
-    row = calibration(predictions(np.array([0, 0, 1, 1]), p1)).iloc[0]
+    row = compute_calibration(predictions(np.array([0, 0, 1, 1]), p1)).iloc[0]
     assert np.isnan(row["slope"])
     assert row["brier"] == pytest.approx(((p1 - [0, 0, 1, 1]) ** 2).mean())
 
 
 def test_confusion_counts_every_prediction_of_every_split():
     both = [predictions(np.array([0, 0, 1]), np.array([0.2, 0.7, 0.9])).assign(repeat=repeat) for repeat in (0, 1)]
-    table = confusions(pd.concat(both, ignore_index=True)).set_index(["true_grade", "predicted_grade"])["count"]
+    table = count_confusions(pd.concat(both, ignore_index=True)).set_index(["true_grade", "predicted_grade"])["count"]
     assert table.to_dict() == {(0, 0): 2, (0, 2): 2, (2, 0): 0, (2, 2): 2}

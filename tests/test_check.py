@@ -10,7 +10,17 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from test_negative import folded_plate
 
-from pssf import InputError, Knee, Scene, Surface, build, check, load_protocol, simulate, trace
+from pssf import (
+    InputError,
+    Knee,
+    Scene,
+    Surface,
+    build,
+    check,
+    load_protocol,
+    simulate,
+    trace,
+)
 
 PROTOCOL = dataclasses.replace(load_protocol("reference"), rows=64, cols=64, pixel_mm=5.0)
 
@@ -65,7 +75,7 @@ def test_what_is_mended_is_in_the_report():
     inverted.invert()
     report = check(Scene([water(inverted)]))
     assert report.ok
-    assert str(report) == "mended: thing: mesh is inside out; faces: 1280; turned outward"
+    assert str(report) == "mended: thing: mesh is inside out; faces: 1280; flipped outward"
 
 
 def test_a_mesh_that_overlaps_itself_is_noted():
@@ -82,7 +92,7 @@ def test_edges_of_more_than_two_faces_are_noted():
     other.apply_translation([10, 0, 10])
     joined = trimesh.util.concatenate([one, other])
     joined.merge_vertices()
-    assert "noted: thing: edges of more than two faces: 1, first " in str(check(Scene([water(joined)])))
+    assert "noted: thing: edges with more than two faces: 1, first " in str(check(Scene([water(joined)])))
 
 
 def test_a_hole_flush_with_a_wall_is_no_overlap():
@@ -98,7 +108,7 @@ def test_a_hole_flush_with_a_wall_is_no_overlap():
 def test_faces_with_two_equal_corners_make_no_edges_of_more_than_two_faces():
     box = trimesh.creation.box(3 * [40])
     pointed = trimesh.Trimesh(box.vertices, np.vstack((box.faces, [[3, 3, 3]])), process=False)
-    line = "mended: thing: faces with two equal corners: 1, first 12; left out"
+    line = "mended: thing: faces with a repeated vertex: 1, first 12; removed"
     assert str(check(Scene([water(pointed)]))) == line
 
 
@@ -110,7 +120,7 @@ def test_edges_are_named_by_the_vertices_that_the_user_has():
     spare = np.full((7, 3), 99.0)
     shifted = trimesh.Trimesh(np.vstack((spare, joined.vertices)), joined.faces + 7, process=False)
     (fault,) = check(Scene([water(shifted)])).faults
-    places = [shifted.vertices[int(number)] for number in fault.first[0].split("-")]
+    places = [shifted.vertices[int(number)] for number in fault.first_items[0].split("-")]
     assert_allclose(sorted(place[1] for place in places), [-5, 5])
     assert {(place[0], place[2]) for place in places} == {(5.0, 5.0)}
 
@@ -142,7 +152,7 @@ def test_a_screw_that_says_it_is_in_muscle_and_is_in_bone_is_noted():
     screw = trimesh.creation.cylinder(3.0, 30.0)
     (fault,) = check(leg_with(bone("femur", 0.0), Surface(screw, "Ti@4.51", "muscle", "screw"))).faults
     assert (fault.surface, fault.outcome) == ("screw", "noted")
-    assert fault.what.startswith("outside is muscle, but cortical_bone (femur) is there, over up to 5.9")
+    assert fault.problem.startswith("outside is muscle, but cortical_bone (femur) is there, over up to 5.9")
     assert 100 < fault.count < 250
     right = leg_with(bone("femur", 0.0), Surface(screw, "Ti@4.51", "cortical_bone", "screw"))
     assert str(check(right)) == "no faults"
@@ -165,10 +175,10 @@ def test_a_surface_that_names_what_does_not_surround_it_is_refused_as_trace_refu
     assert noted.startswith(
         "noted: inner: outside is cortical_bone, but water (thing) is there, over up to 20 mm of a ray"
     )
-    assert refused.startswith("refused: cortical_bone: path length comes out negative, down to -19.96 mm; rays")
+    assert refused.startswith("refused: cortical_bone: path length is negative, down to -19.96 mm; number of rays")
     assert "; inner: outside is cortical_bone, but water (thing) is there" in refused
     with pytest.raises(
-        InputError, match=r"^cortical_bone: path length -.*: inner: outside is cortical_bone, but water"
+        InputError, match=r"^cortical_bone: path length must be .*, got -.*: inner: outside is cortical_bone, but water"
     ):
         trace(scene, PROTOCOL)
 
@@ -184,10 +194,12 @@ def test_what_check_accepts_in_a_view_is_simulated_and_what_it_refuses_trace_ref
     if report.ok:
         paths = trace(scene, FINE, engine=engine)
         assert paths.path_mm["cortical_bone"].min() == pytest.approx(-depth_mm, rel=0.01)
-        assert "noted: cortical_bone: path length comes out negative, but no further than -0.0" in str(report)
+        assert "noted: cortical_bone: path length is slightly negative, down to -0.0" in str(report)
         assert simulate(scene, FINE, engine=engine, paths=paths).pixels.min() > 0
     else:
-        with pytest.raises(InputError, match=r"^cortical_bone: path length -.*: plate: its mesh overlaps itself or is"):
+        with pytest.raises(
+            InputError, match=r"^cortical_bone: path length must be .*, got -.*: plate: its mesh overlaps itself or is"
+        ):
             trace(scene, FINE, engine=engine)
 
 
@@ -201,7 +213,7 @@ def test_with_a_protocol_what_no_ray_meets_is_noted():
         water(ball(at=(900.0, 0.0, 0.0)), "beside"),
     ])  # fmt: skip
     lines = str(check(scene, PROTOCOL)).splitlines()
-    assert "noted: behind: vertices behind the source: 642; that part is not on the way of any ray" in lines
+    assert "noted: behind: vertices behind the source: 642; no ray crosses that part" in lines
     assert "noted: beside: covers no pixel; it is not in the image" in lines
     assert any(line.startswith("noted: through: vertices behind the detector: ") for line in lines)
     assert str(check(scene)) == "no faults"

@@ -6,9 +6,9 @@ import shutil
 
 import pytest
 
-from pssf.data.reporting import guidelines
-from pssf.io.evidence import lacking
-from pssf.study.report.checklist import STATUSES, checklist
+from pssf.data.analysis.reporting_table import load_reporting_guidelines
+from pssf.io.file_conditions import find_unmet_condition
+from pssf.study.report.reporting_checklist import STATUSES, fill_checklist
 
 
 def write_table(path, rows):
@@ -62,31 +62,33 @@ def folder(whole, tmp_path):
 
 def status(folder, guideline, item):
     (one,) = [
-        one for one in checklist(folder, guidelines())["items"] if (one["guideline"], one["id"]) == (guideline, item)
+        one
+        for one in fill_checklist(folder, load_reporting_guidelines())["items"]
+        if (one["guideline"], one["id"]) == (guideline, item)
     ]
     return one["status"], one["evidence"]
 
 
 def test_what_a_whole_study_has_answers_all_that_a_program_can(whole):
-    answered = checklist(whole, guidelines())
-    asked = {(name, item.id): item.status for name, one in guidelines().items() for item in one.items}
+    answered = fill_checklist(whole, load_reporting_guidelines())
+    asked = {(name, item.id): item.status for name, one in load_reporting_guidelines().items() for item in one.items}
     given = {(item["guideline"], item["id"]): item["status"] for item in answered["items"]}
     assert given == asked
     assert {item["status"] for item in answered["items"]} <= set(STATUSES)
     assert sum(answered["summary"]["METRICS"].values()) == 30
-    weights = {item.id: item.weight for item in guidelines()["METRICS"].items if item.status != "none"}
+    weights = {item.id: item.weight for item in load_reporting_guidelines()["METRICS"].items if item.status != "none"}
     ours = [item for item in answered["items"] if item["guideline"] == "METRICS"]
     earned = sum(weights[item["id"]] for item in ours if item["status"] == "yes")
     assert answered["metrics_score_percent"] == round(100 * earned / sum(weights.values()), 1)
 
 
 def test_an_empty_folder_answers_nothing(tmp_path):
-    items = checklist(tmp_path, guidelines())["items"]
+    items = fill_checklist(tmp_path, load_reporting_guidelines())["items"]
     assert not [item for item in items if item["status"] == "yes"]
     (no,) = [item for item in items if (item["guideline"], item["id"]) == ("CLEAR", "40")]
     assert no == {
         "guideline": "CLEAR", "id": "40", "item": "Uncertainty", "status": "no",
-        "evidence": f"{WIDE}: not so in this run",
+        "evidence": f"{WIDE}: not met in this run",
     }  # fmt: skip
 
 
@@ -202,16 +204,16 @@ CONTENT = [
 def test_an_item_whose_content_is_missing_is_not_answered(folder, guideline, item, lacks, harm):
     assert status(folder, guideline, item)[0] == "yes"
     harm(folder)
-    assert status(folder, guideline, item) == ("no", f"{lacks}: not so in this run")
+    assert status(folder, guideline, item) == ("no", f"{lacks}: not met in this run")
 
 
 def test_a_header_alone_is_no_evidence(tmp_path):
     (tmp_path / "scores.csv").write_text("model,auc\n")
-    assert lacking(tmp_path, "scores.csv auc") == "scores.csv auc"
+    assert find_unmet_condition(tmp_path, "scores.csv auc") == "scores.csv auc"
     (tmp_path / "scores.csv").write_text("model,auc\nlr,0.5\n")
-    assert lacking(tmp_path, "scores.csv auc") == ""
-    assert lacking(tmp_path, "scores.csv auc; scores.csv model = rf") == "scores.csv model = rf"
-    assert lacking(tmp_path, "scores.csv auc >= 0.6") == "scores.csv auc >= 0.6"
+    assert find_unmet_condition(tmp_path, "scores.csv auc") == ""
+    assert find_unmet_condition(tmp_path, "scores.csv auc; scores.csv model = rf") == "scores.csv model = rf"
+    assert find_unmet_condition(tmp_path, "scores.csv auc >= 0.6") == "scores.csv auc >= 0.6"
 
 
 @pytest.mark.parametrize(
@@ -231,12 +233,12 @@ def test_a_header_alone_is_no_evidence(tmp_path):
 )
 def test_every_row_is_asked_but_for_those_that_are_spared(tmp_path, asked, rows, held):
     (tmp_path / "some.csv").write_text(f"a,b\n{rows}\n")
-    assert (lacking(tmp_path, f"some.csv {asked}") == "") == held
+    assert (find_unmet_condition(tmp_path, f"some.csv {asked}") == "") == held
 
 
 def test_a_file_that_cannot_be_read_is_no_evidence(tmp_path):
     (tmp_path / "study.json").write_text("{")
-    assert lacking(tmp_path, "study.json settings.bins") == "study.json settings.bins"
+    assert find_unmet_condition(tmp_path, "study.json settings.bins") == "study.json settings.bins"
     (tmp_path / "study.json").write_text('{"settings": {"bins": 0, "none": {}}}')
-    assert lacking(tmp_path, "study.json settings.bins") == ""
-    assert lacking(tmp_path, "study.json settings.none") == "study.json settings.none"
+    assert find_unmet_condition(tmp_path, "study.json settings.bins") == ""
+    assert find_unmet_condition(tmp_path, "study.json settings.none") == "study.json settings.none"

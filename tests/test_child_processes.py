@@ -8,17 +8,17 @@ import sys
 import pytest
 
 import pssf
-from pssf.core.child_processes import python_command, safe_start
-from pssf.core.parallel import cores, ordered_map
+from pssf.core.processes.child_processes import build_python_command, start_without_working_folder
+from pssf.core.processes.parallel_map import count_cores, map_in_parallel
 
 TINY = 'base = "reference"\nname = "tiny"\nrows = 64\ncols = 64\npixel_mm = 4.8\nscatter = "none"\ntexture = "none"\n'
 # Modules of the standard library that starting and loading a worker takes, among them those of the report.
 SHADOWS = ("signal", "struct", "random", "selectors", "pickle", "socket", "tempfile", "logging")
 MAPPED = """
-from pssf.core.parallel import ordered_map
+from pssf.core.processes.parallel_map import map_in_parallel
 
 if __name__ == "__main__":
-    print(ordered_map(abs, [-1, -2, -3], shared={}, workers=2))
+    print(map_in_parallel(abs, [-1, -2, -3], shared={}, workers=2))
 """
 
 
@@ -52,7 +52,7 @@ def test_processes_of_the_page_do_not_run_files_of_the_working_folder(folder):
     code = """
 import multiprocessing
 multiprocessing.get_context("spawn")  # this program's own imports are its own affair
-from pssf.explore.worker import Worker
+from pssf.explore.page_worker import Worker
 if __name__ == "__main__":
     worker = Worker()
     try:
@@ -67,7 +67,7 @@ if __name__ == "__main__":
 
 
 def test_a_command_of_python_has_the_path_of_this_process_and_nothing_before_it(folder):
-    command = python_command("import signal, json; print(json.dumps([sys.path, sys.argv[1:]]))", "one", "two")
+    command = build_python_command("import signal, json; print(json.dumps([sys.path, sys.argv[1:]]))", "one", "two")
     assert str(list(map(str, sys.path)))[1:-1].replace("'", '"') in called(*command)
 
 
@@ -82,7 +82,7 @@ def test_starting_leaves_environment_and_main_module_as_they_were(monkeypatch):
         monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
         if value is not None:
             monkeypatch.setenv("PYTHONSAFEPATH", value)
-        with safe_start():
+        with start_without_working_folder():
             assert os.environ["PYTHONSAFEPATH"] == "1"
             assert main.__file__ is None
         assert os.environ.get("PYTHONSAFEPATH") == value
@@ -91,9 +91,9 @@ def test_starting_leaves_environment_and_main_module_as_they_were(monkeypatch):
 
 def in_daemon(answers):
     try:
-        ordered_map(abs, [-1, -2], shared={}, workers=2)
+        map_in_parallel(abs, [-1, -2], shared={}, workers=2)
     except pssf.InputError as error:
-        answers.put((cores(), ordered_map(abs, [-1, -2], shared={}, workers=cores()), str(error)))
+        answers.put((count_cores(), map_in_parallel(abs, [-1, -2], shared={}, workers=count_cores()), str(error)))
 
 
 def test_a_daemonic_process_works_alone_and_refuses_more_workers():

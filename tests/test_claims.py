@@ -5,8 +5,17 @@ import scipy.stats
 from numpy.testing import assert_allclose
 
 from pssf.study import StudySettings
-from pssf.study.statistics.claims import COLUMNS, UNDECIDED, _between, _spared, _together, claims, spearman, verdict
-from pssf.study.statistics.tested import LEAST_OF_A_CLASS, LEAST_TESTED
+from pssf.study.statistics.scores.claims import (
+    COLUMNS,
+    UNDECIDED,
+    _compute_avoided_confusion,
+    _compute_simultaneous_bounds,
+    _evaluate_grade_order,
+    compute_spearman,
+    decide_verdict,
+    evaluate_claims,
+)
+from pssf.study.statistics.scores.tested_subjects import MIN_TEST_SUBJECTS, MIN_TEST_SUBJECTS_PER_CLASS
 
 SETTINGS = StudySettings(replicates=200, models=("lr",), selections=("l1",))
 
@@ -56,11 +65,11 @@ def told(rise, score_step=0.0, *, tested=30, rarest=3, p_holm=0.01, texture=(0.8
         for metric in ("auc", "balanced_accuracy", "macro_f1")
     ])  # fmt: skip
     reliability = pd.DataFrame({
-        "feature": ["a", "b"], "across": "all protocols", "subjects": tested,
+        "feature": ["a", "b"], "conditions": "all protocols", "subjects": tested,
         "ICC(2,1)": [np.mean(icc), 0.5], "ICC(2,1) low": [icc[0], 0.3], "ICC(2,1) high": [icc[1], 0.7],
     })  # fmt: skip
     tables = {"subjects": subjects, "scores": scores, "differences": differences, "reliability": reliability}
-    found = claims(table, predictions, importances, offered, tables, SETTINGS)
+    found = evaluate_claims(table, predictions, importances, offered, tables, SETTINGS)
     assert list(found.columns) == COLUMNS
     return found
 
@@ -70,36 +79,49 @@ def verdicts(found, start):
 
 
 def test_an_interval_beyond_a_bound_holds_and_one_across_it_decides_nothing():
-    assert verdict(0.1, 0.2, 0.0) == "holds"
-    assert verdict(-0.2, -0.1, 0.0) == "does not hold"
-    assert verdict(-0.2, -0.1, 0.0, -1) == "holds"
-    assert verdict(-0.1, 0.1, 0.0) == "not decidable"
-    assert verdict(float("nan"), 0.1, 0.0) == "not decidable"
+    assert decide_verdict(0.1, 0.2, 0.0) == "holds"
+    assert decide_verdict(-0.2, -0.1, 0.0) == "does not hold"
+    assert decide_verdict(-0.2, -0.1, 0.0, -1) == "holds"
+    assert decide_verdict(-0.1, 0.1, 0.0) == "not decidable"
+    assert decide_verdict(float("nan"), 0.1, 0.0) == "not decidable"
 
 
 def test_an_interval_without_width_decides_nothing():
-    assert verdict(1.0, 1.0, 0.8) == "not decidable"
+    assert decide_verdict(1.0, 1.0, 0.8) == "not decidable"
 
 
 def test_too_few_tested_subjects_decide_nothing():
     starts = (
-        *("Within a protocol", "Logistic regression is strong", "Another protocol", "The most important"),
+        *("Models discriminate", "Logistic regression performs well", "Testing on another protocol", "GLCM and GLSZM"),
         "A subset of features is stable",
     )
-    for tested, expected in ((LEAST_TESTED, {"holds", "does not hold"}), (LEAST_TESTED - 1, {"not decidable"})):
+    for tested, expected in (
+        (MIN_TEST_SUBJECTS, {"holds", "does not hold"}),
+        (MIN_TEST_SUBJECTS - 1, {"not decidable"}),
+    ):
         found = told(rise=1.0, tested=tested)
         decided = {one for start in starts for one in verdicts(found, start)}
         assert decided == expected
 
 
 def test_too_few_tested_of_the_rarer_grade_decide_nothing_whatever_their_number_in_all():
-    starts = ("Within a protocol", "Logistic regression is strong", "Another protocol", "The most important")
-    for rarest, expected in ((LEAST_OF_A_CLASS, {"holds", "does not hold"}), (LEAST_OF_A_CLASS - 1, {UNDECIDED})):
+    starts = (
+        "Models discriminate",
+        "Logistic regression performs well",
+        "Testing on another protocol",
+        "GLCM and GLSZM",
+    )
+    for rarest, expected in (
+        (MIN_TEST_SUBJECTS_PER_CLASS, {"holds", "does not hold"}),
+        (MIN_TEST_SUBJECTS_PER_CLASS - 1, {UNDECIDED}),
+    ):
         found = told(rise=1.0, tested=30, rarest=rarest)
         assert {one for start in starts for one in verdicts(found, start)} == expected
 
 
-@pytest.mark.parametrize(("rarest", "decided"), [(LEAST_OF_A_CLASS, True), (LEAST_OF_A_CLASS - 1, False)])
+@pytest.mark.parametrize(
+    ("rarest", "decided"), [(MIN_TEST_SUBJECTS_PER_CLASS, True), (MIN_TEST_SUBJECTS_PER_CLASS - 1, False)]
+)
 def test_grades_in_between_are_decided_only_where_enough_of_each_are_tested(rarest, decided):
     truth = np.repeat([0, 1, 2], [12, 12, rarest])
     p = np.exp(-((truth[:, None] - np.arange(3)) ** 2) + 0.01 * np.arange(len(truth))[:, None])
@@ -107,7 +129,7 @@ def test_grades_in_between_are_decided_only_where_enough_of_each_are_tested(rare
     one = pd.DataFrame(p / p.sum(axis=1, keepdims=True), columns=["p0", "p1", "p2"])
     one = one.assign(subject=range(len(truth)), truth=truth, **arm)
     splits = [one.iloc[k:].assign(repeat=k) for k in range(3)]
-    rows = _between(pd.concat(splits, ignore_index=True), SETTINGS, 0.2)
+    rows = _evaluate_grade_order(pd.concat(splits, ignore_index=True), SETTINGS, 0.2)
     assert {row["verdict"] == UNDECIDED for row in rows if "extreme" in str(row["claim"])} == {not decided}
 
 
@@ -130,24 +152,24 @@ def test_features_are_stable_by_the_interval_of_the_one_that_is_most(icc, expect
 
 
 def test_a_difference_that_is_gone_after_holm_decides_nothing():
-    assert verdicts(told(rise=1.0, p_holm=0.06), "Another protocol") == {"not decidable"}
+    assert verdicts(told(rise=1.0, p_holm=0.06), "Testing on another protocol") == {"not decidable"}
 
 
 def test_what_features_weigh_is_held_against_what_was_offered():
     found = told(rise=1.0, texture=(0.45, 0.40))
-    row = found[found["claim"].str.startswith("The most important")].iloc[0]
+    row = found[found["claim"].str.startswith("GLCM and GLSZM")].iloc[0]
     assert (row["bound"], row["verdict"]) == (0.5, "does not hold")
     # Of features of which three in four are of these families, 0.75 of the importance is what chance gives them.
     for texture, expected in (((0.8, 0.9), "holds"), ((0.7, 0.6), "does not hold"), ((0.8, 0.7), UNDECIDED)):
         found = told(rise=1.0, texture=texture, of_others=1)
-        row = found[found["claim"].str.startswith("The most important")].iloc[0]
+        row = found[found["claim"].str.startswith("GLCM and GLSZM")].iloc[0]
         assert (row["bound"], row["verdict"]) == (0.75, expected)
 
 
 def test_calls_at_random_spare_the_extreme_grades_by_nothing():
     counts = np.outer([30, 20, 50], [10, 60, 30])
-    assert _spared(counts) == pytest.approx(0)
-    assert _spared(np.diag([30, 20, 50])) == pytest.approx(2 * 30 * 50 / 100**2)
+    assert _compute_avoided_confusion(counts) == pytest.approx(0)
+    assert _compute_avoided_confusion(np.diag([30, 20, 50])) == pytest.approx(2 * 30 * 50 / 100**2)
 
 
 def test_claims_follow_what_is_in_the_tables():
@@ -155,17 +177,17 @@ def test_claims_follow_what_is_in_the_tables():
     assert verdicts(found, "GLCM contrast") == {"holds"}
     # Of a linear signal: more of it is darker to the eye.
     assert verdicts(found, "First-order mean") == {"does not hold"}
-    assert verdicts(found, "Grade 1") == {"holds"}
+    assert verdicts(found, "Predicted grades of grade 1") == {"holds"}
     assert verdicts(found, "The extreme grades") == {"holds"}
     assert verdicts(found, "A subset") == {"holds"}
-    assert verdicts(found, "The most important") == {"holds"}
-    strong = found[found["claim"].str.startswith("Logistic regression is strong")].set_index("measure")["verdict"]
+    assert verdicts(found, "GLCM and GLSZM") == {"holds"}
+    strong = found[found["claim"].str.startswith("Logistic regression performs well")].set_index("measure")["verdict"]
     assert strong.to_dict() == {
         "AUC, 0 vs 2, Logistic regression, L1 (paper: 0.92)": "holds",
         "Balanced accuracy, 0 vs 2, Logistic regression, L1 (paper: 0.92)": "does not hold",
     }
-    assert len(found[found["claim"].str.startswith("Another protocol")]) == 2
-    assert verdicts(found, "Another protocol") == {"holds"}
+    assert len(found[found["claim"].str.startswith("Testing on another protocol")]) == 2
+    assert verdicts(found, "Testing on another protocol") == {"holds"}
     assert verdicts(found, "Training on all") == {"not decidable"}
 
 
@@ -173,7 +195,7 @@ def test_weighted_ranks_give_the_correlation_of_the_rows_written_out():
     rng = np.random.default_rng(5)
     grade, value = rng.integers(0, 3, 40).astype(float), np.round(rng.standard_normal(40), 1)
     weights = rng.integers(0, 4, (20, 40)).astype(float)
-    for found, times in zip(spearman(grade, value, weights), weights.astype(int), strict=True):
+    for found, times in zip(compute_spearman(grade, value, weights), weights.astype(int), strict=True):
         expected = scipy.stats.spearmanr(np.repeat(grade, times), np.repeat(value, times)).statistic
         assert found == pytest.approx(expected, abs=1e-12)
 
@@ -184,7 +206,7 @@ def test_where_grades_do_not_differ_nothing_is_claimed():
     assert len(trends) == 4
     # Each interval of 95 % is right 19 times in 20.
     assert (trends["verdict"] == "not decidable").sum() >= 3
-    assert verdicts(found, "Grade 1") == {"not decidable"}
+    assert verdicts(found, "Predicted grades of grade 1") == {"not decidable"}
 
 
 def test_the_interval_of_a_trend_has_the_width_of_its_sample_count():
@@ -201,8 +223,8 @@ def test_bounds_of_many_features_hold_together_where_each_alone_does_not():
         z = np.arctanh(0.9) + error * rng.standard_normal(features)
         lows = np.tanh(z - 1.959964 * error)
         alone += lows.max() >= 0.9
-        together += _together(np.tanh(z), lows, 10**6).max() >= 0.9
+        together += _compute_simultaneous_bounds(np.tanh(z), lows, 10**6).max() >= 0.9
     assert together <= scipy.stats.binom.isf(1e-3, cohorts, 0.025)
     assert alone > cohorts / 2
-    assert_allclose(_together(np.array([0.8]), np.array([0.6]), 20), [0.6])
-    assert_allclose(_together(np.array([0.8, 1.0]), np.array([np.nan, 1.0]), 20), [np.nan, 1.0])
+    assert_allclose(_compute_simultaneous_bounds(np.array([0.8]), np.array([0.6]), 20), [0.6])
+    assert_allclose(_compute_simultaneous_bounds(np.array([0.8, 1.0]), np.array([np.nan, 1.0]), 20), [np.nan, 1.0])

@@ -19,10 +19,10 @@ from conftest import change
 
 import pssf
 from pssf import cohort
-from pssf.cohort import make
-from pssf.cohort import plan as plan_module
-from pssf.data import code
-from pssf.io import atomic, records
+from pssf.cohort import cohort_maker
+from pssf.cohort import cohort_plan as plan_module
+from pssf.data import code_hash
+from pssf.io import atomic_write, cohort_records
 
 
 @pytest.fixture
@@ -98,8 +98,8 @@ def test_a_plan_of_many_knees_is_made_and_claimed(tmp_path):
     plan = cohort.plan_cohort("quick", seed=0, overrides={"knees": [2000, 1000, 1000], "bilateral": 1000})
     assert len(plan.cases) == 4000
     for _ in range(2):
-        records.claim(tmp_path / "cohort.json", plan.table())
-    assert json.loads((tmp_path / "cohort.json").read_text()) == json.loads(json.dumps(plan.table()))
+        cohort_records.claim_folder(tmp_path / "cohort.json", plan.build_request())
+    assert json.loads((tmp_path / "cohort.json").read_text()) == json.loads(json.dumps(plan.build_request()))
 
 
 def test_a_manifest_has_a_row_a_radiograph_with_parameters_seed_and_hash(protocols, made):
@@ -145,7 +145,7 @@ def test_a_damaged_image_is_refused_by_name(protocols, made):
     plan, folder = tiny(protocols), made
     image = min((folder / "images").iterdir())
     image.write_bytes(image.read_bytes()[:-1] + b"x")
-    with pytest.raises(pssf.InputError, match=rf"{image.name}: damaged"):
+    with pytest.raises(pssf.InputError, match=rf"{image.name} must be undamaged"):
         cohort.make_cohort(plan, folder, workers=1)
 
 
@@ -154,7 +154,7 @@ def test_a_damaged_record_is_refused_by_name(protocols, made, content):
     plan, folder = tiny(protocols), made
     record = min((folder / "records").iterdir())
     record.write_text(content)
-    with pytest.raises(pssf.InputError, match=rf"{record.name}: damaged"):
+    with pytest.raises(pssf.InputError, match=rf"{record.name} must be undamaged"):
         cohort.make_cohort(plan, folder, workers=1)
 
 
@@ -164,23 +164,25 @@ def test_a_record_that_was_changed_or_belongs_to_another_knee_is_refused(protoco
     whole = one.read_text()
     for content in (whole.replace('"jsw_medial_mm": ', '"jsw_medial_mm": 1'), two.read_text()):
         one.write_text(content)
-        with pytest.raises(pssf.InputError, match=rf"{one.name}: (damaged|not of knee 0)"):
+        with pytest.raises(pssf.InputError, match=rf"{one.name} must (be undamaged|hold knee 0)"):
             cohort.make_cohort(plan, folder, workers=1)
 
 
 def test_a_folder_of_another_seed_is_refused(protocols, made):
     other = cohort.plan_cohort("quick", seed=6, overrides={"knees": [1, 1, 1], "protocols": protocols})
-    with pytest.raises(pssf.InputError, match="holds another cohort: seed = 5, asked for 6"):
+    with pytest.raises(pssf.InputError, match="must be new or hold the requested cohort, got seed = 5, requested 6"):
         cohort.make_cohort(other, made, workers=1)
 
 
-@pytest.mark.parametrize("name", ["data/detector.toml", "raycast/scanline.py"])
+@pytest.mark.parametrize("name", ["data/detector.toml", "raycast/engines/scanline.py"])
 def test_a_folder_that_other_code_made_is_refused_with_the_part_that_differs(protocols, tmp_path, copied_code, name):
     cohort.make_cohort(tiny(protocols, knees=(0, 0, 1)), tmp_path / "c", workers=1)
     before = digests(tmp_path / "c")
     change(copied_code / name)
     part = name if name.startswith("data") else name.split("/")[0]
-    with pytest.raises(pssf.InputError, match=rf"holds a cohort made by other code of pssf \({part}\); allowed: "):
+    with pytest.raises(
+        pssf.InputError, match=rf"must hold a cohort of this code, got one made by other code \({part}\): "
+    ):
         cohort.make_cohort(tiny(protocols, knees=(0, 0, 1)), tmp_path / "c", workers=1)
     assert digests(tmp_path / "c") == before
 
@@ -191,20 +193,20 @@ def test_a_folder_stands_when_a_table_changes_that_no_pixel_hangs_on_and_not_whe
     plan = tiny(protocols, knees=(0, 0, 1))
     cohort.make_cohort(plan, tmp_path / "c", workers=1)
     before = digests(tmp_path / "c")
-    for names in code.NOT_OF_PIXELS:
+    for names in code_hash.TABLES_NOT_AFFECTING_PIXELS:
         for name in names:
             change(copied_code / "data" / name)
     cohort.make_cohort(plan, tmp_path / "c", workers=1)
     assert digests(tmp_path / "c") == before
     (copied_code / "data" / "new.toml").write_text("")
-    with pytest.raises(pssf.InputError, match=r"made by other code of pssf \(data/new\.toml\)"):
+    with pytest.raises(pssf.InputError, match=r"made by other code \(data/new\.toml\)"):
         cohort.make_cohort(plan, tmp_path / "c", workers=1)
 
 
 def test_a_claim_without_code_is_of_other_code(tmp_path):
-    records.claim(tmp_path / "cohort.json", {"seed": 1})
-    with pytest.raises(pssf.InputError, match=r"made by other code of pssf \(core, data\)"):
-        records.claim(tmp_path / "cohort.json", {"seed": 1, "code": {"core": "a", "data": "b"}})
+    cohort_records.claim_folder(tmp_path / "cohort.json", {"seed": 1})
+    with pytest.raises(pssf.InputError, match=r"made by other code \(core, data\)"):
+        cohort_records.claim_folder(tmp_path / "cohort.json", {"seed": 1, "code": {"core": "a", "data": "b"}})
 
 
 def test_repeats_are_of_single_subjects_evenly_over_the_grades_under_the_reference_protocol():
@@ -228,8 +230,8 @@ def test_a_knee_is_placed_anew_to_opposite_sides_and_changes_in_nothing_else():
     placed: dict[int, list] = {}
     for case in cohort.plan_retest(plan).cases:
         for exposure in case.exposures:
-            if exposure.kind == "perturbation":
-                placed.setdefault(exposure.of_knee, []).append((case.knee, exposure.protocol))
+            if exposure.retest_kind == "perturbation":
+                placed.setdefault(exposure.source_knee, []).append((case.knee, exposure.protocol))
     assert len(placed) == 24
     for index, ((one, beam), (two, other)) in placed.items():
         knee = plan.cases[index].knee
@@ -258,7 +260,7 @@ def test_repeats_can_be_made_as_a_cohort_whose_manifest_says_what_they_are(proto
 
 def test_a_plan_that_retests_no_knee_has_no_repeats_and_an_unknown_protocol_is_refused(protocols):
     assert cohort.plan_retest(tiny(protocols, retested=0)) is None
-    with pytest.raises(pssf.InputError, match=r"protocol = 'x'; allowed: reference, low_dose"):
+    with pytest.raises(pssf.InputError, match=r"protocol must be one of reference, low_dose, .*got 'x'"):
         cohort.plan_retest(tiny(protocols), reference="x")
 
 
@@ -316,7 +318,7 @@ def test_runs_that_are_killed_50_times_at_random_lose_nothing_and_leave_nothing_
                 except subprocess.TimeoutExpired:
                     os.killpg(process.pid, signal.SIGKILL)
             kills += 1
-            halves += sum(len(atomic.unfinished(folder / name)) for name in make.FOLDERS)
+            halves += sum(len(atomic_write.find_temporary_files(folder / name)) for name in cohort_maker.SUBFOLDERS)
             for path in (p for p in folder.rglob("*.tif") if not p.name.startswith(".")):
                 pssf.load(path)
         with start(script, folder, workers, protocols) as process:
@@ -340,8 +342,8 @@ def test_a_disk_that_fills_up_leaves_nothing_half_written_and_the_run_goes_on_wi
             sync(handle)
 
         with monkeypatch.context() as patch:
-            patch.setattr(atomic.os, "fsync", full)
-            with pytest.raises(pssf.InputError, match="No space left on device; allowed: a folder that can be written"):
+            patch.setattr(atomic_write.os, "fsync", full)
+            with pytest.raises(pssf.InputError, match="No space left on device: use a writable folder"):
                 cohort.make_cohort(plan, folder, workers=1)
         assert len([p for p in folder.rglob("*") if p.is_file()]) == files
         for image in (folder / "images").glob("*"):
@@ -385,8 +387,8 @@ def test_a_full_disk_is_told_in_one_line_and_the_same_command_goes_on_when_there
     # Beside lines that tell how far it is.
     assert sum(not line.startswith("radiographs: ") for line in done.stderr.splitlines()) == 1
     # numpy, which writes the pixels, tells how much it could write instead of why.
-    reason = r"(No space left on device|no room for all of it \(\d+ requested and \d+ written\))"
-    assert re.search(rf"\.\w+: {reason}; allowed: a folder that can be written, with room left\n$", done.stderr)
+    reason = r"(No space left on device|not enough free space \(\d+ requested and \d+ written\))"
+    assert re.search(rf"\.\w+ must be writable, got {reason}: use a writable folder with free space\n$", done.stderr)
     assert not list(folder.rglob(".*"))
     for image in (folder / "c" / "images").glob("*"):
         pssf.load(image)
@@ -404,7 +406,7 @@ def test_what_stood_before_is_told_apart_from_what_is_made(protocols, tmp_path):
             folder,
             workers=1,
             progress=lambda n: counted.append(("made", n)),
-            kept=lambda n: counted.append(("kept", n)),
+            on_kept=lambda n: counted.append(("kept", n)),
         )
         min((folder / "images").iterdir()).unlink()
     assert counted == [("made", 2)] * 3 + [("kept", 2)] * 2 + [("made", 2)]
@@ -412,35 +414,37 @@ def test_what_stood_before_is_told_apart_from_what_is_made(protocols, tmp_path):
 
 def test_a_worker_that_sees_another_folder_or_has_other_libraries_or_code_refuses_to_work(protocols, tmp_path):
     plan, folder = tiny(protocols), tmp_path / "c"
-    claim = records.claim(folder / "cohort.json", plan.table())
+    claim = cohort_records.claim_folder(folder / "cohort.json", plan.build_request())
     here = {
         "folder": folder,
-        "claim": claim,
-        "code": code.code_digest((*make._CODE, *code.data_of_pixels())),
-        "versions": make.versions(),
+        "cohort_sha256": claim,
+        "code_hashes": code_hash.compute_code_hashes((*cohort_maker._CODE_PATHS, *code_hash.list_pixel_data_files())),
+        "versions": cohort_maker.collect_versions(),
     }
-    site = make.Site(**{**here, "versions": {**make.versions(), "numpy": "1.0"}})
-    with pytest.raises(pssf.InputError, match=r"on .*: numpy = .*; allowed: 1\.0, as where the run started"):
-        make.make_case(plan.cases[0], site=site, engine="scanline", threads=1)
-    site = make.Site(**{**here, "code": {**here["code"], "detector": "0"}})
-    with pytest.raises(pssf.InputError, match=r"on .*: other code of pssf \(detector\); allowed: the code where the"):
-        make.make_case(plan.cases[0], site=site, engine="scanline", threads=1)
+    site = cohort_maker.RunEnvironment(**{**here, "versions": {**cohort_maker.collect_versions(), "numpy": "1.0"}})
+    with pytest.raises(pssf.InputError, match=r"on .*: numpy must be 1\.0, as where the run started, got .*"):
+        cohort_maker.make_case(plan.cases[0], site=site, engine="scanline", threads=1)
+    site = cohort_maker.RunEnvironment(**{**here, "code_hashes": {**here["code_hashes"], "detector": "0"}})
+    with pytest.raises(pssf.InputError, match=r"code of pssf on .* must be .*, got other code \(detector\)"):
+        cohort_maker.make_case(plan.cases[0], site=site, engine="scanline", threads=1)
     (folder / "cohort.json").write_text("{}")
-    with pytest.raises(pssf.InputError, match=r"on .*: folder .* holds another cohort; allowed: a folder that all"):
-        make.make_case(plan.cases[0], site=site, engine="scanline", threads=1)
+    with pytest.raises(
+        pssf.InputError, match=r"on .*: folder .* must hold this run's cohort, got another one: all workers"
+    ):
+        cohort_maker.make_case(plan.cases[0], site=site, engine="scanline", threads=1)
     (folder / "cohort.json").unlink()
-    with pytest.raises(pssf.InputError, match=r"on .*: file .*cohort\.json: No such file or directory; allowed: a fol"):
-        make.make_case(plan.cases[0], site=site, engine="scanline", threads=1)
+    with pytest.raises(pssf.InputError, match=r"on .*: file .*cohort\.json .*No such file or directory; all workers"):
+        cohort_maker.make_case(plan.cases[0], site=site, engine="scanline", threads=1)
     assert not list(folder.iterdir())
 
 
 @pytest.mark.parametrize(
     ("overrides", "match"),
     [
-        ({"knees": [0, 0, 0]}, "knees = 0"),
-        ({"knees": [-1, 0, 3]}, "knees of grade 0 = -1"),
-        ({"bilateral": 20}, "bilateral = 20"),
-        ({"retested": -1}, "retested = -1"),
+        ({"knees": [0, 0, 0]}, r"sum\(knees\) = 0"),
+        ({"knees": [-1, 0, 3]}, "knees of grade 0 must be .*, got -1"),
+        ({"bilateral": 20}, "bilateral must be .*, got 20"),
+        ({"retested": -1}, "retested must be .*, got -1"),
         ({"protocols": ["reference", "reference"]}, "each once"),
         ({"knee": [1]}, "did you mean 'knees'"),
     ],
@@ -452,14 +456,14 @@ def test_a_plan_that_cannot_be_is_refused(overrides, match):
 
 def test_a_cohort_needs_a_folder_that_can_be_written(protocols, tmp_path):
     Path(tmp_path / "file").write_text("in the way")
-    with pytest.raises(pssf.InputError, match="allowed: a folder that can be written"):
+    with pytest.raises(pssf.InputError, match="use a writable folder"):
         cohort.make_cohort(tiny(protocols), tmp_path / "file" / "c", workers=1)
 
 
 def test_the_manifest_has_the_flexion_of_the_knee_and_that_of_the_posture(tmp_path):
     small = tmp_path / "small.toml"
     small.write_text('base = "fixed_flexion"\nname = "small"\nrows = 64\ncols = 64\npixel_mm = 4.8\ntexture = "none"\n')
-    plan = tiny([str(small)], exposures="drawn")
+    plan = tiny([str(small)], acquisition="sampled")
     rows = rows_of(cohort.make_cohort(plan, tmp_path / "made", workers=2))
     for case, row in zip(plan.cases, rows, strict=True):
         assert float(row["flexion_deg"]) == case.knee.flexion_deg
@@ -474,21 +478,21 @@ def test_exposures_are_fixed_or_drawn_and_the_paper_has_them_fixed():
     assert {exposure.protocol.name: exposure.protocol for case in plan.cases for exposure in case.exposures} == {
         name: pssf.load_protocol(name) for name in ("reference", "low_dose", "geometry_shift")
     }
-    with pytest.raises(pssf.InputError, match="exposures = 'any'; allowed: fixed, drawn"):
-        tiny(["reference"], exposures="any")
+    with pytest.raises(pssf.InputError, match="acquisition must be one of fixed, sampled, got 'any'"):
+        tiny(["reference"], acquisition="any")
 
 
 def test_knees_of_a_part_that_are_placed_anew_have_indices_of_their_own():
-    part = cohort.some_people(tiny(["reference"], knees=(20, 20, 20), bilateral=0, retested=10), 12)
+    part = cohort.select_subjects(tiny(["reference"], knees=(20, 20, 20), bilateral=0, retested=10), 12)
     again = cohort.plan_retest(part)
-    placed = [case.index for case in again.cases if case.exposures[0].kind == "perturbation"]
+    placed = [case.index for case in again.cases if case.exposures[0].retest_kind == "perturbation"]
     assert len(set(placed)) == len(placed)
     assert min(placed) > max(case.index for case in part.cases)
 
 
 def test_numbers_of_subjects_are_random_and_change_no_knee(monkeypatch):
     numbered = tiny(["reference"], knees=(9, 9, 9))
-    monkeypatch.setattr(plan_module, "_renumbered", lambda cases, seed: cases)
+    monkeypatch.setattr(plan_module, "_renumber_subjects", lambda cases, seed: cases)
     as_sampled = tiny(["reference"], knees=(9, 9, 9))
     assert {case.knee for case in numbered.cases} == {case.knee for case in as_sampled.cases}
     assert [case.knee.grade for case in as_sampled.cases] == sorted(case.knee.grade for case in numbered.cases)
@@ -513,13 +517,15 @@ def test_a_matrix_changes_the_pixels_of_a_cohort_and_keeps_knees_and_field(small
     assert [case.knee for case in fewer.cases] == [case.knee for case in plain.cases]
     for one, other in zip(plain.cases, fewer.cases, strict=True):
         for before, after in zip(one.exposures, other.exposures, strict=True):
-            assert after == dataclasses.replace(before, protocol=before.protocol.resampled(512))
+            assert after == dataclasses.replace(before, protocol=before.protocol.resample(512))
 
 
-@pytest.mark.parametrize("exposures", ["fixed", "drawn"])
-def test_settings_of_a_cohort_hold_for_every_knee_and_protocol(exposures):
+@pytest.mark.parametrize("acquisition", ["fixed", "sampled"])
+def test_settings_of_a_cohort_hold_for_every_knee_and_protocol(acquisition):
     settings = ("mas=3", "sdd_mm=1200", "jsw_medial_mm=4.25")
-    plain, changed = (tiny(["reference", "low_dose"], exposures=exposures, settings=given) for given in ((), settings))
+    plain, changed = (
+        tiny(["reference", "low_dose"], acquisition=acquisition, settings=given) for given in ((), settings)
+    )
     for one, other in zip(plain.cases, changed.cases, strict=True):
         assert other.knee == dataclasses.replace(one.knee, jsw_medial_mm=4.25)
         for before, after in zip(one.exposures, other.exposures, strict=True):

@@ -7,11 +7,11 @@ import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 
-from pssf.core.execution import Execution
+from pssf.core.processes.execution import Execution
 from pssf.study import StudySettings
-from pssf.study.learn import confounders as learn
-from pssf.study.report.sections import confounders_section
-from pssf.study.statistics import confounders as statistics
+from pssf.study.learn import confounded_training as learn
+from pssf.study.report.report_sections import make_confounders_section
+from pssf.study.statistics.analyses import confounding_effects as statistics
 
 NAMES = ["glcm_own", "glcm_of_bmi", "glcm_of_site"]
 SETTINGS = StudySettings(repeats=10, selections=("l1",), models=("lr",))
@@ -34,8 +34,8 @@ def cohort(seed: int = 0, subjects: int = 240) -> pd.DataFrame:
 
 @pytest.fixture(scope="module")
 def table() -> pd.DataFrame:
-    splits = learn.confound(cohort(), NAMES, list(learn.CONFOUNDERS), SETTINGS, Execution())
-    return statistics.confounding(splits).set_index(["confounder", "strength", "measure"])
+    splits = learn.evaluate_confounding(cohort(), NAMES, list(learn.CONFOUNDERS), SETTINGS, Execution())
+    return statistics.estimate_confounding(splits).set_index(["confounder", "strength", "measure"])
 
 
 @pytest.mark.parametrize("confounder", ["bmi", "site"])
@@ -58,8 +58,8 @@ def test_what_no_image_shows_is_not_gained_by(table):
 @pytest.mark.parametrize("confounder", list(learn.CONFOUNDERS))
 @pytest.mark.parametrize("strength", SETTINGS.strengths)
 def test_a_tie_is_as_strong_as_asked_of_as_many_subjects_and_keeps_the_split(confounder, strength):
-    tie = learn.tied(cohort(), confounder, strength, SETTINGS, 2)
-    none = learn.tied(cohort(), confounder, 0.0, SETTINGS, 2)
+    tie = learn.build_confounded_split(cohort(), confounder, strength, SETTINGS, 2)
+    none = learn.build_confounded_split(cohort(), confounder, 0.0, SETTINGS, 2)
     for grade, side in ((2, True), (0, False)):
         part = tie.training[tie.training["grade"] == grade]
         assert (part["high"] == side).mean() == pytest.approx((1 + strength) / 2, abs=0.02)
@@ -71,10 +71,10 @@ def test_a_tie_is_as_strong_as_asked_of_as_many_subjects_and_keeps_the_split(con
 
 def test_strengths_are_those_asked_for_and_more_of_the_subjects_serve_weaker_ones():
     weaker = dataclasses.replace(SETTINGS, strengths=(0.0, 0.5), repeats=2)
-    splits = learn.confound(cohort(), NAMES, ["bmi"], weaker, Execution())
+    splits = learn.evaluate_confounding(cohort(), NAMES, ["bmi"], weaker, Execution())
     assert sorted(set(splits["strength"])) == [0.0, 0.5]
-    assert set(statistics.confounding(splits)["strength"]) == {0.0, 0.5}
-    usual = learn.tied(cohort(), "bmi", 0.0, SETTINGS, 0)
+    assert set(statistics.estimate_confounding(splits)["strength"]) == {0.0, 0.5}
+    usual = learn.build_confounded_split(cohort(), "bmi", 0.0, SETTINGS, 0)
     assert splits["trained"].min() > usual.training["subject"].nunique()
 
 
@@ -82,12 +82,12 @@ def test_strengths_are_those_asked_for_and_more_of_the_subjects_serve_weaker_one
 def test_weights_tie_the_tested_whatever_their_counts(strength):
     part = pd.DataFrame({"grade": [0, 0, 0, 2, 2, 2, 2], "high": [True, False, False, True, True, True, False]})
     part = part.assign(subject=range(7))
-    weights = learn.cell_weights(part, strength)
+    weights = learn.compute_cell_weights(part, strength)
     for grade in (0, 2):
         of = part["grade"] == grade
         matched = of & (part["high"] == (grade == 2))
         assert weights[matched].sum() / weights[of].sum() == pytest.approx((1 + strength) / 2)
-    assert np.isnan(learn.cell_weights(part.iloc[1:], strength)).all()
+    assert np.isnan(learn.compute_cell_weights(part.iloc[1:], strength)).all()
 
 
 def test_what_is_taken_out_is_what_a_feature_follows_at_a_given_grade():
@@ -96,11 +96,11 @@ def test_what_is_taken_out_is_what_a_feature_follows_at_a_given_grade():
     part["c"] += part["grade"]
     part["both"], part["grade_alone"] = 3 * part["grade"] - 2 * part["c"], 1.0 * part["grade"]
     part["hole"] = np.where(np.arange(200) == 3, np.nan, part["c"])
-    assert_allclose(learn.slopes_on(part, ["both", "grade_alone", "hole"]), [-2, 0, 0], atol=1e-9)
+    assert_allclose(learn.fit_confounder_slopes(part, ["both", "grade_alone", "hole"]), [-2, 0, 0], atol=1e-9)
 
 
 def test_too_few_subjects_are_not_tied_and_the_report_shows_the_rest(table):
-    assert learn.tied(cohort(subjects=12), "bmi", 0.9, SETTINGS, 0) is None
-    section = confounders_section(table.reset_index())
+    assert learn.build_confounded_split(cohort(subjects=12), "bmi", 0.9, SETTINGS, 0) is None
+    section = make_confounders_section(table.reset_index())
     assert len(section.table) == 3 * 6
     assert section.pictures[0].png.startswith(b"\x89PNG")

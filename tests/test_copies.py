@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pssf
-from pssf.core.parallel import ordered_map
+from pssf.core.processes.parallel_map import map_in_parallel
 
 TINY = {"rows": 64, "cols": 64, "pixel_mm": 4.8}
 
@@ -57,7 +57,7 @@ def test_copies_of_a_built_knee_are_itself(left):
 
 def test_a_built_knee_goes_to_processes(left, protocol):
     here = seen(left, protocol)
-    there = ordered_map(seen_as_sent, [left, left], shared={"protocol": protocol}, workers=2)
+    there = map_in_parallel(seen_as_sent, [left, left], shared={"protocol": protocol}, workers=2)
     assert there == [here, here]
 
 
@@ -86,9 +86,9 @@ def test_both_knees_that_were_pickled_give_the_same_radiograph():
 
 
 def test_an_osteophyte_that_bone_has_swallowed_has_an_empty_mask(left, protocol, monkeypatch):
-    whole = pssf.BuiltKnee.osteophytes
+    whole = pssf.BuiltKnee.osteophyte_meshes
     none = pssf.geometry.mesh.Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64))
-    monkeypatch.setattr(pssf.BuiltKnee, "osteophytes", lambda self: whole(self) | {"medial_spine": none})
+    monkeypatch.setattr(pssf.BuiltKnee, "osteophyte_meshes", lambda self: whole(self) | {"medial_spine": none})
     masks = pssf.simulate(left, protocol, engine="scanline", keep=("masks",)).truth.masks
     assert not masks["medial_spine_osteophyte"].any()
     assert masks["medial_tibia_osteophyte"].any()

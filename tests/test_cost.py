@@ -5,23 +5,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pssf.core.timer import Timer
-from pssf.study.report.cost import cost_rows, growth
+from pssf.core.stage_timer import Timer
+from pssf.study.report.run_cost import fit_growth_exponent, summarise_cost
 
 
 @given(exponent=st.floats(0.3, 3), each=st.floats(1e-3, 10), count=st.integers(8, 300))
 def test_growth_is_the_exponent_that_was_put_in(exponent, each, count):
-    assert growth(list(each * np.arange(1, count + 1) ** exponent)) == pytest.approx(exponent, rel=1e-6)
+    assert fit_growth_exponent(list(each * np.arange(1, count + 1) ** exponent)) == pytest.approx(exponent, rel=1e-6)
 
 
 def test_a_start_that_costs_once_lowers_the_growth_and_fades():
-    few, many = (growth(list(5 + 1.0 * np.arange(1, count + 1))) for count in (12, 2000))
+    few, many = (fit_growth_exponent(list(5 + 1.0 * np.arange(1, count + 1))) for count in (12, 2000))
     assert few < 0.8
     assert 0.97 < many < 1
 
 
 def test_few_marks_give_no_growth():
-    assert growth([1.0] * 7) is None
+    assert fit_growth_exponent([1.0] * 7) is None
 
 
 def test_a_row_has_the_seconds_of_a_stage_and_of_each_that_was_made():
@@ -30,7 +30,7 @@ def test_a_row_has_the_seconds_of_a_stage_and_of_each_that_was_made():
         with timer.stage(name, "radiographs" if count else "") as stage:
             stage.advance(count)
         stage.seconds = 4.0
-    first, second = cost_rows(timer)
+    first, second = summarise_cost(timer)
     assert first == {
         "stage": "cohort", "seconds": 4.0, "made": 4, "unit": "radiographs", "seconds_each": 1.0, "growth": None
     }  # fmt: skip
@@ -41,5 +41,5 @@ def test_a_growth_that_is_known_otherwise_stands():
     timer = Timer()
     with timer.stage("training and testing", "splits") as stage:
         stage.advance(20)
-    stage.growth = 1.7
-    assert cost_rows(timer)[0]["growth"] == 1.7
+    stage.time_exponent = 1.7
+    assert summarise_cost(timer)[0]["growth"] == 1.7

@@ -5,9 +5,9 @@ import pytest
 from manifold3d import Manifold
 from numpy.testing import assert_allclose, assert_array_equal
 
-from pssf.anatomy.solids import mesh_of, solid_of
-from pssf.geometry.cut import up_to
+from pssf.anatomy.meshing.solids import build_solid, extract_mesh
 from pssf.geometry.mesh import Mesh
+from pssf.geometry.mesh_cut import cut_mesh_at_height
 
 
 def column() -> Manifold:
@@ -18,9 +18,9 @@ def column() -> Manifold:
 @pytest.mark.parametrize("end_mm", [4.0, 17.3, 30.0])
 def test_a_cut_mesh_is_the_solid_trimmed_by_the_plane_and_closed(up, end_mm):
     whole = column()
-    cut = up_to(mesh_of(whole), up, end_mm)
+    cut = cut_mesh_at_height(extract_mesh(whole), up, end_mm)
     trimmed = whole.trim_by_plane((0.0, 0.0, -float(up)), -up * end_mm)
-    solid = solid_of(*cut, "cut")
+    solid = build_solid(*cut, "cut")
     assert_allclose(solid.volume(), trimmed.volume(), rtol=1e-12)
     assert_allclose(solid.surface_area(), trimmed.surface_area(), rtol=1e-12)
     assert (up * cut.vertices[:, 2]).max() == up * end_mm
@@ -32,8 +32,11 @@ def test_a_cut_mesh_is_the_solid_trimmed_by_the_plane_and_closed(up, end_mm):
 
 
 def test_places_on_the_height_itself_stay_and_a_mesh_that_ends_before_is_given_back():
-    whole = mesh_of(Manifold.cylinder(10.0, 5.0, 5.0, 24).refine_to_length(2.0))
+    whole = extract_mesh(Manifold.cylinder(10.0, 5.0, 5.0, 24).refine_to_length(2.0))
     level = np.unique(whole.vertices[:, 2])[2]
-    assert_allclose(solid_of(*up_to(whole, 1, level), "cut").volume(), level * solid_of(*whole, "w").volume() / 10.0)
-    assert up_to(whole, 1, 10.0) is whole
-    assert isinstance(up_to(whole, -1, 3.0), Mesh)
+    assert_allclose(
+        build_solid(*cut_mesh_at_height(whole, 1, level), "cut").volume(),
+        level * build_solid(*whole, "w").volume() / 10.0,
+    )
+    assert cut_mesh_at_height(whole, 1, 10.0) is whole
+    assert isinstance(cut_mesh_at_height(whole, -1, 3.0), Mesh)

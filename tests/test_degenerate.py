@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pssf.study.statistics.degenerate import is_degenerate
+from pssf.study.statistics.features.degenerate_features import is_degenerate
 
 
 def test_a_feature_that_varies_by_rounding_alone_is_degenerate():

@@ -22,7 +22,7 @@ def density_of(built, name):
 
 @pytest.fixture(scope="module")
 def coarse():
-    return pssf.load_protocol("reference").resampled(96)
+    return pssf.load_protocol("reference").resample(96)
 
 
 def test_a_body_without_the_density_around_it_is_refused(built, coarse):

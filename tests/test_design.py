@@ -6,7 +6,7 @@ import pytest
 
 from pssf import InputError, load_protocol
 from pssf.cohort import plan_cohort
-from pssf.study.design import AXES, plan_curves
+from pssf.study.design.response_curve_design import PROTOCOL_AXES, plan_response_curves
 
 PLAN = plan_cohort("quick", seed=3, overrides={"knees": [3, 1, 3], "protocols": ["reference"]})
 
@@ -15,32 +15,32 @@ def changed(one, other) -> set[str]:
     return {field.name for field in dataclasses.fields(one) if getattr(one, field.name) != getattr(other, field.name)}
 
 
-@pytest.mark.parametrize("name", AXES)
+@pytest.mark.parametrize("name", PROTOCOL_AXES)
 @pytest.mark.parametrize("protocol", ["reference", "fixed_flexion", "geometry_shift"])
 def test_an_axis_has_seven_steps_of_which_one_changes_nothing(name, protocol):
-    axis, known = AXES[name], load_protocol(protocol)
+    axis, known = PROTOCOL_AXES[name], load_protocol(protocol)
     assert len(set(axis.steps)) == 7
-    assert axis.varied(known, axis.own) == known
-    for step in set(axis.steps) - {axis.own}:
-        fields = changed(axis.varied(known, step), known)
+    assert axis.vary(known, axis.reference_step) == known
+    for step in set(axis.steps) - {axis.reference_step}:
+        fields = changed(axis.vary(known, step), known)
         assert axis.field in fields
         assert fields <= {axis.field, "mas", "sod_mm", "rows", "cols"}
 
 
 def test_what_an_axis_is_not_of_stays_as_it_is():
     known = load_protocol("reference")
-    far = AXES["distance"].varied(known, 1.3)
+    far = PROTOCOL_AXES["distance"].vary(known, 1.3)
     assert far.sdd_mm - far.sod_mm == pytest.approx(known.sdd_mm - known.sod_mm)
     assert far.mas / far.sdd_mm**2 == pytest.approx(known.mas / known.sdd_mm**2, rel=1e-4)
-    coarse = AXES["pixel_size"].varied(known, 2.0)
+    coarse = PROTOCOL_AXES["pixel_size"].vary(known, 2.0)
     assert coarse.rows * coarse.pixel_mm == pytest.approx(known.rows * known.pixel_mm)
     # Fifteen per cent more kV, half the mAs.
-    harder = AXES["kv"].others(known, 1.15 * known.tube_kv)
+    harder = PROTOCOL_AXES["kv"].coupled_fields(known, 1.15 * known.tube_kv)
     assert harder["mas"] == pytest.approx(known.mas / 2, rel=1e-4)
 
 
 def test_a_plan_takes_the_same_knees_at_every_step_each_with_noise_of_its_own():
-    plan = plan_curves(PLAN, knees=4, reference="reference")
+    plan = plan_response_curves(PLAN, knees=4, reference="reference")
     assert sorted(case.knee.grade for case in plan.cases) == [0, 0, 2, 2]
     known = {case.index: case.knee for case in PLAN.cases}
     assert all(known[case.index] == case.knee for case in plan.cases)
@@ -60,22 +60,22 @@ def test_a_plan_takes_the_same_knees_at_every_step_each_with_noise_of_its_own():
 )
 def test_curves_are_of_the_widest_contrast_that_a_cohort_has(counts, knees, grades):
     people = plan_cohort("population", seed=3, overrides={"knees": counts})
-    plan = plan_curves(people, knees=knees, reference="fixed_flexion")
+    plan = plan_response_curves(people, knees=knees, reference="fixed_flexion")
     assert sorted(case.knee.grade for case in plan.cases) == grades
     assert len({case.subject for case in plan.cases}) == knees
 
 
 def test_an_axis_that_is_left_out_leaves_the_others_as_they_are():
-    whole = plan_curves(PLAN, knees=4, reference="reference")
-    part = plan_curves(PLAN, knees=4, reference="reference", axes=("tilt",))
-    assert [e for e in whole.cases[0].exposures if e.kind == "tilt"] == list(part.cases[0].exposures)
+    whole = plan_response_curves(PLAN, knees=4, reference="reference")
+    part = plan_response_curves(PLAN, knees=4, reference="reference", axes=("tilt",))
+    assert [e for e in whole.cases[0].exposures if e.retest_kind == "tilt"] == list(part.cases[0].exposures)
 
 
 def test_what_cannot_be_planned_is_refused():
-    with pytest.raises(InputError, match="curves = 2"):
-        plan_curves(PLAN, knees=2, reference="reference")
-    with pytest.raises(InputError, match="protocol = 'other'"):
-        plan_curves(PLAN, knees=4, reference="other")
+    with pytest.raises(InputError, match=r"must be a whole number from .*, got 2 knees"):
+        plan_response_curves(PLAN, knees=2, reference="reference")
+    with pytest.raises(InputError, match=r"protocol must be one of .*, got 'other'"):
+        plan_response_curves(PLAN, knees=4, reference="other")
     without = plan_cohort("quick", seed=3, overrides={"knees": [3, 3], "protocols": ["reference"]})
-    with pytest.raises(InputError, match="grades = 0, 1; allowed: 0 and, of 2, 3 and 4"):
-        plan_curves(without, knees=4, reference="reference")
+    with pytest.raises(InputError, match="grades must include 0 and at least one of 2, 3 and 4, got 0, 1"):
+        plan_response_curves(without, knees=4, reference="reference")

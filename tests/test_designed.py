@@ -9,17 +9,17 @@ import pytest
 from drawn import LIGHT, TEMPLATE, Cohort
 
 from pssf import InputError, study
-from pssf.core.blocks import block_mean
-from pssf.core.execution import Execution
-from pssf.experiment import ByDesign, make_experiment
-from pssf.io.results import load_typed_table
-from pssf.study.design import AXES
-from pssf.study.space import SPACE
-from pssf.study.statistics import space as statistics
+from pssf.core.processes.execution import Execution
+from pssf.core.resample import downsample_by_blocks
+from pssf.experiment import DesignSizes, make_experiment
+from pssf.io.study_results import load_typed_table
+from pssf.study.design.response_curve_design import PROTOCOL_AXES
+from pssf.study.design.sensitivity_plan import PARAMETER_SPACE
+from pssf.study.statistics.analyses import sensitivity_analysis as statistics
 
 BOUNDS = {"nominal_jsw_medial_mm": (2.0, 5.0), "mas": (1.0, 4.0), "chance": (0.0, 1.0)}
 SAMPLES = 2
-COARSE = AXES["pixel_size"].steps.index(2.0) + 1
+COARSE = PROTOCOL_AXES["pixel_size"].steps.index(2.0) + 1
 
 
 class Taken:
@@ -40,7 +40,9 @@ class Taken:
             return pixels
         rng = np.random.default_rng(sum(map(ord, file)))
         noisy = np.clip(pixels + np.sqrt(pixels) * rng.standard_normal(pixels.shape), 1, 65535)
-        return np.rint(block_mean(noisy, 2) if again == ["pixel_size", str(COARSE)] else noisy).astype(np.uint16)
+        return np.rint(downsample_by_blocks(noisy, 2) if again == ["pixel_size", str(COARSE)] else noisy).astype(
+            np.uint16
+        )
 
     def again(self, knees: int, taken: list[tuple[str, int]]) -> pd.DataFrame:
         rows = []
@@ -57,19 +59,25 @@ class Taken:
 TAKEN = Taken()
 
 
-def designed() -> study.Designed:
-    groups = len({SPACE[name].group for name in BOUNDS})
+def designed() -> study.DesignedManifests:
+    groups = len({PARAMETER_SPACE[name].group for name in BOUNDS})
     shares = TAKEN.again(1, [("share", turn + 1) for turn in range(SAMPLES * (groups + 2))])
     steps = [("dose", turn + 1) for turn in range(7)] + [("pixel_size", COARSE)]
     pairs = TAKEN.again(4, [("mas", 1)])
-    return study.Designed(curves=TAKEN.again(8, steps), shares=shares, samples=SAMPLES, pairs=pairs, bounds=BOUNDS)
+    return study.DesignedManifests(
+        response_curves=TAKEN.again(8, steps),
+        sobol_samples=shares,
+        sobol_sample_count=SAMPLES,
+        sensitivity_pairs=pairs,
+        bounds=BOUNDS,
+    )
 
 
 @pytest.fixture(scope="module", autouse=True)
 def few_samples_are_enough():
     """Of 32 samples, as many as a study wants, radiographs would take a minute."""
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(statistics, "_LEAST_WHOLE", SAMPLES)
+        patched.setattr(statistics, "_MIN_COMPLETE_SAMPLES", SAMPLES)
         yield
 
 
@@ -80,48 +88,55 @@ def result(tmp_path_factory) -> study.StudyResult:
 
 
 def test_what_is_taken_by_design_is_in_the_tables_and_in_the_report(result):
-    assert {"curve_dose", "curve_pixel_size", "breaks", "shares", "slopes"} <= set(result.tables)
+    assert {"curve_dose", "curve_pixel_size", "breakpoints", "sobol_indices", "slopes"} <= set(result.tables)
     assert {"curve_dose", "curve_pixel_size", "meaning"} <= set(result.pictures)
     page = result.report.read_text(encoding="utf-8")
     assert all(f'<section id="{name}">' in page for name in ("curves", "meaning"))
     # Its grades are of no table of ranges, so that none is told.
-    built = page[page.index("What the knees were built with") : page.index("What was done")]
-    assert "Drawn: mean" in built
+    built = page[page.index("Parameters of the knees") : page.index("<h3>Methods")]
+    assert "Sampled: mean" in built
     assert "These grades have no ranges" in built
-    assert not re.search(r"Range<|alike", built)
+    assert not re.search(r"Range<|>same<", built)
     dose = load_typed_table(result.tables["curve_dose"])
-    assert sorted(set(dose["step"])) == sorted(AXES["dose"].steps)
+    assert sorted(set(dose["step"])) == sorted(PROTOCOL_AXES["dose"].steps)
     assert set(dose["measure"]) >= {"median ICC(2,1)", "AUC", "threshold shift, log odds"}
 
 
 def test_a_region_has_the_same_side_in_mm_whatever_the_pixel(result):
     out = result.report.parent
-    assert len(load_typed_table(out / "features_curves_80.csv")) == 8 * 7
-    assert len(load_typed_table(out / "features_curves_40.csv")) == 8
+    assert len(load_typed_table(out / "features_response_curves_80.csv")) == 8 * 7
+    assert len(load_typed_table(out / "features_response_curves_40.csv")) == 8
     area = load_typed_table(result.tables["curve_pixel_size"]).query("feature == 'shape2D_PixelSurface'")
     # Of the same pixels it would be four times the area, some ten spreads more.
     assert (area.query("measure == 'feature, SD'")["value"].abs() < 2).all()
 
 
 def test_correlations_have_slopes_beside_them_and_those_of_the_protocol_are_there(result):
-    follows = load_typed_table(result.tables["follows"])
+    follows = load_typed_table(result.tables["feature_parameter_correlations"])
     assert {"rho", "rho_within", "slope", "total"} <= set(follows.columns)
     assert set(follows.query("parameter == 'mAs'")["feature"]) == set(follows["feature"])
 
 
 def test_a_second_run_writes_the_same_bytes(result, tmp_path):
-    for name in ("features.csv", "features_curves_80.csv", "features_pairs_80.csv", "features_shares_80.csv"):
+    for name in (
+        "features.csv",
+        "features_response_curves_80.csv",
+        "features_sensitivity_pairs_80.csv",
+        "features_sobol_samples_80.csv",
+    ):
         (tmp_path / name).write_bytes((result.report.parent / name).read_bytes())
     again = study.run(
         TAKEN.manifest, TAKEN.load, [TEMPLATE], LIGHT, Path(tmp_path), designed=designed(), execution=Execution()
     )
-    for name in ("breaks", "curve_dose", "shares", "follows"):
+    for name in ("breakpoints", "curve_dose", "sobol_indices", "feature_parameter_correlations"):
         assert again.tables[name].read_bytes() == result.tables[name].read_bytes()
     assert again.pictures["curve_dose"].read_bytes() == result.pictures["curve_dose"].read_bytes()
 
 
-@pytest.mark.parametrize("wanted", [ByDesign(shares=3), ByDesign(curves=2), ByDesign(pairs=1)])
+@pytest.mark.parametrize(
+    "wanted", [DesignSizes(sobol_samples=3), DesignSizes(curve_knees=2), DesignSizes(sensitivity_knees=1)]
+)
 def test_what_cannot_be_taken_is_refused_before_anything_is_made(tmp_path, wanted):
-    with pytest.raises(InputError, match="allowed"):
-        make_experiment(tmp_path / "out", Execution(), preset="quick", seed=0, engine="scanline", by_design=wanted)
+    with pytest.raises(InputError, match="must be"):
+        make_experiment(tmp_path / "out", Execution(), preset="quick", seed=0, engine="scanline", design_sizes=wanted)
     assert not (tmp_path / "out").exists()

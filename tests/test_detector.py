@@ -11,24 +11,30 @@ from matter import attenuation, material
 from numpy.testing import assert_allclose
 
 import pssf
-from pssf.core.blocks import block_mean, enlarge
-from pssf.data.detectors import detectors
-from pssf.data.references import references
-from pssf.detector import blur, noise, panel
-from pssf.geometry.view import view_of
-from pssf.stages import Chain, LatentImage, expose
+from pssf.core.resample import downsample_by_blocks, upsample_linear
+from pssf.data.analysis.reference_table import load_reference_tables
+from pssf.data.imaging.detector_table import load_detectors
+from pssf.detector import detector_blur, panel_readout, quantum_noise
+from pssf.geometry.view import resolve_view
+from pssf.stages import LatentImage, StageContext, run_stages
 from pssf.xray import spectrum
-from pssf.xray.primary import primary_of, transmit
-from pssf.xray.spectrum import Beam, beam_for, beam_of, heel_factor, tube_spectrum
-from pssf.xray.technique import technique_of
+from pssf.xray.primary_beam import compute_primary, transmit
+from pssf.xray.resolved_technique import resolve_technique
+from pssf.xray.spectrum import (
+    Beam,
+    compute_beam,
+    compute_reduced_beam,
+    heel_factor,
+    tube_spectrum,
+)
 
 SEED = np.random.SeedSequence(1)
-CSI = detectors()["csi"]
+CSI = load_detectors()["csi"]
 
 
 def exposed(path_mm, protocol, gap_mm=0.0, seed=1, keep=()):
-    image = LatentImage(path_mm=path_mm, gaps_mm=gap_mm)
-    seconds = expose(image, Chain(technique=technique_of(protocol), seed=seed, keep=frozenset(keep)))
+    image = LatentImage(path_mm=path_mm, air_gaps_mm=gap_mm)
+    seconds = run_stages(image, StageContext(technique=resolve_technique(protocol), seed=seed, keep=frozenset(keep)))
     return image.pixels, image.kept, seconds
 
 
@@ -72,7 +78,7 @@ def test_an_unknown_material_is_refused_by_name(name):
 def test_folding_the_spectrum_changes_no_signal_by_a_thousandth(share):
     protocol = pssf.load_protocol("reference")
     most = {"muscle": 150.0, "cortical_bone": 30.0, "trabecular_bone": 80.0, "Ti@4.51": 10.0}
-    whole, few = beam_of(technique_of(protocol)), beam_for(technique_of(protocol), most)
+    whole, few = compute_beam(resolve_technique(protocol)), compute_reduced_beam(resolve_technique(protocol), most)
     assert len(few.energies_kev) <= 16 < len(whole.energies_kev)
     for second, within in ((False, 1e-3), (True, 1e-2)):
         signals = []
@@ -96,22 +102,25 @@ def test_a_metre_of_lead_or_no_current_gives_numbers(small):
 
 
 def test_the_heel_effect_falls_towards_the_anode(small):
-    rows = heel_factor(technique_of(dataclasses.replace(small, heel="anode_proximal")))
-    assert_allclose(rows[::-1], heel_factor(technique_of(dataclasses.replace(small, heel="anode_distal"))), rtol=1e-6)
+    rows = heel_factor(resolve_technique(dataclasses.replace(small, heel="anode_proximal")))
+    assert_allclose(
+        rows[::-1], heel_factor(resolve_technique(dataclasses.replace(small, heel="anode_distal"))), rtol=1e-6
+    )
     # Away from the anode the longer way through the filter takes back a little.
     assert (np.diff(rows[: len(rows) // 2]) > 0).all()
     assert 0.85 < rows[0] < 0.99 < rows[len(rows) // 2] < 1.01
     assert rows[-1] > 1
     bare = dataclasses.replace(small, noise="none", scatter="none", detector_blur="none", focal_spot_mm=0.0)
     one, other = (
-        primary_of({}, technique_of(dataclasses.replace(bare, heel=heel))) for heel in ("none", "anode_proximal")
+        compute_primary({}, resolve_technique(dataclasses.replace(bare, heel=heel)))
+        for heel in ("none", "anode_proximal")
     )
     assert_allclose(other.kev, one.kev * rows[:, None], rtol=1e-5)
 
 
 def test_dead_pixels_read_nothing_and_stay_where_they_are(small):
     broken = dataclasses.replace(small, dead_pixels=0.01)
-    dead = panel.dead_pixels(technique_of(broken))
+    dead = panel_readout.sample_dead_pixels(resolve_technique(broken))
     assert abs(dead.sum() - 0.01 * dead.size) < 5 * np.sqrt(0.01 * dead.size)
     for seed in (1, 2):
         pixels, _, _ = exposed({}, broken, gap_mm=50.0, seed=seed)
@@ -119,17 +128,17 @@ def test_dead_pixels_read_nothing_and_stay_where_they_are(small):
 
 
 def test_a_technique_with_other_values_keeps_its_records_and_takes_no_other_detector():
-    technique = technique_of(pssf.load_protocol("reference"))
-    other = technique.taken(tube_kv=80.0, rows=64)
-    assert other == technique_of(dataclasses.replace(technique.protocol, tube_kv=80.0, rows=64))
-    with pytest.raises(pssf.InputError, match=r"detector = 'gos'; allowed: 'csi'"):
-        technique.taken(detector="gos")
+    technique = resolve_technique(pssf.load_protocol("reference"))
+    other = technique.replace_protocol(tube_kv=80.0, rows=64)
+    assert other == resolve_technique(dataclasses.replace(technique.protocol, tube_kv=80.0, rows=64))
+    with pytest.raises(pssf.InputError, match=r"detector must be 'csi', got 'gos'"):
+        technique.replace_protocol(detector="gos")
 
 
 @given(a=st.floats(0, 80), b=st.floats(0, 80))
 @settings(max_examples=25)
 def test_two_slabs_attenuate_one_energy_as_the_product_of_each(a, b):
-    technique = technique_of(dataclasses.replace(pssf.load_protocol("reference"), rows=64, cols=64))
+    technique = resolve_technique(dataclasses.replace(pssf.load_protocol("reference"), rows=64, cols=64))
     beam = Beam(np.array([50.0]), np.array([1e6]), np.array([40.0]), np.array([1600.0]))
 
     def kev(**lengths):
@@ -143,8 +152,8 @@ def test_two_slabs_attenuate_one_energy_as_the_product_of_each(a, b):
 def test_every_pixel_of_a_wide_row_gets_what_passes_its_own_lengths():
     rng = np.random.default_rng(3)
     protocol = dataclasses.replace(pssf.load_protocol("reference"), rows=2, cols=700)
-    technique = technique_of(protocol)
-    beam = beam_of(technique)
+    technique = resolve_technique(protocol)
+    beam = compute_beam(technique)
     # Some pixels are empty, and some only of one.
     lengths = {name: rng.uniform(0, 60, (2, 700)) * (rng.random((2, 700)) < 0.6) for name in ("muscle", "cartilage")}
     path_mm = {name: length.astype(np.float32) for name, length in lengths.items()}
@@ -158,7 +167,7 @@ def test_every_pixel_of_a_wide_row_gets_what_passes_its_own_lengths():
 
 def test_the_open_beam_falls_with_the_square_of_distance_and_the_slant():
     protocol = dataclasses.replace(pssf.load_protocol("reference"), rows=3, cols=2001, mono_kev=50.0)
-    kev = transmit({}, beam_of(technique_of(protocol)), technique_of(protocol)).kev[1]
+    kev = transmit({}, compute_beam(resolve_technique(protocol)), resolve_technique(protocol)).kev[1]
     slant = np.hypot((np.arange(2001) - 1000) * 0.15, 1150.0)
     assert_allclose(kev / kev[1000], (1150.0 / slant) ** 3, rtol=1e-5)
 
@@ -181,7 +190,7 @@ def test_stages_that_are_not_asked_for_are_not_run(small):
 
 def test_noise_has_the_variance_of_the_beam_and_leaves_the_mean():
     kev = np.full((512, 512), 3000.0, np.float32)
-    drawn = noise.quantum_noise(kev, np.full_like(kev, 50.0), CSI.swank, SEED)
+    drawn = quantum_noise.sample_quantum_noise(kev, np.full_like(kev, 50.0), CSI.swank, SEED)
     n, variance = kev.size, 3000.0 * 50.0 / CSI.swank
     assert abs(drawn.mean() - 3000.0) < 5 * np.sqrt(variance / n)
     assert abs(drawn.var() / variance - 1) < 5 * np.sqrt(2 / n)
@@ -190,7 +199,7 @@ def test_noise_has_the_variance_of_the_beam_and_leaves_the_mean():
 @pytest.mark.parametrize("photons", [0.0, 1e-6, 1.0, 1e9])
 def test_any_count_is_drawn_without_overflow_or_negative_signal(photons):
     kev = np.full((64, 64), photons * 50.0, np.float32)
-    drawn = noise.quantum_noise(kev, np.full_like(kev, 50.0), CSI.swank, SEED)
+    drawn = quantum_noise.sample_quantum_noise(kev, np.full_like(kev, 50.0), CSI.swank, SEED)
     assert np.isfinite(drawn).all()
     assert (drawn >= 0).all()
     assert abs(drawn.mean() / 50.0 - photons) <= 6 * np.sqrt(photons / CSI.swank / drawn.size) + 1e-2 * (photons < 1e-3)
@@ -198,10 +207,14 @@ def test_any_count_is_drawn_without_overflow_or_negative_signal(photons):
 
 @pytest.mark.parametrize("quanta", [0.9, 1.1])
 def test_counts_keep_their_moments_on_both_sides_of_the_switch_to_a_gaussian(quanta):
-    mean = quanta * noise.GAUSSIAN_FROM
+    mean = quanta * quantum_noise.GAUSSIAN_MIN_QUANTA
     # One quantum is 50 keV over the Swank factor.
     kev = np.full((1024, 1024), mean * 50.0 / CSI.swank, np.float32)
-    counts = noise.quantum_noise(kev, np.full_like(kev, 50.0), CSI.swank, SEED).astype(np.float64) * CSI.swank / 50.0
+    counts = (
+        quantum_noise.sample_quantum_noise(kev, np.full_like(kev, 50.0), CSI.swank, SEED).astype(np.float64)
+        * CSI.swank
+        / 50.0
+    )
     off, n = (counts - mean) / np.sqrt(mean), counts.size
     assert abs(off.mean()) < 5 / np.sqrt(n)
     assert abs(off.var() - 1) < 5 * np.sqrt(2 / n)
@@ -212,59 +225,61 @@ def test_counts_keep_their_moments_on_both_sides_of_the_switch_to_a_gaussian(qua
 
 def test_noise_does_not_depend_on_the_number_of_workers():
     kev = np.full((600, 100), 1000.0, np.float32)
-    one, four = (noise.quantum_noise(kev, kev / 20, CSI.swank, SEED, workers) for workers in (1, 4))
+    one, four = (quantum_noise.sample_quantum_noise(kev, kev / 20, CSI.swank, SEED, workers) for workers in (1, 4))
     assert (one == four).all()
 
 
-@pytest.mark.parametrize("name", sorted(detectors()))
+@pytest.mark.parametrize("name", sorted(load_detectors()))
 def test_a_wave_passes_the_panel_as_its_mtf_says(name):
-    n, pixel, panel_ = 512, 0.15, detectors()[name]
+    n, pixel, panel_ = 512, 0.15, load_detectors()[name]
     x = np.arange(n) - n / 2
     passed = []
     for per_mm in (0.5, 1.0, 2.0):
         wave = 1 + 0.5 * np.cos(2 * np.pi * per_mm * pixel * x)[None, :] * np.ones((64, 1))
-        values = blur.forward(wave.astype(np.float32))
-        blur.by_panel(values, wave.shape, pixel, panel_)
-        blurred = blur.backward(values, wave.shape)
+        values = detector_blur.transform_to_frequency(wave.astype(np.float32))
+        detector_blur.apply_panel_blur(values, wave.shape, pixel, panel_)
+        blurred = detector_blur.transform_to_image(values, wave.shape)
         passed.append(np.ptp(blurred[32, 100:400]) / np.ptp(wave[32, 100:400]))
-    assert_allclose(passed, blur.transfer(panel_, np.array([0.5, 1.0, 2.0])), rtol=0.02)
+    assert_allclose(passed, detector_blur.compute_transfer(panel_, np.array([0.5, 1.0, 2.0])), rtol=0.02)
     assert 1 > passed[0] > passed[1] > passed[2] > 0
 
 
 @pytest.mark.parametrize("per_mm", [0.5, 1.0, 2.0])
 def test_the_mtf_of_the_caesium_iodide_panel_lies_where_those_of_real_ones_do(per_mm):
-    known = references().quality[f"mtf_{per_mm:g}_per_mm"]
+    known = load_reference_tables().quality[f"mtf_{per_mm:g}_per_mm"]
     low, high = known.range or (0.97 * known.value, 1.03 * known.value)
-    assert low <= blur.transfer(CSI, np.array([per_mm]))[0] <= high
+    assert low <= detector_blur.compute_transfer(CSI, np.array([per_mm]))[0] <= high
 
 
 def test_the_focal_spot_blurs_by_its_magnified_width():
     protocol = dataclasses.replace(pssf.load_protocol("reference"), pixel_mm=0.01)
     edge = np.where(np.arange(400) < 200, 1.0, 0.0).astype(np.float32)[None, :] * np.ones((40, 1), np.float32)
-    blurred = blur.focal_spot_blur(edge, 1.2, view_of(protocol))[20]
+    blurred = detector_blur.blur_image_by_focal_spot(edge, 1.2, resolve_view(protocol))[20]
     width = (blurred[100:300].sum() - 100, -np.diff(blurred[100:300]).min())
     assert width[1] == pytest.approx(0.01 / (1.2 * (1150 / 950 - 1)), rel=0.2)
 
 
 def test_blurs_conserve_the_signal_of_a_flat_field():
     flat = np.full((100, 130), 7.0, np.float32)
-    values = blur.forward(flat)
+    values = detector_blur.transform_to_frequency(flat)
     for part in ("mtf", "ntf"):
-        blur.by_panel(values, flat.shape, 0.15, CSI, part)
-    assert_allclose(blur.backward(values, flat.shape), 7.0, rtol=1e-5)
-    assert_allclose(blur.focal_spot_blur(flat, 1.2, view_of(pssf.load_protocol("reference"))), 7.0, rtol=1e-5)
+        detector_blur.apply_panel_blur(values, flat.shape, 0.15, CSI, part)
+    assert_allclose(detector_blur.transform_to_image(values, flat.shape), 7.0, rtol=1e-5)
+    assert_allclose(
+        detector_blur.blur_image_by_focal_spot(flat, 1.2, resolve_view(pssf.load_protocol("reference"))), 7.0, rtol=1e-5
+    )
 
 
 def test_a_coarse_map_keeps_its_mean_and_a_ramp_its_slope():
     ramp = np.add.outer(np.arange(70.0), 2 * np.arange(45.0)).astype(np.float32)
-    coarse = block_mean(ramp, 8)
-    assert_allclose(enlarge(coarse, 8, ramp.shape)[4:60, 4:36], ramp[4:60, 4:36], rtol=1e-5, atol=1e-3)
+    coarse = downsample_by_blocks(ramp, 8)
+    assert_allclose(upsample_linear(coarse, 8, ramp.shape)[4:60, 4:36], ramp[4:60, 4:36], rtol=1e-5, atol=1e-3)
 
 
 def test_presentation_shows_bone_brighter_than_muscle_brighter_than_air():
     pixels = np.full((300, 300), 40000, np.uint16)
     pixels[:, 60:240], pixels[:, 120:180] = 6000, 2200
-    shown = pssf.present(pixels).astype(int)
+    shown = pssf.render_for_display(pixels).astype(int)
     assert shown[150, 150] > shown[150, 90] + 30 > shown[150, 20] + 60
 
 
@@ -279,7 +294,7 @@ def test_the_data_files_say_where_their_numbers_come_from():
 @pytest.mark.parametrize("angle_deg", [8.1, 9.0])
 def test_the_heel_effect_follows_spekpy_to_the_edge_of_the_field(heel, angle_deg):
     protocol = dataclasses.replace(pssf.load_protocol("reference"), heel=heel, anode_angle_deg=angle_deg)
-    technique = technique_of(protocol)
+    technique = resolve_technique(protocol)
     rows = heel_factor(technique)[:: 1 if heel == "anode_proximal" else -1]
     assert (rows > 0).all()
     assert (np.diff(rows[: rows.argmax() + 1]) > 0).all()
@@ -288,7 +303,7 @@ def test_the_heel_effect_follows_spekpy_to_the_edge_of_the_field(heel, angle_deg
         signals = []
         for place in (slope, 0.0):
             energies, photons = tube_spectrum(70.0, angle_deg, 3.0, off_axis=place)
-            signals.append((photons * spectrum._response(energies, technique.detector)[0]).sum())
+            signals.append((photons * spectrum._detector_response(energies, technique.detector)[0]).sum())
         assert_allclose(rows[row], signals[0] * (1 + slope**2) / signals[1], rtol=1e-3)
 
 
@@ -299,6 +314,6 @@ def test_an_anode_that_cuts_off_the_field_is_refused_with_the_least_angle():
             dataclasses.replace(reference, heel="anode_distal", anode_angle_deg=angle_deg)
     # A collimated field that ends before the cut-off is allowed, and rows beyond it have a finite factor.
     narrow = dataclasses.replace(reference, heel="anode_distal", anode_angle_deg=6.0, field_height_mm=150.0)
-    rows = heel_factor(technique_of(narrow))
+    rows = heel_factor(resolve_technique(narrow))
     assert rows.min() > 0.3
     assert rows.max() < 1.2

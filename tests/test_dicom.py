@@ -11,8 +11,8 @@ from PIL import Image
 from pydicom.uid import DeflatedExplicitVRLittleEndian, ImplicitVRLittleEndian, RLELossless
 
 import pssf
-from pssf.geometry.view import magnification, view_of
-from pssf.io.images import save_parameters
+from pssf.geometry.view import magnification, resolve_view
+from pssf.io.radiograph_files import save_parameters
 
 INTENTS = ("processing", "presentation")
 PROTOCOLS = ("reference", "low_dose", "geometry_shift")
@@ -160,7 +160,7 @@ def test_distances_along_a_tilted_beam_keep_the_magnification(other, small, tmp_
     protocol = dataclasses.replace(small, beam_angle_deg=20.0)
     found = written(other(protocol=protocol), tmp_path)
     ratio = found.DistanceSourceToDetector / found.DistanceSourceToPatient
-    assert ratio == pytest.approx(magnification(view_of(protocol)), abs=1e-9)
+    assert ratio == pytest.approx(magnification(resolve_view(protocol)), abs=1e-9)
     beyond_mm = protocol.sdd_mm - protocol.sod_mm
     along_mm = protocol.sod_mm + beyond_mm / np.cos(np.deg2rad(20.0))
     assert found.DistanceSourceToDetector == pytest.approx(along_mm, abs=1e-6)
@@ -221,8 +221,8 @@ def test_for_presentation_is_what_present_renders_bone_bright_and_its_window_cov
     assert (found.PresentationIntentType, found.PresentationLUTShape) == ("FOR PRESENTATION", "IDENTITY")
     assert (found.PhotometricInterpretation, found.PixelIntensityRelationshipSign) == ("MONOCHROME2", -1)
     pixels = found.pixel_array
-    look = dict(look="processed", pixel_mm=radiograph.protocol.pixel_mm)
-    assert (pixels == pssf.present(radiograph.pixels, bits=12, **look)).all()
+    processing = dict(processing="processed", pixel_mm=radiograph.protocol.pixel_mm)
+    assert (pixels == pssf.render_for_display(radiograph.pixels, bits=12, **processing)).all()
     assert pixels[5, 128] > pixels[128, 2]
     # PS3.3, C.11.2.1.2: the linear window maps these pixels onto themselves, so no value is cut off.
     centre, width = float(found.WindowCenter), float(found.WindowWidth)
@@ -230,19 +230,19 @@ def test_for_presentation_is_what_present_renders_bone_bright_and_its_window_cov
     assert shown == pytest.approx(pixels.astype(float), abs=1e-9)
 
 
-@pytest.mark.parametrize("look", ["linear", "film", "processed"])
-def test_a_presentation_has_the_look_that_is_asked_for_and_names_it(radiograph, tmp_path, look):
-    how = dict(look=look, pixel_mm=radiograph.protocol.pixel_mm)
-    found = pydicom.dcmread(pssf.save(radiograph, tmp_path / "seen.dcm", intent="presentation", look=look))
-    assert (found.pixel_array == pssf.present(radiograph.pixels, bits=12, **how)).all()
-    assert f"look {look}" in found.ImageComments
-    with Image.open(pssf.save(radiograph, tmp_path / "seen.png", look=look)) as image:
-        assert (np.array(image) == pssf.present(radiograph.pixels, **how)).all()
-        assert image.info["Look"].startswith(look)
+@pytest.mark.parametrize("processing", ["log", "film", "processed"])
+def test_a_presentation_has_the_look_that_is_asked_for_and_names_it(radiograph, tmp_path, processing):
+    how = dict(processing=processing, pixel_mm=radiograph.protocol.pixel_mm)
+    found = pydicom.dcmread(pssf.save(radiograph, tmp_path / "seen.dcm", intent="presentation", processing=processing))
+    assert (found.pixel_array == pssf.render_for_display(radiograph.pixels, bits=12, **how)).all()
+    assert f"processing {processing}" in found.ImageComments
+    with Image.open(pssf.save(radiograph, tmp_path / "seen.png", processing=processing)) as image:
+        assert (np.array(image) == pssf.render_for_display(radiograph.pixels, **how)).all()
+        assert image.info["DisplayProcessing"].startswith(processing)
 
 
 def test_one_radiograph_seen_in_two_ways_is_two_objects_of_one_series(radiograph, tmp_path):
-    ways = (dict(look="film"), dict(look="linear"), dict(look="film", border="marked"))
+    ways = (dict(processing="film"), dict(processing="log"), dict(processing="film", border="marked"))
     seen = [
         pydicom.dcmread(pssf.save(radiograph, tmp_path / f"{k}.dcm", intent="presentation", **way))
         for k, way in enumerate(ways)
@@ -253,8 +253,8 @@ def test_one_radiograph_seen_in_two_ways_is_two_objects_of_one_series(radiograph
 
 def test_an_unknown_look_is_refused_and_leaves_nothing(radiograph, tmp_path):
     for suffix in ("png", "dcm"):
-        with pytest.raises(pssf.InputError, match="look = 'films'; allowed: linear, processed, film"):
-            pssf.save(radiograph, tmp_path / f"seen.{suffix}", intent="presentation", look="films")
+        with pytest.raises(pssf.InputError, match="processing must be one of log, processed, film, got 'films'"):
+            pssf.save(radiograph, tmp_path / f"seen.{suffix}", intent="presentation", processing="films")
     assert not list(tmp_path.iterdir())
 
 
@@ -267,7 +267,9 @@ def test_for_presentation_names_its_source(radiograph, tmp_path):
 
 def test_for_presentation_is_not_loaded_as_linear_pixels_but_tells_its_parameters(radiograph, tmp_path):
     path = pssf.save(radiograph, tmp_path / "seen.dcm", intent="presentation")
-    with pytest.raises(pssf.InputError, match=r"seen\.dcm: .* 'FOR PRESENTATION'; allowed: FOR PROCESSING") as refusal:
+    with pytest.raises(
+        pssf.InputError, match=r"seen\.dcm: .* must be FOR PROCESSING, .* 'FOR PRESENTATION'"
+    ) as refusal:
         pssf.load(path)
     assert "\n" not in str(refusal.value)
     told = pssf.load_parameters(path)
@@ -285,7 +287,7 @@ def test_parameters_are_read_from_whatever_was_written(radiograph, tmp_path, suf
     ("name", "intent"), [("k.tif", "presentation"), ("k.png", "processing"), ("k.dcm", "printing"), ("k.dcm", "")]
 )
 def test_an_intent_that_a_suffix_cannot_hold_is_refused(radiograph, tmp_path, name, intent):
-    with pytest.raises(pssf.InputError, match=rf"{name}: intent = '{intent}'; allowed: pr"):
+    with pytest.raises(pssf.InputError, match=rf"{name}: intent must be one of pr.*, got '{intent}'"):
         pssf.save(radiograph, tmp_path / name, intent=intent)
     assert not list(tmp_path.iterdir())
 
@@ -308,7 +310,7 @@ def test_a_damaged_dicom_is_refused_by_name(radiograph, tmp_path, damage):
         path.write_text("hello")
     else:
         path.unlink()
-    with pytest.raises(pssf.InputError, match=r"knee\.dcm: .*; allowed: ") as refusal:
+    with pytest.raises(pssf.InputError, match=r"knee\.dcm.* must be ") as refusal:
         pssf.load(path)
     assert "\n" not in str(refusal.value)
 
@@ -318,7 +320,7 @@ def test_a_dicom_by_somebody_else_is_refused(radiograph, tmp_path):
     found.Manufacturer = "ACME"
     found.save_as(tmp_path / "theirs.dcm")
     for read in (pssf.load, pssf.load_parameters):
-        with pytest.raises(pssf.InputError, match=r"theirs\.dcm: Manufacturer = 'ACME'; allowed: PSSF"):
+        with pytest.raises(pssf.InputError, match=r"theirs\.dcm: Manufacturer must be one of PSSF .*, got 'ACME'"):
             read(tmp_path / "theirs.dcm")
 
 
@@ -332,8 +334,8 @@ def test_a_marked_presentation_has_its_marker_on_the_lateral_side_and_a_dark_bor
     taken = dataclasses.replace(radiograph, knee=dataclasses.replace(radiograph.knee, side=side))
     path = pssf.save(taken, tmp_path / f"{side}.dcm", intent="presentation", border="marked")
     marked = pydicom.dcmread(path).pixel_array.astype(int)
-    look = dict(look="processed", pixel_mm=radiograph.protocol.pixel_mm)
-    added = marked - pssf.present(radiograph.pixels, bits=12, **look).astype(int)
+    processing = dict(processing="processed", pixel_mm=radiograph.protocol.pixel_mm)
+    added = marked - pssf.render_for_display(radiograph.pixels, bits=12, **processing).astype(int)
     lateral, medial = (added[:, :64], added[:, -64:]) if side == "right" else (added[:, -64:], added[:, :64])
     assert (marked[:2] < 600).all()
     assert lateral[:64].max() > 3000
@@ -341,8 +343,8 @@ def test_a_marked_presentation_has_its_marker_on_the_lateral_side_and_a_dark_bor
 
 
 def test_a_border_is_for_presentations_of_knees(radiograph, tmp_path):
-    with pytest.raises(pssf.InputError, match=r"k\.tif: border = 'marked'; allowed"):
+    with pytest.raises(pssf.InputError, match=r"k\.tif: border must be none, .*, got 'marked'"):
         pssf.save(radiograph, tmp_path / "k.tif", border="marked")
-    with pytest.raises(pssf.InputError, match=r"k\.png: border = 'wood'; allowed: none, marked"):
+    with pytest.raises(pssf.InputError, match=r"k\.png: border must be one of none, marked, got 'wood'"):
         pssf.save(radiograph, tmp_path / "k.png", border="wood")
     assert not list(tmp_path.iterdir())

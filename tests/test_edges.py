@@ -12,13 +12,13 @@ from numpy.testing import assert_allclose
 
 import pssf
 from pssf.xray import spectrum
-from pssf.xray.materials import attenuation_per_mm, edges_kev
-from pssf.xray.spectrum import beam_of, tube_spectrum
-from pssf.xray.technique import technique_of
+from pssf.xray.materials import absorption_edges_kev, attenuation_per_mm
+from pssf.xray.resolved_technique import resolve_technique
+from pssf.xray.spectrum import compute_beam, tube_spectrum
 
 
 def at(tube_kv):
-    return technique_of(dataclasses.replace(pssf.load_protocol("reference"), tube_kv=float(tube_kv)))
+    return resolve_technique(dataclasses.replace(pssf.load_protocol("reference"), tube_kv=float(tube_kv)))
 
 
 def behind(energies_kev, weights, of, mm):
@@ -34,10 +34,10 @@ def test_signal_behind_a_k_edge_is_within_a_fifth_of_a_percent(name, mm, tube_kv
     protocol = technique.protocol
     # Bins of 0.02 keV, which end at the edges as well.
     tube = (protocol.tube_kv, protocol.anode_angle_deg, protocol.filtration_mm_al)
-    fine = spectrum._split_bins(*tube_spectrum(*tube, bin_kev=0.02), edges_kev([of]), 0.02)
-    response = spectrum._response(fine[0], technique.detector)[0]
+    fine = spectrum._split_bins(*tube_spectrum(*tube, bin_kev=0.02), absorption_edges_kev([of]), 0.02)
+    response = spectrum._detector_response(fine[0], technique.detector)[0]
     expected = behind(fine[0], fine[1] * response, of, mm)
-    beam = beam_of(technique, [of])
+    beam = compute_beam(technique, [of])
     assert_allclose(behind(beam.energies_kev, beam.photons_per_mm2 * beam.signal_kev, of, mm), expected, rtol=2e-3)
 
 
@@ -59,7 +59,7 @@ def test_iodine_before_the_detector_has_its_true_contrast():
 def test_tissues_leave_the_spectrum_as_it_is():
     technique = at(70)
     names = ("cortical_bone", "trabecular_bone", "marrow", "cartilage", "tendon", "muscle", "adipose", "skin", "water")
-    one, other = beam_of(technique), beam_of(technique, [technique.material(name) for name in names])
+    one, other = compute_beam(technique), compute_beam(technique, [technique.material(name) for name in names])
     for field in ("energies_kev", "photons_per_mm2", "signal_kev", "square_kev2"):
         assert np.array_equal(getattr(one, field), getattr(other, field))
 
@@ -68,7 +68,7 @@ def test_edges_leave_the_signal_of_the_open_beam_as_it_is():
     technique = at(70)
     signals = [
         (beam.photons_per_mm2 * beam.signal_kev).sum()
-        for beam in (beam_of(technique), beam_of(technique, [material("I@4.93")]))
+        for beam in (compute_beam(technique), compute_beam(technique, [material("I@4.93")]))
     ]
     assert_allclose(*signals, rtol=1e-12)
 

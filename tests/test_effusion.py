@@ -6,12 +6,18 @@ import numpy as np
 import pytest
 from scipy.stats import mannwhitneyu
 
-from pssf import InputError, Knee, build, draw_knee, load_protocol
-from pssf.anatomy.tissues import _thickened
-from pssf.data.anatomy import anatomy_tables
+from pssf import (
+    InputError,
+    Knee,
+    build,
+    load_protocol,
+    sample_knee,
+)
+from pssf.anatomy.soft_tissue.joint_tissues import _add_effusion_cover
+from pssf.data.anatomy.anatomy_tables import load_anatomy_tables
 
 REFERENCE = load_protocol("reference")
-TABLE = anatomy_tables().shape.effusion
+TABLE = load_anatomy_tables().template.effusion
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +42,7 @@ def test_bones_and_joint_spaces_stay(both):
     assert len(names) >= 6
     for name in names:
         assert np.array_equal(*(surface(built, name).mesh.vertices for built in both))
-    truths = [one.truth(one.aimed(REFERENCE)) for one in both]
+    truths = [one.truth(one.aim_beam(REFERENCE)) for one in both]
     spaces = [(truth.jsw_medial_mm, truth.jsw_lateral_mm) for truth in truths]
     np.testing.assert_allclose(spaces[1], spaces[0], rtol=0, atol=1e-9)
 
@@ -65,19 +71,19 @@ def test_fat_about_the_joint_gives_way(both):
 
 
 def test_what_covers_bones_is_thicker_by_it_where_the_capsule_reaches_and_nowhere_else():
-    cover = anatomy_tables().shape.deep_fat.cover
-    assert _thickened(cover, TABLE.about, 0.0) is cover
-    usual, thick = np.array(sorted(cover)).T, np.array(_thickened(cover, TABLE.about, 5.0)).T
+    cover = load_anatomy_tables().template.deep_fat.cover
+    assert _add_effusion_cover(cover, TABLE.height_profile, 0.0) is cover
+    usual, thick = np.array(sorted(cover)).T, np.array(_add_effusion_cover(cover, TABLE.height_profile, 5.0)).T
     heights = np.linspace(-60, 110, 171)
     more = np.interp(heights, *thick) - np.interp(heights, *usual)
-    np.testing.assert_allclose(more, 5.0 * np.interp(heights, *np.array(TABLE.about).T), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(more, 5.0 * np.interp(heights, *np.array(TABLE.height_profile).T), rtol=0, atol=1e-12)
     assert more[heights == 0] == pytest.approx(5.0)
     np.testing.assert_allclose(more[np.abs(heights - 25) > 66], 0.0, rtol=0, atol=1e-12)
 
 
 def test_the_most_a_worn_knee_may_have_is_built_and_more_is_refused():
     build(
-        draw_knee(
+        sample_knee(
             grade=4,
             rng=np.random.default_rng(5),
             grade_table="population",
@@ -86,13 +92,13 @@ def test_the_most_a_worn_knee_may_have_is_built_and_more_is_refused():
             limb_ap_mm=90.0,
         )
     )
-    with pytest.raises(InputError, match=r"effusion_mm = 10\.5"):
+    with pytest.raises(InputError, match=r"effusion_mm must be .*, got 10\.5"):
         Knee(effusion_mm=10.5)
 
 
 def test_it_rises_with_the_grade_but_tells_no_grade_from_the_next():
     def swelling(grade, seed, **options):
-        return draw_knee(grade=grade, rng=np.random.default_rng(seed), **options).effusion_mm
+        return sample_knee(grade=grade, rng=np.random.default_rng(seed), **options).effusion_mm
 
     by_grade = [
         np.array([swelling(grade, seed, grade_table="population") for seed in range(200)]) for grade in range(5)

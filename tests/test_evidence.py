@@ -8,15 +8,15 @@ import pandas as pd
 import pytest
 
 from pssf.core.checks import InputError
-from pssf.data.ibsi import ibsi_tags
+from pssf.data.analysis.ibsi_table import load_ibsi_tags
 from pssf.study import StudySettings
-from pssf.study.learn.refit import refitted
-from pssf.study.learn.scenarios import one_split
-from pssf.study.learn.split import split_subjects
-from pssf.study.predictions import Outcome, class_of, joined
-from pssf.study.statistics.evidence import tables_of_features, tables_of_models
-from pssf.study.statistics.importance import by_family
-from pssf.study.tasks import TASKS, class_names, tasks_of
+from pssf.study.design.classification_tasks import TASKS, class_names, find_tasks
+from pssf.study.learn.models.final_models import refit_models
+from pssf.study.learn.protocol_scenarios import evaluate_split
+from pssf.study.learn.subject_split import split_subjects
+from pssf.study.predictions import SplitOutcome, concatenate_tables, find_class_indices
+from pssf.study.statistics.features.feature_importance import sum_by_family
+from pssf.study.statistics.result_tables import build_feature_tables, build_model_tables
 
 PROTOCOLS = ("reference", "other")
 NAMES = ["glcm_a", "glcm_b", "gldm_c", "ngtdm_d"]
@@ -37,11 +37,11 @@ def table(per_grade: int, *, noise: float = 0.5, seed: int = 0) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def study(cohort: pd.DataFrame, settings: StudySettings = ALL) -> tuple[list[Outcome], dict[str, pd.DataFrame]]:
+def study(cohort: pd.DataFrame, settings: StudySettings = ALL) -> tuple[list[SplitOutcome], dict[str, pd.DataFrame]]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        outcomes = [one_split(r, table=cohort, names=NAMES, settings=settings) for r in range(settings.repeats)]
-        return outcomes, tables_of_models(outcomes, settings)
+        outcomes = [evaluate_split(r, table=cohort, names=NAMES, settings=settings) for r in range(settings.repeats)]
+        return outcomes, build_model_tables(outcomes, settings)
 
 
 def test_three_subjects_of_a_grade_are_enough_and_two_are_refused():
@@ -50,13 +50,13 @@ def test_three_subjects_of_a_grade_are_enough_and_two_are_refused():
     assert (scores["test_subjects"] == scores["task"].map({"0 vs 2": 2, "0/1/2": 3})).all()
     assert (scores["auc_low"] <= scores["auc"]).all()
     assert (scores["auc"] <= scores["auc_high"]).all()
-    with pytest.raises(InputError, match="has 2 subjects"):
-        one_split(0, table=table(2), names=NAMES, settings=LIGHT)
+    with pytest.raises(InputError, match=r"must have at least 3 subjects .*got 2"):
+        evaluate_split(0, table=table(2), names=NAMES, settings=LIGHT)
 
 
 def test_three_subjects_in_all_are_refused_by_name():
-    with pytest.raises(InputError, match="grade 0 has 1 subjects"):
-        one_split(0, table=table(1), names=NAMES, settings=LIGHT)
+    with pytest.raises(InputError, match=r"grade 0 must have at least 3 subjects .*got 1"):
+        evaluate_split(0, table=table(1), names=NAMES, settings=LIGHT)
 
 
 def test_a_grade_that_is_missing_from_a_test_part_gives_no_measure_there_and_the_others_stand():
@@ -82,11 +82,11 @@ def test_a_grade_that_is_missing_from_training_under_one_protocol_leaves_its_arm
     outcomes, tables = study(cohort[~lost], dataclasses.replace(LIGHT, repeats=1))
     found = outcomes[0].predictions
     assert set(found["trained_on"]) == {"all", "mixed"}
-    assert outcomes[0].offered.columns.tolist() == ["task", "trained_on", "selection", "repeat", "feature"]
+    assert outcomes[0].selection_candidates.columns.tolist() == ["task", "trained_on", "selection", "repeat", "feature"]
     for name in ("calibration", "calibration_curve", "importance", "permutation"):
         assert tables[name].empty, name
     shown = tables["importance"].merge(tables["permutation"], on=["model", "selection", "feature"], how="left")
-    assert by_family(shown).join(by_family(shown, "drop").add_suffix(" drop")).shape == (7, 0)
+    assert sum_by_family(shown).join(sum_by_family(shown, "drop").add_suffix(" drop")).shape == (7, 0)
 
 
 @pytest.mark.parametrize("selection", ["l1", "mrmr"])
@@ -98,7 +98,7 @@ def test_features_that_are_all_constant_give_chance_in_every_scenario(selection)
     assert (models["auc"] == 0.5).all()
     assert (models["auc_low"] == 0.5).all()
     assert set(models["scenario"]) == {"within", "cross", "cross_harmonised", "multi", "mixed"}  # no feature is stable
-    assert [outcome.stable for outcome in outcomes] == [0, 0]
+    assert [outcome.stable_feature_count for outcome in outcomes] == [0, 0]
     assert tables["calibration"].query("selection != 'none'")["slope"].fillna(0).abs().max() < 1e-6
     assert (tables["permutation"]["drop"] == 0).all()
 
@@ -119,7 +119,7 @@ def test_a_hole_in_a_test_radiograph_is_filled_and_one_in_training_costs_the_fea
     for part, kept in ((split.test, True), (split.training, False)):
         holed = cohort.copy()
         holed.loc[holed["subject"] == part[0], "glcm_a"] = np.nan
-        outcome = one_split(0, table=holed, names=NAMES, settings=LIGHT)
+        outcome = evaluate_split(0, table=holed, names=NAMES, settings=LIGHT)
         assert outcome.predictions["p0"].notna().all()
         of_reference = outcome.importances[outcome.importances["trained_on"] == "reference"]
         assert ("glcm_a" in set(of_reference["feature"])) == kept
@@ -131,20 +131,20 @@ def test_a_knee_whose_joint_is_not_found_is_left_out_of_scores_and_reliability_a
     lost = cohort["knee"] == 5
     cohort.loc[lost, "status"] = "low score"
     cohort.loc[lost, NAMES] = np.nan
-    tables = tables_of_features(cohort, cohort.head(0), NAMES, ibsi_tags(), LIGHT)
+    tables = build_feature_tables(cohort, cohort.head(0), NAMES, load_ibsi_tags(), LIGHT)
     assert tables["localisation"].iloc[-1]["refused"] == 2
     assert (tables["reliability"]["knees"] == 17).all()
-    found = one_split(0, table=cohort[~lost], names=NAMES, settings=LIGHT).predictions
+    found = evaluate_split(0, table=cohort[~lost], names=NAMES, settings=LIGHT).predictions
     assert 5 not in set(found["knee"])
 
 
 def test_tasks_are_those_whose_grades_a_cohort_has():
-    assert list(tasks_of([0, 1, 2])) == ["0 vs 2", "0/1/2"]
-    assert list(tasks_of([0, 4])) == ["0 vs 3+4"]
-    assert list(tasks_of(range(5))) == list(TASKS)
-    assert list(tasks_of(range(4))) == ["0 vs 2", "0/1/2", "0 vs 3+4"]
+    assert list(find_tasks([0, 1, 2])) == ["0 vs 2", "0/1/2"]
+    assert list(find_tasks([0, 4])) == ["0 vs 3+4"]
+    assert list(find_tasks(range(5))) == list(TASKS)
+    assert list(find_tasks(range(4))) == ["0 vs 2", "0/1/2", "0 vs 3+4"]
     assert TASKS["0/1/2/3/4"] == tuple((grade,) for grade in range(5))
-    assert class_of(np.array([4, 0, 3]), TASKS["0 vs 3+4"]).tolist() == [1, 0, 1]
+    assert find_class_indices(np.array([4, 0, 3]), TASKS["0 vs 3+4"]).tolist() == [1, 0, 1]
     assert class_names("0 vs 3+4") == ("normal", "moderate OA or severe OA")
 
 
@@ -157,7 +157,7 @@ def test_grades_3_and_4_are_told_from_0_as_one_class_and_leave_the_other_tasks_a
     worse["grade"] += 2
     worse["glcm_a"] += 3.0
     outcomes, tables = study(pd.concat([cohort, worse], ignore_index=True), LIGHT)
-    found = joined([outcome.predictions for outcome in outcomes])
+    found = concatenate_tables([outcome.predictions for outcome in outcomes])
     assert set(found["task"]) == set(TASKS)
     advanced = found[found["task"] == "0 vs 3+4"].drop_duplicates("radiograph")
     assert ((advanced["subject"] >= 100) == (advanced["truth"] == 1)).all()
@@ -166,8 +166,8 @@ def test_grades_3_and_4_are_told_from_0_as_one_class_and_leave_the_other_tasks_a
     assert set(tables["confusion"].query("task == '0 vs 3+4'")["true_grade"]) == {0, 3}
     _, without = study(cohort, LIGHT)
     assert set(without["scores"]["task"]) == {"0 vs 2", "0/1/2"}
-    kept = {one.name: one for one in refitted(cohort, NAMES, LIGHT, {"all": PROTOCOLS})}
+    kept = {one.name: one for one in refit_models(cohort, NAMES, LIGHT, {"all": PROTOCOLS})}
     assert {one.task for one in kept.values()} == {"0 vs 2", "0/1/2"}
     both = pd.concat([cohort, worse], ignore_index=True)
-    advanced = {one.name: one for one in refitted(both, NAMES, LIGHT, {"all": PROTOCOLS})}["lr_l1_0v34_all"]
+    advanced = {one.name: one for one in refit_models(both, NAMES, LIGHT, {"all": PROTOCOLS})}["lr_l1_0v34_all"]
     assert advanced.grades == (0, 3)

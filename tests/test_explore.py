@@ -21,20 +21,25 @@ import pytest
 
 import pssf
 from pssf.core.checks import InputError
-from pssf.core.workers import WorkersLostError
-from pssf.data.explore import explored
-from pssf.data.fields import field_laws
-from pssf.explore import ahead, answers
-from pssf.explore.asked import LOOKS, coarser, read_state, resolve
-from pssf.explore.guard import MOST_BYTES, policy_of
-from pssf.explore.listing import listing, page_knee
-from pssf.explore.python import python_lines
-from pssf.explore.server import _bound
-from pssf.explore.warm import ENGINE, Warm
-from pssf.explore.worker import SupersededError, Worker
-from pssf.io import viewer
+from pssf.core.processes.worker_processes import WorkersLostError
+from pssf.data.imaging.explore_table import load_page_settings
+from pssf.data.knees.field_definitions import load_field_specs
+from pssf.explore import handlers, prefetch
+from pssf.explore.page_listing import build_listing, knee_to_page_dict
+from pssf.explore.page_server import _bind_socket
+from pssf.explore.page_worker import SupersededError, Worker
+from pssf.explore.python_snippet import format_python_lines
+from pssf.explore.request_guard import MAX_BODY_BYTES, build_page_policy
+from pssf.explore.request_schema import (
+    LOOKS,
+    coarsen_protocol,
+    parse_state,
+    resolve_state,
+)
+from pssf.explore.stage_cache import ENGINE, StageCache
+from pssf.io.meshes import knee_viewer
 from pssf.model.knee import Cyst, Knee, Osteophyte
-from pssf.model.protocol import protocol_table
+from pssf.model.protocol import protocol_to_dict
 from pssf.simulation import simulate
 
 SIDE = 96
@@ -47,34 +52,41 @@ def small(**changes):
 
 
 def state(**changes):
-    knee = {**page_knee(Knee()), "limb_ap_mm": None, "fat_mm": None}
-    return {"tab": "t", "knee": knee, "protocol": protocol_table(small()), "seed": 0, "look": "linear", **changes}
+    knee = {**knee_to_page_dict(Knee()), "limb_ap_mm": None, "fat_mm": None}
+    return {
+        "tab": "t",
+        "knee": knee,
+        "protocol": protocol_to_dict(small()),
+        "seed": 0,
+        "processing": "linear",
+        **changes,
+    }
 
 
 def wanted(**changes):
-    return resolve(read_state(json.dumps(state(**changes)).encode()))
+    return resolve_state(parse_state(json.dumps(state(**changes)).encode()))
 
 
 @pytest.fixture(scope="module")
 def warm():
-    return Warm()
+    return StageCache()
 
 
 # --- what is kept between requests ---
 
 
 def test_an_exposure_slider_traces_no_rays_and_a_knee_slider_does(warm):
-    first = warm.exposed(Knee(), small(), 0)
-    again = [warm.exposed(Knee(), small(tube_kv=80.0), 0), warm.exposed(Knee(), small(mas=4.0), 5)]
-    assert all(made.traced is first.traced and made.rays == 0 for made in again)
-    other = warm.exposed(Knee(), small(sod_mm=900.0), 0)
-    assert other.rays > 0
+    first = warm.simulate_image(Knee(), small(), 0)
+    again = [warm.simulate_image(Knee(), small(tube_kv=80.0), 0), warm.simulate_image(Knee(), small(mas=4.0), 5)]
+    assert all(made.cached_paths is first.cached_paths and made.rays_traced == 0 for made in again)
+    other = warm.simulate_image(Knee(), small(sod_mm=900.0), 0)
+    assert other.rays_traced > 0
     assert other.built is first.built
 
 
 def test_noise_alone_is_drawn_again_for_another_seed(warm):
-    warm.exposed(Knee(), small(), 0)
-    made = warm.exposed(Knee(), small(), 1)
+    warm.simulate_image(Knee(), small(), 0)
+    made = warm.simulate_image(Knee(), small(), 1)
     assert set(made.seconds) == {"anatomy", "rays", "quantum noise", "detector blur", "readout"}
     assert (made.image.pixels == simulate(made.built, small(), rng=1, engine=ENGINE).pixels).all()
 
@@ -98,21 +110,23 @@ def full_pixels():
     return pssf.simulate(Knee(), small(**FULL), rng=3, engine=ENGINE).pixels
 
 
-@pytest.mark.parametrize("name", [one.name for one in dataclasses.fields(pssf.Protocol) if one.name != "apart_mm"])
+@pytest.mark.parametrize(
+    "name", [one.name for one in dataclasses.fields(pssf.Protocol) if one.name != "knee_distance_mm"]
+)
 def test_whatever_field_changes_the_pixels_are_those_of_simulate(name, warm, full_pixels):
-    assert set(OTHER) == {one.name for one in dataclasses.fields(pssf.Protocol)} - {"apart_mm"}
+    assert set(OTHER) == {one.name for one in dataclasses.fields(pssf.Protocol)} - {"knee_distance_mm"}
     before = small(**FULL)
     after = dataclasses.replace(before, **{name: OTHER[name]})
-    warm.exposed(Knee(), before, 3)
-    made = warm.exposed(Knee(), after, 3)
+    warm.simulate_image(Knee(), before, 3)
+    made = warm.simulate_image(Knee(), after, 3)
     assert (made.image.pixels == simulate(made.built, after, rng=3, engine=ENGINE).pixels).all()
-    assert (warm.exposed(Knee(), before, 3).image.pixels == full_pixels).all()
+    assert (warm.simulate_image(Knee(), before, 3).image.pixels == full_pixels).all()
 
 
 @pytest.mark.parametrize("changes", [{}, {"scatter": "monte_carlo", "scatter_photons": 4000}])
 def test_another_seed_gives_the_pixels_of_simulate_with_every_kind_of_scatter(changes, warm):
     for seed in (1, 2, 1):
-        made = warm.exposed(Knee(), small(**changes), seed)
+        made = warm.simulate_image(Knee(), small(**changes), seed)
         assert (made.image.pixels == simulate(made.built, small(**changes), rng=seed, engine=ENGINE).pixels).all()
 
 
@@ -124,23 +138,23 @@ def test_what_is_given_up_stops_before_its_next_stage_and_leaves_nothing_wrong()
         if left[0] < 0:
             raise SupersededError
 
-    warm = Warm(step)
-    warm.exposed(Knee(), small(), 0)
+    warm = StageCache(step)
+    warm.simulate_image(Knee(), small(), 0)
     for stages in range(4):
         left[0] = stages
         with pytest.raises(SupersededError):
-            warm.exposed(Knee(), small(tube_kv=75.0 + stages), 0)
+            warm.simulate_image(Knee(), small(tube_kv=75.0 + stages), 0)
     left[0] = 100
-    made = warm.exposed(Knee(), small(), 0)
+    made = warm.simulate_image(Knee(), small(), 0)
     assert (made.image.pixels == simulate(made.built, small(), engine=ENGINE).pixels).all()
 
 
 def test_only_so_many_pixels_are_kept(warm, monkeypatch):
-    monkeypatch.setattr("pssf.explore.warm._MOST_PIXELS", 3 * SIDE**2)
+    monkeypatch.setattr("pssf.explore.stage_cache._MOST_PIXELS", 3 * SIDE**2)
     for angle in range(6):
-        warm.exposed(Knee(), small(beam_angle_deg=float(angle)), 0)
+        warm.simulate_image(Knee(), small(beam_angle_deg=float(angle)), 0)
     assert len(warm._traced) == 3
-    assert warm.exposed(Knee(), small(beam_angle_deg=5.0), 0).rays == 0
+    assert warm.simulate_image(Knee(), small(beam_angle_deg=5.0), 0).rays_traced == 0
 
 
 # --- answers ---
@@ -148,47 +162,47 @@ def test_only_so_many_pixels_are_kept(warm, monkeypatch):
 
 def test_coarse_pixels_are_of_the_same_field():
     whole = pssf.load_protocol("fixed_flexion")
-    coarse = coarser(dataclasses.replace(whole, scatter="monte_carlo"), 512)
+    coarse = coarsen_protocol(dataclasses.replace(whole, scatter="monte_carlo"), 512)
     assert max(coarse.rows, coarse.cols) == 512
     assert coarse.rows * coarse.pixel_mm == pytest.approx(whole.rows * whole.pixel_mm)
     assert coarse.scatter == "kernel"
-    assert coarser(whole, 0) is whole
+    assert coarsen_protocol(whole, 0) is whole
 
 
-@pytest.mark.parametrize("look", LOOKS)
-def test_the_pixels_of_a_look_are_what_present_gives(look, warm):
-    header, content = answers.radiograph(warm, wanted(look=look))
+@pytest.mark.parametrize("processing", LOOKS)
+def test_the_pixels_of_a_look_are_what_present_gives(processing, warm):
+    header, content = handlers.handle_radiograph(warm, wanted(processing=processing))
     shown = np.frombuffer(content, "<u2").reshape(header["rows"], header["cols"])
     direct = pssf.simulate(Knee(), small(), engine=ENGINE).pixels
-    if look != "linear":
-        direct = pssf.present(direct, bits=16, look=look, pixel_mm=small().pixel_mm)
+    if processing != "linear":
+        direct = pssf.render_for_display(direct, bits=16, processing=processing, pixel_mm=small().pixel_mm)
     assert (shown == direct).all()
 
 
 def test_the_figures_are_those_of_the_exposure(warm):
-    header, _ = answers.radiograph(warm, wanted())
-    twice, _ = answers.radiograph(warm, wanted(protocol=protocol_table(small(mas=4.0))))
+    header, _ = handlers.handle_radiograph(warm, wanted())
+    twice, _ = handlers.handle_radiograph(warm, wanted(protocol=protocol_to_dict(small(mas=4.0))))
     for name in ("exposure_index", "entrance_kerma_ugy"):
         assert twice[name] == pytest.approx(2 * header[name], rel=1e-5)
     assert twice["spr_limb"] == pytest.approx(header["spr_limb"], rel=1e-5)
-    none, _ = answers.radiograph(warm, wanted(protocol=protocol_table(small(scatter="none"))))
+    none, _ = handlers.handle_radiograph(warm, wanted(protocol=protocol_to_dict(small(scatter="none"))))
     assert none["spr_limb"] is none["spr_joint"] is None
     assert header["audit"]["unrepaired"] == 0
     assert header["truth"]["jsw_medial_mm"] == pytest.approx(5.0, abs=1e-3)
 
 
 def test_the_paths_under_the_cursor_are_those_that_were_traced(warm):
-    answers.radiograph(warm, wanted())
-    header, _ = answers.probe(warm, wanted(row=40, col=45))
+    handlers.handle_radiograph(warm, wanted())
+    header, _ = handlers.handle_probe(warm, wanted(row=40, col=45))
     paths = pssf.trace(pssf.build(Knee()).scene, small(), engine=ENGINE).path_mm
     along = {name: float(values[40, 45]) for name, values in paths.items() if values[40, 45] > 5e-4}
     assert header["path_mm"] == along
-    assert answers.probe(warm, wanted(row=SIDE, col=0))[0]["path_mm"] is None
-    assert answers.probe(warm, wanted(knee=page_knee(Knee(varus_deg=1.0))))[0]["path_mm"] is None
+    assert handlers.handle_probe(warm, wanted(row=SIDE, col=0))[0]["path_mm"] is None
+    assert handlers.handle_probe(warm, wanted(knee=knee_to_page_dict(Knee(varus_deg=1.0))))[0]["path_mm"] is None
 
 
 def test_masks_are_those_of_the_truth(warm):
-    header, content = answers.masks(warm, wanted())
+    header, content = handlers.handle_masks(warm, wanted())
     masks = pssf.simulate(Knee(), small(), keep=("masks",), engine=ENGINE).truth.masks
     assert header["names"] == list(masks)
     bits = np.unpackbits(np.frombuffer(content, np.uint8)).reshape(len(masks), -1)[:, : SIDE * SIDE]
@@ -197,20 +211,20 @@ def test_masks_are_those_of_the_truth(warm):
 
 
 def test_the_solids_have_the_beam_and_the_detector_where_they_are(warm):
-    _, content = answers.solids(warm, wanted())
+    _, content = handlers.handle_solids(warm, wanted())
     page = content.decode()
     data = json.loads(page.split('id="data">')[1].split("</script>")[0])
     low, high = np.array(data["bounds"])
-    assert high[1] == pytest.approx(200.0 + viewer._PLATE_MM)  # the plane of the detector, and its thickness
+    assert high[1] == pytest.approx(200.0 + knee_viewer._PLATE_MM)  # the plane of the detector, and its thickness
     assert high[0] - low[0] == pytest.approx(307.2)
     assert {"beam", "detector"} <= {layer["label"] for layer in data["layers"]}
     assert data["radiograph"] is None
-    assert "unsafe" not in policy_of(page)
+    assert "unsafe" not in build_page_policy(page)
 
 
 @pytest.mark.parametrize("kind", ["tif", "dcm"])
 def test_a_file_holds_the_radiograph_with_all_its_pixels(kind, warm, tmp_path):
-    header, content = answers.file(warm, wanted(kind=kind, side=32, seed=4))
+    header, content = handlers.handle_file(warm, wanted(kind=kind, side=32, seed=4))
     path = tmp_path / header["name"]
     path.write_bytes(content)
     loaded = pssf.load(path)
@@ -223,15 +237,15 @@ def test_tables_of_knee_and_protocol_give_them_back(warm, tmp_path):
         ("protocol.toml", small(), pssf.load_protocol),
     ):
         path = tmp_path / kind
-        path.write_bytes(answers.file(warm, wanted(kind=kind))[1])
+        path.write_bytes(handlers.handle_file(warm, wanted(kind=kind))[1])
         assert dataclasses.replace(read(path), name=given.name) == given if kind[0] == "p" else read(path) == given
 
 
 def test_meshes_come_as_one_file(warm):
-    header, content = answers.file(warm, wanted(kind="stl"))
+    header, content = handlers.handle_file(warm, wanted(kind="stl"))
     assert header["name"] == "knee_stl.zip"
     assert "knee-femur.stl" in zipfile.ZipFile(BytesIO(content)).namelist()
-    assert answers.file(warm, wanted(kind="glb"))[1][:4] == b"glTF"
+    assert handlers.handle_file(warm, wanted(kind="glb"))[1][:4] == b"glTF"
 
 
 def test_the_lines_of_python_make_this_very_image(warm):
@@ -242,11 +256,11 @@ def test_the_lines_of_python_make_this_very_image(warm):
         texture_seed=2**62 + 1,
         grade=2,
     )
-    lines = python_lines(knee, small(mono_kev=55.0), 2**53 + 7)
+    lines = format_python_lines(knee, small(mono_kev=55.0), 2**53 + 7)
     assert len(lines.splitlines()) == 3
     names = {}
     exec(lines, names)
-    made = warm.exposed(knee, small(mono_kev=55.0), 2**53 + 7)
+    made = warm.simulate_image(knee, small(mono_kev=55.0), 2**53 + 7)
     assert (names["radiograph"].pixels == made.image.pixels).all()
 
 
@@ -255,16 +269,20 @@ def test_the_lines_of_python_make_this_very_image(warm):
 
 @pytest.mark.parametrize(("kind", "of"), [("knee", Knee), ("protocol", pssf.Protocol)])
 def test_every_field_is_on_the_page_once_or_left_out_by_name(kind, of):
-    groups = getattr(explored(), kind)
+    groups = getattr(load_page_settings(), kind)
     shown = [name for group in groups for name in group.fields]
-    assert sorted([*shown, *explored().left_out[kind]]) == sorted(one.name for one in dataclasses.fields(of))
-    laws = field_laws(kind)
-    listed = {field["name"]: field for group in listing()[kind] for field in group["fields"]}
-    assert all(listed[name]["what"] == laws[name].what and listed[name]["unit"] == laws[name].unit for name in shown)
+    assert sorted([*shown, *load_page_settings().hidden_fields[kind]]) == sorted(
+        one.name for one in dataclasses.fields(of)
+    )
+    laws = load_field_specs(kind)
+    listed = {field["name"]: field for group in build_listing()[kind] for field in group["fields"]}
+    assert all(
+        listed[name]["what"] == laws[name].description and listed[name]["unit"] == laws[name].unit for name in shown
+    )
 
 
 def test_every_preset_and_protocol_on_the_page_is_one_that_the_server_takes():
-    page = json.loads(json.dumps(listing()))
+    page = json.loads(json.dumps(build_listing()))
     for preset in page["presets"].values():
         wanted(knee=preset["knee"], protocol=page["protocols"][preset["protocol"]])
     for protocol in page["protocols"].values():
@@ -274,7 +292,7 @@ def test_every_preset_and_protocol_on_the_page_is_one_that_the_server_takes():
 
 def test_a_large_seed_is_not_rounded_on_its_way_through_a_browser():
     knee = Knee(texture_seed=2**63 - 1)
-    assert wanted(knee=json.loads(json.dumps(page_knee(knee)))).knee == knee
+    assert wanted(knee=json.loads(json.dumps(knee_to_page_dict(knee)))).knee == knee
 
 
 # --- the server ---
@@ -349,26 +367,26 @@ def test_the_page_asks_nothing_of_a_network_and_has_nothing_inline(site):
 
 STATE = json.dumps(state()).encode()
 HOSTILE = {
-    "another token": (("GET", "", None, {}), {"base": "x" * 32}, 403, "token = another"),
-    "no token": (("GET", "", None, {}), {"base": "fields"}, 403, "token = another"),
-    "another host": (("GET", "", None, {"Host": "evil.example:80"}), {}, 403, "host = 'evil.example:80'"),
-    "another origin": (("POST", "draw", STATE, {"Origin": "http://evil.example"}), {}, 403, "origin = 'http://evil"),
-    "a null origin": (("POST", "draw", STATE, {"Origin": "null"}), {}, 403, "origin = 'null'"),
-    "another site": (("POST", "draw", STATE, {"Sec-Fetch-Site": "same-site"}), {}, 403, "sec-fetch-site = 'same-site'"),
-    "no JSON": (("POST", "answer/radiograph", b"{", {}), {}, 400, "request = 1 bytes"),
-    "not UTF-8": (("POST", "answer/radiograph", b'{"tab": "\xff"}', {}), {}, 400, "request = "),
-    "nested": (("POST", "answer/radiograph", b"[" * 60_000, {}), {}, 400, "request = 60000 bytes"),
+    "another token": (("GET", "", None, {}), {"base": "x" * 32}, 403, "token must be"),
+    "no token": (("GET", "", None, {}), {"base": "fields"}, 403, "token must be"),
+    "another host": (("GET", "", None, {"Host": "evil.example:80"}), {}, 403, "got 'evil.example:80'"),
+    "another origin": (("POST", "draw", STATE, {"Origin": "http://evil.example"}), {}, 403, "the page itself, got 'http://evil"),
+    "a null origin": (("POST", "draw", STATE, {"Origin": "null"}), {}, 403, "the page itself, got 'null'"),
+    "another site": (("POST", "draw", STATE, {"Sec-Fetch-Site": "same-site"}), {}, 403, "same-origin, got 'same-site'"),
+    "no JSON": (("POST", "answer/radiograph", b"{", {}), {}, 400, "got 1 bytes"),
+    "not UTF-8": (("POST", "answer/radiograph", b'{"tab": "\xff"}', {}), {}, 400, "request must be JSON"),
+    "nested": (("POST", "answer/radiograph", b"[" * 60_000, {}), {}, 400, "got 60000 bytes"),
     "a list": (("POST", "answer/radiograph", b"[]", {}), {}, 400, "Expected `object`"),
     "unknown entry": (("POST", "draw", b'{"grade": 1, "grade_table": "paper", "seed": 1, "x": 1}', {}), {}, 400, "`x`"),
-    "another type": (("POST", "draw", b"a=1", {"Content-Type": "text/plain"}), {}, 400, "content-type = 'text/plain'"),
-    "too large": (("POST", "draw", b" " * (MOST_BYTES + 1), {}), {}, 413, f"request = more than {MOST_BYTES} bytes"),
+    "another type": (("POST", "draw", b"a=1", {"Content-Type": "text/plain"}), {}, 400, "json, got 'text/plain'"),
+    "too large": (("POST", "draw", b" " * (MAX_BODY_BYTES + 1), {}), {}, 413, f"at most {MAX_BODY_BYTES} bytes"),
     "a path": (("GET", "page/../../../etc/passwd", None, {}), {}, 404, "address"),
     "an encoded path": (("GET", "page/..%2f..%2fserver.py", None, {}), {}, 404, "address"),
     "unknown answer": (("POST", "answer/file", STATE, {}), {}, 404, "address"),
     "another method": (("DELETE", "fields", None, {}), {}, 405, "method"),
     "a table that is a path": (
         ("POST", "draw", b'{"grade": 1, "grade_table": "/etc/x.toml", "seed": 1}', {}), {}, 400,
-        "grade_table = '/etc/x.toml'",
+        "got '/etc/x.toml'",
     ),
 }  # fmt: skip
 
@@ -381,7 +399,7 @@ def test_what_is_hostile_or_malformed_gets_one_clear_error(what, site):
     told = json.loads(content)
     assert list(told) == ["error"]
     assert says in told["error"]
-    assert "allowed: " in told["error"]
+    assert "allowed: " in told["error"] or " must be " in told["error"]
     assert len(told["error"].splitlines()) == 1
     assert site.token not in content.decode()
 
@@ -389,17 +407,17 @@ def test_what_is_hostile_or_malformed_gets_one_clear_error(what, site):
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"knee": {"varus_deg": 99}}, "varus_deg = 99 deg; allowed: -16 to 16 deg"),
-        ({"knee": {"varus": 1}}, "unknown field 'varus'"),
-        ({"knee": {"osteophytes": [3]}}, "osteophytes = [3]"),
-        ({"protocol": {**protocol_table(small()), "rows": 8192}}, "rows of the page = 8192 pixels"),
-        ({"protocol": protocol_table(small()) | {"apart_mm": 210.0}}, "apart_mm = 210 mm"),
-        ({"protocol": {}}, "is missing"),
-        ({"seed": -1}, "seed = -1"),
-        ({"seed": "1e9"}, "seed = '1e9'"),
-        ({"look": "xray"}, "look = 'xray'"),
-        ({"side": 7}, "side = 7 pixels"),
-        ({"tab": ""}, "tab = ''"),
+        ({"knee": {"varus_deg": 99}}, "varus_deg must be between -16 and 16 deg, got 99 deg"),
+        ({"knee": {"varus": 1}}, ", got 'varus'"),
+        ({"knee": {"osteophytes": [3]}}, "osteophytes must be a list of tables"),
+        ({"protocol": {**protocol_to_dict(small()), "rows": 8192}}, ", got 8192 pixels"),
+        ({"protocol": protocol_to_dict(small()) | {"knee_distance_mm": 210.0}}, "must be 0 mm on the page, got 210 mm"),
+        ({"protocol": {}}, ", got no 'name'"),
+        ({"seed": -1}, ", got -1"),
+        ({"seed": "1e9"}, ", got '1e9'"),
+        ({"processing": "xray"}, "processing"),
+        ({"side": 7}, ", got 7 pixels"),
+        ({"tab": ""}, "tab must have 1 to 64 letters, got ''"),
     ],
 )
 def test_a_value_that_is_not_allowed_is_refused_by_name(changes, says, site):
@@ -428,7 +446,7 @@ def test_a_body_without_a_length_is_limited_too(site):
 
 
 def test_it_listens_on_this_machine_alone():
-    with _bound(0) as held:
+    with _bind_socket(0) as held:
         assert held.getsockname()[0] == "127.0.0.1"
 
 
@@ -449,7 +467,7 @@ def test_the_latest_request_of_a_tab_wins_and_other_tabs_are_answered(site):
 
     threads = []
     for number in range(5):
-        knee = page_knee(Knee(jsw_medial_mm=3.0 + 0.1 * number))
+        knee = knee_to_page_dict(Knee(jsw_medial_mm=3.0 + 0.1 * number))
         threads.append(threading.Thread(target=ask, args=(number,), kwargs={"knee": knee, "tab": "one"}))
     threads.append(threading.Thread(target=ask, args=("other",), kwargs={"tab": "two"}))
     for thread in threads:
@@ -465,7 +483,7 @@ def test_a_port_that_is_taken_is_refused_in_one_line(site):
     command = [sys.executable, "-m", "pssf", "explore", "--no-browser", "--port", str(site.port)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert done.stderr.startswith(f"pssf: port = {site.port} (")
+    assert done.stderr.startswith(f"pssf: port must be free, got {site.port} (")
     assert len(done.stderr.splitlines()) == 1
 
 
@@ -473,16 +491,16 @@ def test_without_the_extra_it_is_refused_by_name(monkeypatch):
     from pssf import explore
 
     monkeypatch.setattr(explore, "find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"missing = starlette, uvicorn, tomli_w; allowed: the extra explore"):
+    with pytest.raises(InputError, match=r"explore needs starlette, uvicorn, tomli_w, not installed"):
         explore.require_extra()
 
 
 def test_spectra_are_computed_ahead_from_the_protocols_own_voltage_outwards(monkeypatch):
     asked = []
-    monkeypatch.setattr(ahead.os, "nice", lambda by: None)
-    monkeypatch.setattr(ahead.signal, "signal", lambda *given: None)
+    monkeypatch.setattr(prefetch.os, "nice", lambda by: None)
+    monkeypatch.setattr(prefetch.signal, "signal", lambda *given: None)
     monkeypatch.setattr("pssf.xray.spectrum.tube_spectrum", lambda *beam: asked.append(beam))
-    ahead.compute_spectra("reference")
+    prefetch.compute_spectra("reference")
     assert asked[0] == (70.0, 12.0, 3.0)
     assert sorted(kv for kv, _, _ in asked) == list(range(40, 121))
 

@@ -15,12 +15,12 @@ import pytest
 from PIL import Image
 
 import pssf
-from pssf.data.explore import explored
-from pssf.explore.browser import FLAGS, chromium
-from pssf.explore.warm import ENGINE
+from pssf.data.imaging.explore_table import load_page_settings
+from pssf.explore.browser import CHROMIUM_FLAGS, find_chromium
+from pssf.explore.stage_cache import ENGINE
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="no playwright, which drives the browser")
-CHROMIUM = chromium()
+CHROMIUM = find_chromium()
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium (apt-get install chromium)")
 SIDE = 96
 WAIT_MS = 240_000
@@ -35,7 +35,7 @@ SMALL = {"rows": SIDE, "cols": SIDE, "pixel_mm": 3.2}
 
 
 def fragment(**changes):
-    content = {"from": "reference", "knee": {}, "protocol": SMALL, "seed": 0, "look": "linear", **changes}
+    content = {"from": "reference", "knee": {}, "protocol": SMALL, "seed": 0, "processing": "linear", **changes}
     return "#" + json.dumps(content)
 
 
@@ -56,7 +56,7 @@ def server():
 @pytest.fixture(scope="module")
 def browser():
     with sync_api.sync_playwright() as driver:
-        started = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        started = driver.chromium.launch(executable_path=CHROMIUM, args=CHROMIUM_FLAGS)
         yield started
         started.close()
 
@@ -192,7 +192,9 @@ def test_every_control_of_a_field_changes_the_field_that_it_names(browser, serve
       }
       return found;
     }""")
-    assert len(changed) == sum(len(group.fields) for group in (*explored().knee, *explored().protocol))
+    assert len(changed) == sum(
+        len(group.fields) for group in (*load_page_settings().knee, *load_page_settings().protocol)
+    )
     assert {name: facts for name, facts in changed.items() if facts != [True, [], True, True, True]} == {}
     context.close()
 
@@ -253,13 +255,13 @@ def test_a_slider_that_is_dragged_shows_pictures_on_the_way_and_is_one_step_to_u
 
 
 def test_a_reload_restores_the_state(browser, server):
-    with opened(browser, server[1], fragment(knee={"varus_deg": 3.0}, seed=5, look="processed")) as page:
+    with opened(browser, server[1], fragment(knee={"varus_deg": 3.0}, seed=5, processing="processed")) as page:
         before = values(page)
         state = page_state(page)
         page.reload()
         page.wait_for_selector("html[data-picture$=whole]")
         assert page_state(page) == state
-        assert (state["knee"]["varus_deg"], state["seed"], state["look"]) == (3.0, 5, "processed")
+        assert (state["knee"]["varus_deg"], state["seed"], state["processing"]) == (3.0, 5, "processed")
         assert (values(page) == before).all()
 
 
@@ -289,8 +291,8 @@ def test_a_refusal_is_told_where_it_is_read_out_and_goes_when_it_is_mended(page)
         set_number(page, "sdd_mm", 1000, "#exposure")
     page.wait_for_selector("#error:not([hidden])")
     assert page.get_attribute("#error", "role") == "alert"
-    page.wait_for_selector("#status:text-is('What is shown is of before.')")
-    assert "sod_mm = 1100.0 mm; allowed: less than sdd_mm = 1000.0 mm" in page.inner_text("#error")
+    page.wait_for_selector("#status:text-is('The image shown is out of date.')")
+    assert "sod_mm must be less than sdd_mm = 1000.0 mm, got 1100.0 mm" in page.inner_text("#error")
     act(page, lambda: page.click("#undo"))
     assert page.is_hidden("#error")
 
@@ -319,7 +321,7 @@ def test_an_answer_that_is_still_coming_when_another_is_asked_for_is_dropped(pag
 def test_presets_protocols_and_drawn_knees_change_what_they_say(page):
     act(page, lambda: page.select_option("#draw-table", "population") and page.click("#draw"))
     state = page_state(page)
-    assert (state["knee"]["grade"], state["knee"]["jsw_as"], len(state["knee"]["texture_seed"]) > 15) == (
+    assert (state["knee"]["grade"], state["knee"]["jsw_definition"], len(state["knee"]["texture_seed"]) > 15) == (
         0,
         "read",
         True,
@@ -370,11 +372,11 @@ def test_another_technique_gets_a_window_of_its_own_and_a_slider_keeps_it(page):
 
 def test_it_is_told_in_what_the_present_picture_differs_from_the_pinned_one(page):
     page.click("#pin")
-    assert page.inner_text("#compared") == "B is A."
+    assert page.inner_text("#compared") == "Both images have the same parameters."
     act(page, lambda: set_number(page, "mas", 4, "#exposure"))
-    assert page.inner_text("#compared") == "B differs from A in current-time product."
+    assert page.inner_text("#compared") == "The current image differs from the pinned one in current-time product."
     page.select_option("#compare", "difference")
-    assert "Orange: B larger" in page.inner_text("#compared")
+    assert "Orange: current larger" in page.inner_text("#compared")
     page.select_option("#compare", "b")
 
 
@@ -419,7 +421,7 @@ def test_the_measure_is_in_mm_at_the_joint_plane(page):
     page.keyboard.press("m")
     page.wait_for_selector("#measured")
     # Where a screen reader says it, without another key.
-    assert f"measure {page.text_content('#measured')}" in page.inner_text("#cursor")
+    assert f"distance {page.text_content('#measured')}" in page.inner_text("#cursor")
     magnification = 1150 / 950
     assert page.text_content("#measured") == f"{20 * 3.2 / magnification:.2f} mm"
 

@@ -9,10 +9,10 @@ from numpy.testing import assert_allclose
 
 import pssf
 from pssf import InputError
-from pssf.data.exposures import exposures
-from pssf.scatter.monte_carlo import count
-from pssf.xray.collimator import field_of_view
-from pssf.xray.technique import technique_of
+from pssf.data.imaging.acquisition_table import load_acquisition_variability
+from pssf.scatter.monte_carlo import simulate_photons
+from pssf.xray.collimator import compute_collimator_transmission
+from pssf.xray.resolved_technique import resolve_technique
 
 FIXED_FLEXION = pssf.load_protocol("fixed_flexion")
 PLAIN = dict(rows=256, cols=256, pixel_mm=1.2, texture="none", noise="none")
@@ -20,7 +20,7 @@ COARSE = dataclasses.replace(FIXED_FLEXION, **PLAIN)
 
 
 def taking(seed, protocol=FIXED_FLEXION, side="right"):
-    return pssf.draw_exposure(protocol, rng=np.random.default_rng(seed), side=side)
+    return pssf.sample_acquisition(protocol, rng=np.random.default_rng(seed), side=side)
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def test_a_taking_is_one_of_the_protocols_that_can_be(seed, name):
 
 
 def test_takings_vary_by_what_the_table_says():
-    table, drawn = exposures(), [taking(seed) for seed in range(1500)]
+    table, drawn = load_acquisition_variability(), [taking(seed) for seed in range(1500)]
     # A normal cut at two standard deviations keeps 0.88 of its own.
     for name, sd in table.spread.items():
         values = np.array([getattr(protocol, name) for protocol in drawn])
@@ -64,15 +64,15 @@ def test_the_letter_is_that_of_the_side_and_without_one_there_is_none():
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"protocol": "fixed_flexion"}, "protocol = 'fixed_flexion'; allowed: a Protocol"),
+        ({"protocol": "fixed_flexion"}, "protocol must be a Protocol, .* got 'fixed_flexion'"),
         ({"rng": "3"}, "rng must be a whole number"),
-        ({"side": "up"}, "side = 'up'; allowed: right, left"),
+        ({"side": "up"}, "side must be one of right, left.*, got 'up'"),
     ],
 )
 def test_what_cannot_be_drawn_from_is_refused(wrong, said):
     given = {"protocol": FIXED_FLEXION, "rng": np.random.default_rng(0)} | wrong
     with pytest.raises(InputError, match=said):
-        pssf.draw_exposure(given.pop("protocol"), **given)
+        pssf.sample_acquisition(given.pop("protocol"), **given)
 
 
 def test_the_knee_moves_on_the_film_as_the_central_ray_is_moved(built, taken):
@@ -108,7 +108,7 @@ def test_a_leg_that_is_tilted_is_so_on_the_film_and_keeps_its_joint_space(side):
 def test_a_collimator_takes_the_beam_outside_its_field_and_scatter_inside(built, taken):
     protocol = dataclasses.replace(COARSE, field_width_mm=120.0, field_height_mm=180.0)
     found = pssf.simulate(built, protocol, keep=("primary", "scatter"))
-    share = field_of_view(technique_of(protocol))
+    share = compute_collimator_transmission(resolve_technique(protocol))
     assert_allclose(share.sum() * COARSE.pixel_mm**2, 120.0 * 180.0, rtol=1e-3)
     within, beyond = share == 1, share == 0
     assert np.array_equal(found.kept["primary"][within], taken.kept["primary"][within])
@@ -119,7 +119,7 @@ def test_a_collimator_takes_the_beam_outside_its_field_and_scatter_inside(built,
 
 def test_the_edge_of_the_field_is_as_wide_as_the_shadow_of_the_spot():
     protocol = dataclasses.replace(COARSE, cols=2000, pixel_mm=0.05, field_width_mm=60.0, focal_spot_mm=1.2)
-    row = field_of_view(technique_of(protocol))[100]
+    row = compute_collimator_transmission(resolve_technique(protocol))[100]
     wide = ((row > 0.02) & (row < 0.98)).sum() / 2 * 0.05 / 0.96
     assert_allclose(wide, 1.2 * (protocol.sdd_mm / 300.0 - 1), rtol=0.02)
 
@@ -127,9 +127,9 @@ def test_the_edge_of_the_field_is_as_wide_as_the_shadow_of_the_spot():
 def test_photons_start_between_the_leaves():
     scene = pssf.Scene([pssf.Surface(trimesh.creation.box((150.0, 40.0, 150.0)), "muscle", "air")])
     protocol = dataclasses.replace(COARSE, field_width_mm=100.0, field_height_mm=100.0, beam_angle_deg=0.0)
-    counts = count(scene, technique_of(protocol), photons=40_000, seed=1)
+    counts = simulate_photons(scene, resolve_technique(protocol), photons=40_000, seed=1)
     primary = counts.primary_kev.mean(axis=0)
-    side_mm = counts.step * COARSE.pixel_mm
+    side_mm = counts.pixels_per_cell * COARSE.pixel_mm
     middle = (np.arange(len(primary)) + 0.5) * side_mm - COARSE.rows * COARSE.pixel_mm / 2
     outside = np.abs(middle) > 50.0 + side_mm
     assert primary[outside].sum() == primary[:, outside].sum() == 0
@@ -150,8 +150,8 @@ def test_a_marker_of_lead_lies_in_the_upper_corner_of_the_field_and_nowhere_else
 
 def test_truth_tells_how_the_radiograph_was_taken():
     knee = pssf.Knee(flexion_deg=3.0, rotation_deg=-2.0, lean_deg=1.5)
-    protocol = pssf.draw_exposure(COARSE, rng=np.random.default_rng(5), side="right")
-    told = pssf.build(knee, protocol).truth(protocol).taking
+    protocol = pssf.sample_acquisition(COARSE, rng=np.random.default_rng(5), side="right")
+    told = pssf.build(knee, protocol).truth(protocol).acquisition
     changed = {
         field.name
         for field in dataclasses.fields(protocol)

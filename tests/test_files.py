@@ -11,7 +11,8 @@ import trimesh
 from PIL import Image
 
 import pssf
-from pssf.io import atomic, images, meshes, records
+from pssf.io import atomic_write, cohort_records, radiograph_files
+from pssf.io.meshes import mesh_export
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +59,7 @@ def test_a_png_is_8_bit_of_the_same_size(radiograph, tmp_path):
 
 
 def test_another_suffix_is_refused(radiograph, tmp_path):
-    with pytest.raises(pssf.InputError, match=r"suffix '.jpg'; allowed: .tif"):
+    with pytest.raises(pssf.InputError, match=r"suffix must be one of .tif, .*, got '.jpg'"):
         pssf.save(radiograph, tmp_path / "knee.jpg")
     assert not list(tmp_path.iterdir())
 
@@ -84,8 +85,8 @@ def test_a_full_or_unwritable_disk_leaves_nothing_half_written(radiograph, tmp_p
     def fail(*_):
         raise OSError(code, os.strerror(code))
 
-    monkeypatch.setattr(atomic.os, "fsync", fail)
-    with pytest.raises(pssf.InputError, match=r"knee.tif: .*; allowed: a folder that can be written"):
+    monkeypatch.setattr(atomic_write.os, "fsync", fail)
+    with pytest.raises(pssf.InputError, match=r"knee.tif must be writable, got .*: use a writable folder"):
         pssf.save(radiograph, tmp_path / "knee.tif")
     assert not list(tmp_path.iterdir())
 
@@ -94,8 +95,8 @@ def test_a_disk_that_fills_up_under_a_dicom_is_told_in_one_line(radiograph, tmp_
     def fail(*_, **__):
         raise OSError("[Errno 28] No space left on device\nWith tag (7FE0,0010) got exception:\nTraceback ...")
 
-    monkeypatch.setattr("pssf.io.dicom.Dataset.save_as", fail)
-    with pytest.raises(pssf.InputError, match=r"knee.dcm: .*No space left on device\); allowed: ") as refused:
+    monkeypatch.setattr("pssf.io.dicom.dicom_radiograph.Dataset.save_as", fail)
+    with pytest.raises(pssf.InputError, match=r"knee.dcm must be writable, .*No space left on device\): ") as refused:
         pssf.save(radiograph, tmp_path / "knee.dcm")
     assert "Traceback" not in str(refused.value)
     assert not list(tmp_path.iterdir())
@@ -105,27 +106,27 @@ def test_a_sweep_takes_what_a_killed_writer_left_and_nothing_else(tmp_path):
     (tmp_path / ".pssf-dead-abcd1234.tif").write_bytes(b"half")
     for name in (".hidden", "knee.png"):
         (tmp_path / name).write_bytes(b"mine")
-    with atomic.writing(tmp_path / "knee.tif") as temporary:
+    with atomic_write.replace_file(tmp_path / "knee.tif") as temporary:
         temporary.write_bytes(b"whole")
-        assert len(atomic.unfinished(tmp_path)) == 2
-        atomic.sweep(tmp_path)
-        assert atomic.unfinished(tmp_path) == [temporary]
+        assert len(atomic_write.find_temporary_files(tmp_path)) == 2
+        atomic_write.delete_stale_temporary_files(tmp_path)
+        assert atomic_write.find_temporary_files(tmp_path) == [temporary]
     assert sorted(p.name for p in tmp_path.iterdir()) == [".hidden", "knee.png", "knee.tif"]
 
 
 def test_a_writer_begins_again_when_a_sweep_took_its_file_before_it_was_locked(tmp_path, monkeypatch):
-    lock, swept = atomic.fcntl.flock, []
+    lock, swept = atomic_write.fcntl.flock, []
 
     def late(handle, how):
-        if how == atomic.fcntl.LOCK_EX and not swept:
+        if how == atomic_write.fcntl.LOCK_EX and not swept:
             swept.append(handle)
-            atomic.sweep(tmp_path)
+            atomic_write.delete_stale_temporary_files(tmp_path)
         lock(handle, how)
 
-    monkeypatch.setattr(atomic.fcntl, "flock", late)
-    with atomic.writing(tmp_path / "knee.tif") as temporary:
+    monkeypatch.setattr(atomic_write.fcntl, "flock", late)
+    with atomic_write.replace_file(tmp_path / "knee.tif") as temporary:
         temporary.write_bytes(b"whole")
-        atomic.sweep(tmp_path)  # what was written without the lock would be gone now
+        atomic_write.delete_stale_temporary_files(tmp_path)  # what was written without the lock would be gone now
     assert len(swept) == 1
     assert [p.name for p in tmp_path.iterdir()] == ["knee.tif"]
 
@@ -133,7 +134,7 @@ def test_a_writer_begins_again_when_a_sweep_took_its_file_before_it_was_locked(t
 def test_an_existing_file_survives_a_failed_write(radiograph, tmp_path, monkeypatch):
     path = tmp_path / "knee.tif"
     path.write_bytes(b"earlier")
-    monkeypatch.setattr(images.tifffile, "imwrite", lambda *a, **k: 1 / 0)
+    monkeypatch.setattr(radiograph_files.tifffile, "imwrite", lambda *a, **k: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         pssf.save(radiograph, path)
     assert [p.name for p in tmp_path.iterdir()] == ["knee.tif"]
@@ -159,7 +160,7 @@ def test_a_glb_has_one_named_node_a_surface_with_its_material(scene, tmp_path):
     # glTF is in metres, and read back it is in millimetres again.
     low, high = scene.bounds_mm
     np.testing.assert_allclose(loaded.extents, (high - low) / 1000, rtol=1e-5)
-    with pytest.warns(pssf.MeshNotice, match="femur_trabecular.* are not in it"):
+    with pytest.warns(pssf.MeshNotice, match="does not hold the varying densities within .*femur_trabecular"):
         again = pssf.read_scene(tmp_path / "knee.glb")
     np.testing.assert_allclose(again.bounds_mm, scene.bounds_mm, atol=1e-4)
 
@@ -215,7 +216,7 @@ def test_a_3mf_names_and_colours_the_material_of_every_surface(scene, model):
         assert item.get("pid") == group.get("id")
         name, colour = bases[int(item.get("pindex"))]
         assert name == surface.inside
-        assert tuple(bytes.fromhex(colour[1:])) == meshes.colour_of(surface.inside)
+        assert tuple(bytes.fromhex(colour[1:])) == mesh_export.material_colour(surface.inside)
         assert 0 < int(colour[7:], 16) < 255
 
 
@@ -254,7 +255,7 @@ def test_the_3mf_consortiums_own_reader_takes_a_3mf_without_a_warning(scene, pac
     assert names == [surface.name for surface in scene.surfaces]
 
 
-@pytest.mark.parametrize("kind", meshes.FORMATS)
+@pytest.mark.parametrize("kind", mesh_export.FORMATS)
 def test_the_same_scene_gives_the_same_mesh_files(scene, tmp_path, kind):
     few = pssf.Scene(scene.surfaces[:4])
     one, two = (pssf.export_meshes(few, tmp_path / k, formats=(kind,)) for k in "ab")
@@ -268,7 +269,7 @@ def test_ply_and_stl_say_what_they_hold_and_ply_shows_its_colour(scene, tmp_path
     assert (tmp_path / "knee-femur.stl").read_bytes()[:80].strip() == b"STL " + remark
     assert b"comment " + remark in (tmp_path / "knee-femur.ply").read_bytes()[:400]
     colours = trimesh.load(tmp_path / "knee-femur.ply", process=False).visual.vertex_colors
-    assert (colours == meshes.colour_of("cortical_bone")).all()
+    assert (colours == mesh_export.material_colour("cortical_bone")).all()
 
 
 def test_a_tolerance_gives_fewer_triangles_that_move_by_no_more(scene, tmp_path):
@@ -302,15 +303,15 @@ def test_a_file_that_is_no_mesh_is_refused(tmp_path, content):
 
 
 def test_an_unknown_mesh_format_is_refused(scene, tmp_path):
-    with pytest.raises(pssf.InputError, match="format = 'obj3'; allowed: stl, ply, glb, 3mf"):
+    with pytest.raises(pssf.InputError, match="format must be one of stl, ply, glb, 3mf, got 'obj3'"):
         pssf.export_meshes(scene, tmp_path, formats=("obj3",))
 
 
 def test_a_folder_of_another_cohort_is_refused_with_the_difference_named(tmp_path):
-    records.claim(tmp_path / "cohort.json", {"seed": 1, "knees": [{"a": 1}, {"a": 2}]})
-    records.claim(tmp_path / "cohort.json", {"seed": 1, "knees": [{"a": 1}, {"a": 2}]})
-    with pytest.raises(pssf.InputError, match=r"knees\[1\].a = 2, asked for 3"):
-        records.claim(tmp_path / "cohort.json", {"seed": 1, "knees": [{"a": 1}, {"a": 3}]})
+    cohort_records.claim_folder(tmp_path / "cohort.json", {"seed": 1, "knees": [{"a": 1}, {"a": 2}]})
+    cohort_records.claim_folder(tmp_path / "cohort.json", {"seed": 1, "knees": [{"a": 1}, {"a": 2}]})
+    with pytest.raises(pssf.InputError, match=r"knees\[1\].a = 2, requested 3"):
+        cohort_records.claim_folder(tmp_path / "cohort.json", {"seed": 1, "knees": [{"a": 1}, {"a": 3}]})
 
 
 def test_a_mesh_that_bounds_no_solid_is_not_exported(tmp_path):
@@ -324,8 +325,8 @@ def test_a_mesh_that_bounds_no_solid_is_not_exported(tmp_path):
 
 @pytest.mark.parametrize("stem", ["../../x", "a/b", "..", "", None, "a\0"])
 def test_meshes_are_not_exported_beside_their_folder(scene, tmp_path, stem):
-    with pytest.raises(pssf.InputError, match=r"stem = .*; allowed: how a file is called, without a folder"):
-        meshes.export_meshes(scene, tmp_path / "a" / "b", stem=stem)
+    with pytest.raises(pssf.InputError, match=r"stem must be a file name without a folder, got "):
+        mesh_export.export_meshes(scene, tmp_path / "a" / "b", stem=stem)
     assert not list(tmp_path.iterdir())
 
 
@@ -337,12 +338,12 @@ def test_a_name_that_the_disk_can_hold_is_written(radiograph, tmp_path):
 
 @pytest.mark.parametrize("path", [None, b"x.tif", "a\0b.tif", 3])
 def test_what_is_no_path_is_not_written_to(radiograph, path):
-    with pytest.raises(pssf.InputError, match="allowed: text or a Path, without a null byte"):
+    with pytest.raises(pssf.InputError, match="must be text or a Path, without a null byte"):
         pssf.save(radiograph, path)
 
 
 def test_what_is_no_radiograph_is_not_saved(tmp_path):
-    with pytest.raises(pssf.InputError, match="radiograph = 3; allowed: a Radiograph"):
+    with pytest.raises(pssf.InputError, match="radiograph must be a Radiograph, as simulate returns it, got 3"):
         pssf.save(3, tmp_path / "x.tif")
 
 
@@ -351,7 +352,7 @@ def test_what_is_no_radiograph_is_not_saved(tmp_path):
 def test_a_new_file_has_the_mode_that_the_umask_leaves(tmp_path, umask):
     before = os.umask(umask)
     try:
-        atomic.write_bytes(tmp_path / "new.csv", b"a")
+        atomic_write.write_bytes(tmp_path / "new.csv", b"a")
         (tmp_path / "plain.csv").write_bytes(b"a")
     finally:
         os.umask(before)
@@ -364,7 +365,7 @@ def test_a_file_that_is_replaced_keeps_its_mode(tmp_path, mode):
     path = tmp_path / "kept.csv"
     path.write_bytes(b"before")
     path.chmod(mode)
-    with atomic.writing(path) as temporary:
+    with atomic_write.replace_file(path) as temporary:
         assert temporary.stat().st_mode & 0o777 == 0o600
         temporary.write_bytes(b"after")
     assert path.stat().st_mode & 0o777 == mode
@@ -377,8 +378,8 @@ def test_a_file_system_that_refuses_chmod_and_fsync_is_written_to(tmp_path, monk
         raise OSError(code, os.strerror(code))
 
     for name in ("chmod", "fchmod", "fsync"):
-        monkeypatch.setattr(atomic.os, name, refused)
+        monkeypatch.setattr(atomic_write.os, name, refused)
     for content in (b"new", b"written anew"):
-        atomic.write_bytes(tmp_path / "share.csv", content)
+        atomic_write.write_bytes(tmp_path / "share.csv", content)
         assert (tmp_path / "share.csv").read_bytes() == content
     assert len(list(tmp_path.iterdir())) == 1

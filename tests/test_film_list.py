@@ -7,10 +7,15 @@ from hypothesis import strategies as st
 from test_films import dicom, film_at, grey
 
 from pssf.core.checks import InputError
-from pssf.io import evidence, records, results
-from pssf.io.bones import read_bones
-from pssf.io.csv_rows import read_rows_of_csv
-from pssf.io.films import Film, list_films, read_film, subject_and_side
+from pssf.io import cohort_records, file_conditions, study_results
+from pssf.io.csv_rows import read_csv_rows
+from pssf.io.meshes.bone_folder import read_bones
+from pssf.io.patients.patient_radiographs import (
+    Film,
+    list_films,
+    parse_subject_and_side,
+    read_film,
+)
 
 CELLS = st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs", "Zl", "Zp"]), max_size=6)
 
@@ -30,13 +35,13 @@ CELLS = st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs", "Zl
     ],
 )
 def test_films_of_both_knees_of_a_person_are_of_one_subject(one, other, subject):
-    assert subject_and_side(one) == (subject, "left")
-    assert subject_and_side(other) == (subject, "right")
+    assert parse_subject_and_side(one) == (subject, "left")
+    assert parse_subject_and_side(other) == (subject, "right")
 
 
 @pytest.mark.parametrize("stem", ["bright_1", "cleft2", "Smith_L", "12_left_right", "leftover", "ANNAL", "12l", "R_12"])
 def test_a_name_that_may_mean_something_else_is_a_subject_without_a_side(stem):
-    assert subject_and_side(stem) == (stem, None)
+    assert parse_subject_and_side(stem) == (stem, None)
 
 
 def test_a_side_alone_is_of_the_person_whose_folder_holds_it(tmp_path):
@@ -83,7 +88,7 @@ def test_a_grade_that_a_data_frame_made_a_float_of_is_that_grade(tmp_path):
     one, other = list_films(tmp_path)
     assert (one.grade, one.subject, other.grade) == (2, "9003175", None)
     (tmp_path / "films.csv").write_text("file,grade\na.png,1.5\n")
-    with pytest.raises(InputError, match=r"line 2: grade = '1\.5'"):
+    with pytest.raises(InputError, match=r"line 2: grade must be one of .*, got '1\.5'"):
         list_films(tmp_path)
 
 
@@ -91,11 +96,11 @@ def test_a_grade_that_a_data_frame_made_a_float_of_is_that_grade(tmp_path):
     "read",
     [
         list_films,
-        read_rows_of_csv,
-        lambda path: records.read_csv(path, ("file",)),
-        records.read_manifest,
-        results.load_table,
-        results.load_typed_table,
+        read_csv_rows,
+        lambda path: cohort_records.read_csv(path, ("file",)),
+        cohort_records.read_manifest,
+        study_results.load_table,
+        study_results.load_typed_table,
     ],
     ids=["films", "rows", "records", "manifest", "table", "typed table"],
 )
@@ -103,27 +108,27 @@ def test_a_column_given_twice_is_refused_by_every_reader_of_tables(read, tmp_pat
     film_at(tmp_path / "a.png")
     path = tmp_path / "films.csv"
     path.write_text("file,grade,grade\na.png,2,3\n")
-    with pytest.raises(InputError, match="column 'grade' is given 2 times; allowed: each column once"):
+    with pytest.raises(InputError, match="column 'grade' must be given once, got it 2 times"):
         read(path)
     # What a condition asks of such a table is not fulfilled.
-    assert evidence.lacking(tmp_path, "films.csv grade = 3")
+    assert file_conditions.find_unmet_condition(tmp_path, "films.csv grade = 3")
 
 
 def test_a_film_under_two_spellings_of_its_path_is_a_film_twice(tmp_path):
     film_at(tmp_path / "a.png")
     (tmp_path / "films.csv").write_text("file,grade\na.png,2\n./a.png,2\n")
-    with pytest.raises(InputError, match=r"line 3: file = '\./a\.png', again"):
+    with pytest.raises(InputError, match=r"line 3: file must be listed once, got '\./a\.png' again"):
         list_films(tmp_path)
 
 
 @pytest.mark.parametrize(
     ("more", "why"),
     [
-        ({"grade": 1.5}, "grade = 1.5; allowed: 0, 1, 2, 3, 4"),
-        ({"grade": float("nan")}, "grade = nan"),
-        ({"side": "up"}, "side = 'up'"),
-        ({"pixel_mm": "0.15"}, "pixel_mm = '0.15' mm"),
-        ({"pixel_mm": float("nan")}, "pixel_mm = nan mm"),
+        ({"grade": 1.5}, "grade must be one of 0, 1, 2, 3, 4, .*got 1.5"),
+        ({"grade": float("nan")}, "grade must be one of .*, got nan"),
+        ({"side": "up"}, "side must be one of .*, got 'up'"),
+        ({"pixel_mm": "0.15"}, "pixel_mm must be .*, got '0.15' mm"),
+        ({"pixel_mm": float("nan")}, "pixel_mm must be .*, got nan mm"),
         ({"subject": float("nan")}, "subject must be text, got nan"),
     ],
 )
@@ -139,4 +144,4 @@ def test_rows_come_back_as_they_were_written(rows, tmp_path_factory):
     path = tmp_path_factory.mktemp("rows") / "table.csv"
     with open(path, "w", newline="", encoding="utf-8") as handle:
         csv.writer(handle).writerows([["a", "b"], *rows])
-    assert read_rows_of_csv(path) == (["a", "b"], [{"a": one, "b": two} for one, two in rows])
+    assert read_csv_rows(path) == (["a", "b"], [{"a": one, "b": two} for one, two in rows])

@@ -15,9 +15,9 @@ from pydicom.sequence import Sequence
 from pydicom.uid import ExplicitVRLittleEndian, JPEGLSLossless, RLELossless, generate_uid
 
 import pssf
-from pssf.io import dicom_pixels
-from pssf.io.films import read_film
-from pssf.io.stored_pixels import read_values
+from pssf.io.dicom import dicom_pixels
+from pssf.io.patients.patient_radiographs import read_film
+from pssf.io.patients.stored_pixels import read_stored_pixels
 
 GREY = (np.add.outer(np.arange(96), np.arange(128)) * 18).astype("<u2")
 PLAIN = GREY / 4095
@@ -229,7 +229,7 @@ def test_a_colour_tiff_that_pillow_would_mix_up_is_refused(tmp_path):
         tag = (274, 3, 1, orientation, True)
         tifffile.imwrite(tmp_path / "a.tif", grey, photometric="rgb", compression=compression, extratags=[tag])
         if orientation == 6 and compression is None:
-            with pytest.raises(pssf.InputError, match="orientation of colour must be 1 to 4, got 6"):
+            with pytest.raises(pssf.InputError, match="orientation of a colour image must be 1 to 4, got 6"):
                 read_film(tmp_path / "a.tif")
         else:
             wanted = (grey[..., 0].T[:, ::-1] if orientation == 6 else grey[::-1, ::-1, 0]) / 255
@@ -246,7 +246,7 @@ def test_a_packed_tiff_that_is_cut_off_or_compressed_otherwise_is_refused(tmp_pa
 
 @pytest.mark.parametrize("fields", [{"RescaleSlope": None, "RescaleIntercept": None}, {"RescaleSlope": 1}])
 def test_stored_values_are_read_where_a_rescale_is_empty_or_half_there(tmp_path, fields):
-    np.testing.assert_array_equal(read_values(film(tmp_path / "a.dcm", **fields)).pixels, GREY)
+    np.testing.assert_array_equal(read_stored_pixels(film(tmp_path / "a.dcm", **fields)).pixels, GREY)
 
 
 def test_stored_values_whose_compression_nothing_decodes_name_the_syntax(tmp_path):
@@ -254,5 +254,5 @@ def test_stored_values_whose_compression_nothing_decodes_name_the_syntax(tmp_pat
     item = pydicom.dcmread(path)
     item.file_meta.TransferSyntaxUID = "1.2.840.10008.1.2.4.94"
     item.save_as(path)
-    with pytest.raises(pssf.InputError, match="transfer syntax must be of single pictures"):
-        read_values(path)
+    with pytest.raises(pssf.InputError, match="transfer syntax must be of single images"):
+        read_stored_pixels(path)

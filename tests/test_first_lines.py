@@ -3,7 +3,7 @@
 import pandas as pd
 import pytest
 
-from pssf.study.report.first_lines import few_tested, result_lines
+from pssf.study.report.summary_lines import format_sample_size_warning, summarise_results
 
 
 def scores(*rows) -> pd.DataFrame:
@@ -25,17 +25,17 @@ SCORES = scores(
 
 
 def test_the_result_is_the_range_of_all_models_and_of_no_baseline():
-    auc, claims = result_lines(SCORES, CLAIMS)
+    auc, claims = summarise_results(SCORES, CLAIMS)
     assert auc == (
-        "Grade 0 against 2, AUC as the mean of the splits, from the least to the best of 2 models: within one protocol "
+        "AUC for grade 0 vs 2, mean over the splits, range over 2 models: within one protocol "
         "0.81 to 0.92; on another protocol 0.70; trained and tested on all protocols 0.88."
     )
-    assert claims == ("Of 4 measurements of what the paper claims 2 hold, 1 do not hold, 1 are not decidable here.")
+    assert claims == ("Of 4 measurements of the claims of the paper, 2 hold, 1 do not hold, 1 are not decidable here.")
 
 
 def test_of_one_protocol_and_one_model_the_rest_is_left_out():
-    (auc, _) = result_lines(SCORES[1:2], CLAIMS)
-    assert auc == "Grade 0 against 2, AUC as the mean of the splits, of the model: within one protocol 0.81."
+    (auc, _) = summarise_results(SCORES[1:2], CLAIMS)
+    assert auc == "AUC for grade 0 vs 2, mean over the splits, one model: within one protocol 0.81."
 
 
 @pytest.mark.parametrize(
@@ -43,10 +43,10 @@ def test_of_one_protocol_and_one_model_the_rest_is_left_out():
     [
         ((2, 3), 1, "tests 2 to 3 subjects"),
         ((5, 9), 3, "5 to 9"),
-        ((7, 7), 1, "tests 7 subjects, of the rarest grade 1"),
+        ((7, 7), 1, "tests 7 subjects, 1 of the rarest grade"),
         ((6, 9), 3, ""),
     ],
 )
 def test_a_warning_stands_where_splits_test_too_few(tested, rarest, said):
-    warning = few_tested(tested, rarest)
+    warning = format_sample_size_warning(tested, rarest)
     assert (said in warning) if said else warning == ""

@@ -7,9 +7,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from pssf import study
-from pssf.io.films import list_films
-from pssf.study.learn.modelfile import unpack
-from pssf.study.reading import read_films
+from pssf.io.patients.patient_radiographs import list_films
+from pssf.study.learn.models.model_file import unpack_model
+from pssf.study.prediction.film_prediction import predict_films
 
 NAME = "lr_l1_01234_films"
 
@@ -34,12 +34,12 @@ def trained(films, tmp_path_factory):
 
 def test_a_model_of_all_grades_is_kept_and_reads_films_with_five_probabilities(trained, films):
     assert {NAME, "lr_l1_01234_reference"} <= set(trained.models)
-    model = unpack(trained.models[NAME].read_bytes(), NAME)
+    model = unpack_model(trained.models[NAME].read_bytes(), NAME)
     assert model.card.grades == (0, 1, 2, 3, 4)
     assert model.card.grade_names[3:] == ("moderate OA", "severe OA")
     assert (model.card.subjects, model.card.task) == (30, "0/1/2/3/4")
     listed = list_films(films)
-    read = read_films(model, listed, films).table
+    read = predict_films(model, listed, films).table
     chances = read[[f"p grade {grade}" for grade in range(5)]].to_numpy()
     assert (read["status"] == "found").all()
     assert_allclose(chances.sum(axis=1), 1.0)

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from pssf.geometry.mesh import Mesh
-from pssf.realism.front_measures import front_measures
+from pssf.patient_comparison.bones.frontal_measures import measure_front_view
 
 # Columns of the outline are so wide.
 PITCH_MM = 0.5
@@ -21,7 +21,7 @@ def blocks(*spans):
 @pytest.mark.parametrize("lower", [0.0, -3.0])
 def test_a_notch_between_square_condyles_has_its_depth_and_width(lower):
     femur = blocks(((8, 40), (-20, 20), (lower, 60)), ((-40, -8), (-20, 20), (0, 60)), ((-40, 40), (-20, 20), (20, 60)))
-    found = front_measures("femur", femur)
+    found = measure_front_view("femur", femur)
     depth = 20 - lower / 2
     assert found["notch's depth, from in front"] == pytest.approx(depth / 80, abs=0.05 / 80)
     assert found["notch's width at half its depth"] == pytest.approx(16 / 80, abs=2 * PITCH_MM / 80)
@@ -32,10 +32,10 @@ def test_an_eminence_is_measured_along_the_plateau_that_falls_backwards():
     slope = np.deg2rad(5.0)
     turn = trimesh.transformations.rotation_matrix(-slope, [1, 0, 0])
     tibia = blocks(((-40, 40), (-20, 20), (-40, 0)), ((-9, 9), (-6, 6), (0, 10)))
-    found = front_measures("tibia", Mesh(trimesh.transform_points(tibia.vertices, turn), tibia.faces))
+    found = measure_front_view("tibia", Mesh(trimesh.transform_points(tibia.vertices, turn), tibia.faces))
     assert found["eminence's height, from in front"] == pytest.approx(10 / 80, abs=0.05 / 80)
     assert found["eminence's width at half its height"] == pytest.approx(18 / 80, abs=2 * PITCH_MM / 80)
 
 
 def test_a_patella_has_none():
-    assert front_measures("patella", blocks(((-20, 20), (-10, 10), (-20, 20)))) == {}
+    assert measure_front_view("patella", blocks(((-20, 20), (-10, 10), (-20, 20)))) == {}

@@ -8,9 +8,9 @@ from scipy.stats import mannwhitneyu, spearmanr
 import pssf
 from pssf import InputError
 from pssf.cohort import plan_cohort
-from pssf.data.grade_tables import grade_table, grade_tables
-from pssf.data.landmarks import landmark_reference
-from pssf.model.severity import read_grade
+from pssf.data.analysis.landmark_table import load_landmark_reference
+from pssf.data.knees.grade_tables import list_grade_tables, load_grade_table
+from pssf.model.sampling.severity_sampling import sample_reader_grade
 
 COUNT = 400
 MARGINS = ("medial_femur", "lateral_femur", "medial_tibia", "lateral_tibia")
@@ -20,7 +20,7 @@ MARGINS = ("medial_femur", "lateral_femur", "medial_tibia", "lateral_tibia")
 def people():
     return {
         grade: [
-            pssf.draw_knee(grade=grade, rng=np.random.default_rng((grade, k)), grade_table="population")
+            pssf.sample_knee(grade=grade, rng=np.random.default_rng((grade, k)), grade_table="population")
             for k in range(COUNT)
         ]
         for grade in range(5)
@@ -32,16 +32,16 @@ def definite(knee):
 
 
 def test_tables_of_the_package_have_their_grades():
-    assert grade_tables() == ["paper", "population"]
-    assert grade_table("paper").grades == (0, 1, 2)
-    assert grade_table("population").grades == (0, 1, 2, 3, 4)
+    assert list_grade_tables() == ["paper", "population"]
+    assert load_grade_table("paper").grades == (0, 1, 2)
+    assert load_grade_table("population").grades == (0, 1, 2, 3, 4)
 
 
 def test_a_grade_is_what_kellgren_and_lawrence_say(people):
     assert not any(definite(knee) for knee in people[0])
     assert all(one.size_mm <= 1.2 for knee in people[1] for one in definite(knee))
     assert all(definite(knee) for grade in (2, 3, 4) for knee in people[grade])
-    assert all(knee.jsw_as == "read" for knees in people.values() for knee in knees)
+    assert all(knee.jsw_definition == "read" for knees in people.values() for knee in knees)
 
 
 def test_the_space_alone_tells_grades_apart_no_better_than_in_people(people):
@@ -54,7 +54,7 @@ def test_the_space_alone_tells_grades_apart_no_better_than_in_people(people):
     # People's intervals as they are; but for grade 2, which lies at the lower end: one standard error of so many knees.
     error = {1: 0.0, 2: np.sqrt(1 / (6 * COUNT)), 3: 0.0, 4: 0.0}
     for grade, value in auc.items():
-        _, low, high = landmark_reference().gap_alone_auc[f"kl{grade}"]
+        _, low, high = load_landmark_reference().gap_alone_auc[f"kl{grade}"]
         assert low - error[grade] <= value <= high, (grade, value)
 
 
@@ -107,7 +107,7 @@ def test_what_severity_moves_goes_together_within_a_grade(people):
 def test_a_reader_is_off_by_one_at_most_and_as_often_as_kappa_says(kappa):
     rng = np.random.default_rng(3)
     meant = np.repeat(np.arange(5), 2000)
-    read = np.array([read_grade(int(grade), kappa, 5, rng) for grade in meant])
+    read = np.array([sample_reader_grade(int(grade), kappa, 5, rng) for grade in meant])
     assert abs(read - meant).max() <= 1
     agree = np.mean(read == meant)
     chance = sum(np.mean(read == grade) * np.mean(meant == grade) for grade in range(5))
@@ -115,21 +115,21 @@ def test_a_reader_is_off_by_one_at_most_and_as_often_as_kappa_says(kappa):
 
 
 def test_a_table_changes_one_value_of_its_base_and_no_other_draw():
-    paper, people = grade_table("paper"), grade_table("population")
+    paper, people = load_grade_table("paper"), load_grade_table("population")
     assert list(people.body) == list(paper.body)
     assert {name for name in paper.body if paper.body[name] != people.body[name]} == {"tibial_slope_deg"}
 
 
 def test_bone_is_denser_and_bodies_heavier_with_grade_by_what_the_table_says():
-    rest = grade_table("population").rest
+    rest = load_grade_table("population").rest
     knees = [
         [
-            pssf.draw_knee(grade=grade, rng=np.random.default_rng(seed), grade_table="population", sex="male")
+            pssf.sample_knee(grade=grade, rng=np.random.default_rng(seed), grade_table="population", sex="male")
             for seed in range(20)
         ]
         for grade in (0, 3)
     ]
-    more = [rest.density_more[3] - rest.density_more[0], rest.bmi_more[3] - rest.bmi_more[0]]
+    more = [rest.density_offset[3] - rest.density_offset[0], rest.bmi_offset[3] - rest.bmi_offset[0]]
     for name, by in zip(("bone_density", "bmi"), more, strict=True):
         apart = [getattr(high, name) - getattr(low, name) for low, high in zip(*knees, strict=True)]
         np.testing.assert_allclose(apart, by, atol=2e-4)
@@ -146,9 +146,9 @@ largest_osteophyte_mm = [0.0, 0.0]
 subchondral_plate = [1.0, 1.0]
 varus_deg = [0.0, 0.0]
 """)
-    knee = pssf.draw_knee(grade=0, rng=np.random.default_rng(1), grade_table=str(own))
+    knee = pssf.sample_knee(grade=0, rng=np.random.default_rng(1), grade_table=str(own))
     assert 6.0 <= knee.jsw_medial_mm <= 6.5
-    usual = pssf.draw_knee(grade=0, rng=np.random.default_rng(1), grade_table="paper")
+    usual = pssf.sample_knee(grade=0, rng=np.random.default_rng(1), grade_table="paper")
     assert (knee.stature_mm, knee.shape, knee.texture_seed) == (usual.stature_mm, usual.shape, usual.texture_seed)
 
 
@@ -166,27 +166,27 @@ def test_what_is_no_table_of_grades_is_refused(tmp_path, text, said):
     own = tmp_path / "own.toml"
     own.write_text(text)
     with pytest.raises(InputError, match=said):
-        pssf.draw_knee(grade=0, rng=np.random.default_rng(1), grade_table=str(own))
+        pssf.sample_knee(grade=0, rng=np.random.default_rng(1), grade_table=str(own))
 
 
 def test_a_grade_or_table_that_there_is_not_is_refused():
     with pytest.raises(InputError, match=r"grade must be one of 0, 1, 2 .* got 3: grade table population has it"):
-        pssf.draw_knee(grade=3, rng=np.random.default_rng(1), grade_table="paper")
+        pssf.sample_knee(grade=3, rng=np.random.default_rng(1), grade_table="paper")
     with pytest.raises(InputError, match="grade_table must be paper, population"):
-        pssf.draw_knee(grade=0, rng=np.random.default_rng(1), grade_table="nobody")
+        pssf.sample_knee(grade=0, rng=np.random.default_rng(1), grade_table="nobody")
     with pytest.raises(InputError, match="got knees of grade 3: grade table population has grade 3"):
         plan_cohort("quick", seed=1, overrides={"knees": [1, 1, 1, 1], "grade_table": "paper"})
 
 
 def test_the_default_table_has_all_grades_and_earlier_names_still_work():
-    assert pssf.draw_knee(grade=4, rng=1).grade_table == "population"
+    assert pssf.sample_knee(grade=4, rng=1).grade_table == "population"
     with pytest.warns(DeprecationWarning, match="table is now grade_table"):
-        earlier = pssf.draw_knee(grade=2, rng=1, table="paper")
-    assert earlier == pssf.draw_knee(grade=2, rng=1, grade_table="paper")
-    grade_table.cache_clear()
+        earlier = pssf.sample_knee(grade=2, rng=1, table="paper")
+    assert earlier == pssf.sample_knee(grade=2, rng=1, grade_table="paper")
+    load_grade_table.cache_clear()
     with pytest.warns(DeprecationWarning, match="'people' is now 'population'"):
-        earlier = pssf.draw_knee(grade=2, rng=1, grade_table="people")
-    assert earlier == pssf.draw_knee(grade=2, rng=1)
+        earlier = pssf.sample_knee(grade=2, rng=1, grade_table="people")
+    assert earlier == pssf.sample_knee(grade=2, rng=1)
     with pytest.warns(DeprecationWarning, match="preset 'people' is now 'population'"):
         assert plan_cohort("people", seed=1, overrides={"knees": [1, 1]}).preset == "population"
 
@@ -194,23 +194,23 @@ def test_the_default_table_has_all_grades_and_earlier_names_still_work():
 def test_a_table_with_a_base_gives_only_what_differs(tmp_path):
     own = tmp_path / "own.toml"
     own.write_text('base = "paper"\n[grade.0]\njsw_medial_mm = [6.0, 6.5]\n[pose]\nrotation_deg = [1.0, 1.0]\n')
-    table, paper = grade_table(str(own)), grade_table("paper")
+    table, paper = load_grade_table(str(own)), load_grade_table("paper")
     assert table.grades == paper.grades
     assert table.grade["0"].jsw_medial_mm == (6.0, 6.5)
     assert table.grade["0"].jsw_lateral_mm == paper.grade["0"].jsw_lateral_mm
     assert (table.grade["2"], table.body, table.pose["flexion_deg"]) == (
         paper.grade["2"], paper.body, paper.pose["flexion_deg"],
     )  # fmt: skip
-    assert pssf.draw_knee(grade=1, rng=3, grade_table=str(own)).rotation_deg == 1.0
+    assert pssf.sample_knee(grade=1, rng=3, grade_table=str(own)).rotation_deg == 1.0
     more = tmp_path / "more.toml"
     more.write_text('base = "own.toml"\n[grade.3]\n' + "\n".join(
         f"{name} = {list(value)}" for name, value in structs.asdict(paper.grade["2"]).items()
     ))  # fmt: skip
-    assert grade_table(str(more)).grades == (0, 1, 2, 3)
-    assert grade_table(str(more)).grade["0"] == table.grade["0"]
+    assert load_grade_table(str(more)).grades == (0, 1, 2, 3)
+    assert load_grade_table(str(more)).grade["0"] == table.grade["0"]
     by_severity = tmp_path / "severity.toml"
     by_severity.write_text('base = "population"\n[rest]\nwomen = [0.0, 0.0, 0.0, 0.0, 0.0]\n')
-    changed, population = grade_table(str(by_severity)), grade_table("population")
+    changed, population = load_grade_table(str(by_severity)), load_grade_table("population")
     assert changed.rest.women == (0.0,) * 5
     assert (changed.rest.plate, changed.spaces, changed.body) == (
         population.rest.plate, population.spaces, population.body,

@@ -20,11 +20,11 @@ from matter import attenuation, material
 from numpy.testing import assert_allclose
 
 import pssf
-from pssf.accuracy.solids import polyhedron_chords
-from pssf.anatomy.solids import mesh_of, solid_of
-from pssf.geometry.view import view_of
-from pssf.xray.spectrum import beam_for
-from pssf.xray.technique import technique_of
+from pssf.anatomy.meshing.solids import build_solid, extract_mesh
+from pssf.geometry.view import resolve_view
+from pssf.validation.raycasting.sphere_phantoms import polyhedron_chords_mm
+from pssf.xray.resolved_technique import resolve_technique
+from pssf.xray.spectrum import compute_reduced_beam
 
 # Not only ModuleNotFoundError: gvxr may be there and one of the system's libraries not; the skip then names it.
 gvxr = pytest.importorskip("gvxrPython3", exc_type=ImportError).gvxr
@@ -34,7 +34,7 @@ KEV_PER_MEV = 1000.0
 
 # Neither square nor straight on, so that a flip, a transposition or a tilted detector would show.
 PROTOCOL = dataclasses.replace(pssf.load_protocol("reference"), rows=480, cols=512, pixel_mm=0.6, beam_angle_deg=7.0)
-VIEW = view_of(PROTOCOL)
+VIEW = resolve_view(PROTOCOL)
 
 # Besides the bend: what 1/256 of a pixel makes where a surface is not grazed, and float32. On llvmpipe a ball is within
 # 9e-4 mm at 99.9 % of its pixels. At a rim one pixel more or less is in: 1/512 of 0.6 mm inside its rim a ball of 50 mm
@@ -149,7 +149,7 @@ def ball(radius_mm, at=(0.0, 0.0, 0.0)):
 
 def frustum():
     """A slab of a pyramid whose apex is the source: its four sides are seen edge-on."""
-    source, corner = np.array(VIEW.source_mm), np.array(VIEW.corner_mm)
+    source, corner = np.array(VIEW.source_mm), np.array(VIEW.first_pixel_mm)
     cos, sin = np.cos(np.deg2rad(17.0)), np.sin(np.deg2rad(17.0))
     square = 140.0 * np.array([(-1, -1), (-1, 1), (1, 1), (1, -1)]) @ np.array([(cos, -sin), (sin, cos)])
     # 0.37: no side passes through a pixel's centre, where in and out are both right.
@@ -160,7 +160,7 @@ def frustum():
 
 def exact_mm(mesh):
     """(rows, cols)  exact chords of a convex mesh"""
-    return polyhedron_chords(mesh, np.argwhere(np.ones((VIEW.rows, VIEW.cols))), VIEW).reshape(VIEW.rows, VIEW.cols)
+    return polyhedron_chords_mm(mesh, np.argwhere(np.ones((VIEW.rows, VIEW.cols))), VIEW).reshape(VIEW.rows, VIEW.cols)
 
 
 def test_gvxr_sees_the_same_sphere_off_centre():
@@ -191,7 +191,9 @@ def test_gvxr_sees_the_same_bone_but_for_the_bend_of_its_triangles(knee_scene, n
 def test_gvxr_draws_nearer_with_the_square_of_its_edges(knee_scene):
     whole = bone(knee_scene, "femur")
     # With triangles long enough for the bend to stand above rounding.
-    mesh = mesh_of(solid_of(np.array(whole.vertices), np.array(whole.faces), "femur").simplify(0.2)).as_trimesh()
+    mesh = extract_mesh(
+        build_solid(np.array(whole.vertices), np.array(whole.faces), "femur").simplify(0.2)
+    ).as_trimesh()
     ours = ours_mm(mesh)
     off = [np.percentile(abs(theirs_mm(split_edges(mesh, times)) - ours)[ours > 0], 99.9) for times in range(4)]
     assert 0.1 < off[0] < bend_mm(mesh)
@@ -231,7 +233,7 @@ def test_gvxr_attenuates_as_our_tissues_do(knee_scene):
 
 
 def test_gvxr_makes_the_same_polychromatic_image_of_the_knee(knee_scene):
-    beam = beam_for(technique_of(PROTOCOL), dict.fromkeys(knee_scene.materials[1:], 60.0))
+    beam = compute_reduced_beam(resolve_technique(PROTOCOL), dict.fromkeys(knee_scene.materials[1:], 60.0))
     photons = beam.photons_per_mm2 / beam.photons_per_mm2.sum()
     gvxr.resetBeamSpectrum()
     for energy, count in zip(beam.energies_kev, photons, strict=True):

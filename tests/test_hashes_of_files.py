@@ -23,7 +23,7 @@ def radiograph():
 @pytest.fixture
 def folder(radiograph, tmp_path):
     """The radiograph in every kind of file."""
-    from pssf.io.images import save_parameters
+    from pssf.io.radiograph_files import save_parameters
 
     save_parameters(radiograph, tmp_path / "a.json")
     for name in ("a.png", "a.tif", "b.dcm"):
@@ -63,12 +63,12 @@ def put(path, text):
 
 def without_hash(path):
     """As an earlier version wrote it, whose one hash was over all but itself, and the pixels."""
-    from pssf.io import description
+    from pssf.io import metadata
 
     fields = json.loads(text_of(path))
     del fields["parameters_sha256"], fields["sha256"]
     pixels = pssf.load(path.with_name("a.tif")).pixels
-    put(path, json.dumps({**fields, "sha256": description._digest(json.dumps(fields), pixels)}))
+    put(path, json.dumps({**fields, "sha256": metadata._hash_text_and_pixels(json.dumps(fields), pixels)}))
 
 
 @pytest.mark.parametrize("name", FILES)

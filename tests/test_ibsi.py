@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from test_radiomics import texture
 
-from pssf.data.ibsi import ibsi_tags
-from pssf.radiomics.families import family
-from pssf.radiomics.features import extract
-from pssf.radiomics.ibsi import departure_of, tag_of
+from pssf.data.analysis.ibsi_table import load_ibsi_tags
+from pssf.radiomics.features.feature_extraction import extract_features
+from pssf.radiomics.features.feature_families import feature_family
+from pssf.radiomics.features.ibsi_tags import find_ibsi_departure, find_ibsi_tag
 
 pytest.importorskip("radiomics", reason="no pyradiomics, which is held against the phantom")
 
 import SimpleITK as sitk  # noqa: N813
 from radiomics import firstorder
 
-from pssf.radiomics.by_pyradiomics import TEXTURES, measure
+from pssf.radiomics.features.pyradiomics_backend import TEXTURES, measure_family
 
 FOLDER = Path(__file__).parent / "ibsi"
 ENDS = {"glcm": "_2D_avg", "glrlm": "_2D_avg", "glszm": "_2D", "ngtdm": "_2D", "gldm": "_2D"}
@@ -47,8 +47,8 @@ def agrees(value: float, known: tuple[float, float]) -> bool:
 @pytest.mark.parametrize("family", list(TEXTURES))
 def test_texture_of_the_phantom_is_that_of_the_initiative(family):
     values, mask = volumes()
-    slices = [measure(TEXTURES[family], one, of, 2.0, binWidth=1) for one, of in zip(values, mask, strict=True)]
-    known, tags = reference(), ibsi_tags()[family]
+    slices = [measure_family(TEXTURES[family], one, of, 2.0, binWidth=1) for one, of in zip(values, mask, strict=True)]
+    known, tags = reference(), load_ibsi_tags()[family]
     for name, tag in tags.items():
         mean = float(np.mean([found[name] for found in slices]))
         assert agrees(mean, known[tag + ENDS[family]]), f"{name}: {mean}, {tag}: {known[tag + ENDS[family]]}"
@@ -59,8 +59,8 @@ def test_first_order_of_the_phantom_is_that_of_the_initiative_but_for_kurtosis()
     values, mask = volumes()
     # Of no consequence for first order: how the voxels lie.
     one = values[mask > 0][None, :]
-    found = measure(firstorder.RadiomicsFirstOrder, one, np.ones(one.shape, np.uint8), 2.0, binWidth=1)
-    known, tags = reference(), ibsi_tags()["firstorder"]
+    found = measure_family(firstorder.RadiomicsFirstOrder, one, np.ones(one.shape, np.uint8), 2.0, binWidth=1)
+    known, tags = reference(), load_ibsi_tags()["firstorder"]
     assert len(tags) == 17
     for name, tag in tags.items():
         value = found[name] - (3 if name == "Kurtosis" else 0)
@@ -74,9 +74,16 @@ def test_a_value_outside_its_tolerance_does_not_agree():
 
 
 def test_every_feature_has_a_tag_or_says_how_it_departs():
-    names = list(extract(texture(32, 1), 0.15, ibsi_tags()))
-    assert all(tag_of(name, ibsi_tags()) or departure_of(name, ibsi_tags()) for name in names)
-    assert tag_of("firstorder_z_Mean", ibsi_tags()) == "stat_mean"
-    assert tag_of("glcm_Idmn", ibsi_tags()) == "cm_inv_diff_mom_norm"
-    assert "IBSI + 3" in departure_of("firstorder_linear_Kurtosis", ibsi_tags())
-    assert sum(bool(tag_of(name, ibsi_tags())) for name in names if family(name) not in ("firstorder", "shape2D")) == 74
+    names = list(extract_features(texture(32, 1), 0.15, load_ibsi_tags()))
+    assert all(find_ibsi_tag(name, load_ibsi_tags()) or find_ibsi_departure(name, load_ibsi_tags()) for name in names)
+    assert find_ibsi_tag("firstorder_z_Mean", load_ibsi_tags()) == "stat_mean"
+    assert find_ibsi_tag("glcm_Idmn", load_ibsi_tags()) == "cm_inv_diff_mom_norm"
+    assert "IBSI value + 3" in find_ibsi_departure("firstorder_linear_Kurtosis", load_ibsi_tags())
+    assert (
+        sum(
+            bool(find_ibsi_tag(name, load_ibsi_tags()))
+            for name in names
+            if feature_family(name) not in ("firstorder", "shape2D")
+        )
+        == 74
+    )

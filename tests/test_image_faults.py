@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 import pssf
-from pssf.data.tissues import tissues
-from pssf.xray.alloys import alloy_mistaken_for_compound
-from pssf.xray.materials import attenuation_per_mm, material_of
+from pssf.data.anatomy.tissue_table import load_tissues
+from pssf.xray.alloys import describe_alloy_misreading
+from pssf.xray.materials import attenuation_per_mm, resolve_material
 
 ENERGIES = np.array([30.0, 50.0, 70.0])
 
@@ -32,7 +32,7 @@ def told(subject, protocol, **how):
 
 @pytest.fixture(scope="module")
 def coarse():
-    return pssf.load_protocol("reference").resampled(96)
+    return pssf.load_protocol("reference").resample(96)
 
 
 @pytest.mark.parametrize(
@@ -45,7 +45,7 @@ def coarse():
     ],
 )  # fmt: skip
 def test_names_of_alloys_by_mass_are_noticed(name, meant):
-    said = alloy_mistaken_for_compound(name, tissues())
+    said = describe_alloy_misreading(name, load_tissues())
     assert said.startswith(f"{name} is read as numbers of atoms")
     assert "percent by mass, as in Ti=90,Al=6,V=4@4.43" in said
     assert f"material {meant} (" in said if meant else "material" not in said
@@ -59,13 +59,15 @@ def test_names_of_alloys_by_mass_are_noticed(name, meant):
     ],
 )  # fmt: skip
 def test_compounds_and_tissues_are_no_alloys(name):
-    assert alloy_mistaken_for_compound(name, tissues()) is None
+    assert describe_alloy_misreading(name, load_tissues()) is None
 
 
 def test_percent_by_mass_is_the_alloy_of_the_table():
-    written = attenuation_per_mm(material_of("Ti=90,Al=6,V=4@4.43", tissues()), ENERGIES)
-    assert_allclose(written, attenuation_per_mm(material_of("titanium_alloy", tissues()), ENERGIES), rtol=1e-12)
-    assert (attenuation_per_mm(material_of("Ti6Al4V@4.43", tissues()), ENERGIES) < 0.95 * written).all()
+    written = attenuation_per_mm(resolve_material("Ti=90,Al=6,V=4@4.43", load_tissues()), ENERGIES)
+    assert_allclose(
+        written, attenuation_per_mm(resolve_material("titanium_alloy", load_tissues()), ENERGIES), rtol=1e-12
+    )
+    assert (attenuation_per_mm(resolve_material("Ti6Al4V@4.43", load_tissues()), ENERGIES) < 0.95 * written).all()
 
 
 @given(st.lists(st.floats(0.1, 100.0), min_size=2, max_size=4))
@@ -73,9 +75,9 @@ def test_percents_by_mass_mix_attenuation_by_mass(parts):
     percents = [100 * part / sum(parts) for part in parts]
     symbols = ("Ca", "O", "Zr", "H")[: len(parts)]
     name = ",".join(f"{symbol}={percent}" for symbol, percent in zip(symbols, percents, strict=True)) + "@2"
-    pure = [attenuation_per_mm(material_of(f"{symbol}@2", tissues()), ENERGIES) for symbol in symbols]
+    pure = [attenuation_per_mm(resolve_material(f"{symbol}@2", load_tissues()), ENERGIES) for symbol in symbols]
     mixed = sum(percent / 100 * one for percent, one in zip(percents, pure, strict=True))
-    assert_allclose(attenuation_per_mm(material_of(name, tissues()), ENERGIES), mixed, rtol=1e-9)
+    assert_allclose(attenuation_per_mm(resolve_material(name, load_tissues()), ENERGIES), mixed, rtol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -88,7 +90,7 @@ def test_percents_by_mass_mix_attenuation_by_mass(parts):
 )  # fmt: skip
 def test_percents_that_are_none_are_refused_in_a_line(name, why):
     with pytest.raises(pssf.InputError, match=why) as refused:
-        material_of(name, tissues())
+        resolve_material(name, load_tissues())
     assert "\n" not in str(refused.value)
 
 
@@ -102,7 +104,7 @@ def test_an_ambient_material_that_would_attenuate_is_refused(coarse, ambient):
     scene = pssf.Scene([pssf.Surface(box(), "Ti@4.51", ambient)], ambient=ambient)
     with pytest.raises(pssf.InputError, match=f"ambient must be air or another gas, got '{ambient}'"):
         pssf.simulate(scene, coarse, engine="scanline")
-    assert "simulate refuses it" in str(pssf.check(scene))
+    assert "simulate raises an error" in str(pssf.check(scene))
 
 
 @pytest.mark.parametrize("ambient", ["air", "Carbon Dioxide", "He@0.00018"])

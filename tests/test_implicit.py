@@ -10,26 +10,33 @@ from numpy.testing import assert_allclose
 
 import pssf
 from pssf import anatomy, raycast
-from pssf.accuracy.builds import wide_knee
-from pssf.anatomy import bones, femur, implicit, remesh
-from pssf.anatomy.bone_build import build_of
-from pssf.anatomy.femur import mean_femur
-from pssf.anatomy.mean_bone import Plates
-from pssf.anatomy.solids import mesh_of, solid_of
-from pssf.anatomy.tibia import mean_tibia
-from pssf.data.anatomy import anatomy_tables
-from pssf.model.knee import BORDER_SITES, CENTRAL_SITES, SITES, Osteophyte
-from pssf.realism.surfaces import measured
+from pssf.anatomy.bones import bone_shells
+from pssf.anatomy.meshing import implicit_shapes, remesh
+from pssf.anatomy.meshing.solids import build_solid, extract_mesh
+from pssf.anatomy.template import template_femur
+from pssf.anatomy.template.bone_builder import resolve_bone_parameters
+from pssf.anatomy.template.template_bone import SubchondralPlates
+from pssf.anatomy.template.template_femur import make_template_femur
+from pssf.anatomy.template.template_tibia import make_template_tibia
+from pssf.data.anatomy.anatomy_tables import load_anatomy_tables
+from pssf.model.knee import (
+    CENTRAL_SITES,
+    MARGIN_AND_SPINE_SITES,
+    OSTEOPHYTE_SITES,
+    Osteophyte,
+)
+from pssf.patient_comparison.bones.surface_distance import sample_surface
+from pssf.validation.knees.build_success import sample_wide_range_knee
 
-TABLES = anatomy_tables()
-SHAPE = TABLES.shape
-BONES = [mean_femur(SHAPE.femur, TABLES.forms), mean_tibia(SHAPE.tibia, TABLES.forms)]
+TABLES = load_anatomy_tables()
+SHAPE = TABLES.template
+BONES = [make_template_femur(SHAPE.femur, TABLES.shape_model), make_template_tibia(SHAPE.tibia, TABLES.shape_model)]
 
 
 @given(x=st.floats(-25, 25), y=st.floats(-18, 18))
 def test_a_column_falls_from_its_side_to_its_axis_without_a_spike(x, y):
     # What is left of the way to the side, times a half between the smaller and the larger.
-    shaft = implicit.Column(np.array([[-10.0, 30.0, 20.0, 0.0, 0.0], [10.0, 30.0, 20.0, 0.0, 0.0]]), 2.3)
+    shaft = implicit_shapes.ColumnField(np.array([[-10.0, 30.0, 20.0, 0.0, 0.0], [10.0, 30.0, 20.0, 0.0, 0.0]]), 2.3)
     norm = ((abs(x) / 30) ** 2.3 + (abs(y) / 20) ** 2.3) ** (1 / 2.3)
     value = shaft(np.array([[x, y, 0.0]]))[0]
     low, high = sorted(((norm - 1) * 20 * 0.8, (norm - 1) * 30 * 1.1))
@@ -37,15 +44,15 @@ def test_a_column_falls_from_its_side_to_its_axis_without_a_spike(x, y):
 
 
 def test_a_column_is_as_deep_as_its_smaller_half_on_its_axis():
-    shaft = implicit.Column(np.array([[-10.0, 30.0, 20.0, 1.0, 2.0], [10.0, 30.0, 20.0, 1.0, 2.0]]), 2.3)
+    shaft = implicit_shapes.ColumnField(np.array([[-10.0, 30.0, 20.0, 1.0, 2.0], [10.0, 30.0, 20.0, 1.0, 2.0]]), 2.3)
     assert_allclose(shaft(np.array([[2.0, 1.0, 0.0]])), -20.0)
 
 
 def outwardness(solid, field) -> np.ndarray:
     """(triangles,) cosine between a triangle's normal and the field's gradient, where shafts are not cut off"""
-    mesh = mesh_of(solid).as_trimesh()
+    mesh = extract_mesh(solid).as_trimesh()
     middle = np.asarray(mesh.triangles_center)
-    _, slope = implicit.with_gradient(field, middle)
+    _, slope = implicit_shapes.evaluate_with_gradient(field, middle)
     cosine = (np.asarray(mesh.face_normals) * slope).sum(axis=1) / np.maximum(np.linalg.norm(slope, axis=1), 1e-9)
     return cosine[(np.abs(middle[:, 2]) < 190.0) & (np.asarray(mesh.area_faces) > 1e-9)]
 
@@ -58,9 +65,9 @@ def test_no_triangle_of_a_bone_faces_inwards(bone):
 @pytest.mark.parametrize("bone", BONES, ids=["femur", "tibia"])
 @pytest.mark.parametrize(("cortex", "plate"), [(1.0, 1.0), (0.6, 0.4), (1.5, 2.5)])
 def test_marrow_lies_as_deep_as_cortex_and_plate_say(bone, cortex, plate):
-    points = bone.inner(bone.depth_mm(cortex, Plates(plate, plate, 10.0))).vertices
+    points = bone.build_inner_mesh(bone.compute_depth_mm(cortex, SubchondralPlates(plate, plate, 10.0))).vertices
     points = points[np.abs(points[:, 2]) < 190.0]
-    off = np.abs(bone.field(points) + bone.shell(points, cortex, plate))
+    off = np.abs(bone.field(points) + bone.shell_thickness_mm(points, cortex, plate))
     assert np.quantile(off, 0.999) < 0.1
     assert off.max() < 0.3
 
@@ -68,7 +75,7 @@ def test_marrow_lies_as_deep_as_cortex_and_plate_say(bone, cortex, plate):
 @pytest.mark.parametrize("number", range(4))
 def test_no_material_of_a_knee_with_every_osteophyte_is_crossed_by_less_than_nothing(number):
     rng = np.random.default_rng(number)
-    sites = rng.permutation(SITES)[: 2 + number]
+    sites = rng.permutation(OSTEOPHYTE_SITES)[: 2 + number]
     beaks = tuple(pssf.Osteophyte(site=str(site), size_mm=float(rng.uniform(0.3, 3.0))) for site in sites)
     knee = pssf.Knee(jsw_medial_mm=2.8, osteophytes=beaks, flexion_deg=3.0 * number, rotation_deg=-2.0 * number)
     scene = anatomy.build(knee).scene
@@ -87,7 +94,7 @@ def facing_inwards(monkeypatch):
     def counted(places, faces, free, field, moved=None):
         def inwards(places, faces):
             moved = faces[free[faces].any(axis=1) & (np.abs(places[faces, 2]) < 200).all(axis=1)]
-            return int(remesh._face_inwards(places[moved], field).sum())
+            return int(remesh._is_facing_inwards(places[moved], field).sum())
 
         flat = lay_flat(places, faces, free, field, moved)
         left.append((inwards(places, faces), inwards(*flat)))
@@ -99,15 +106,18 @@ def facing_inwards(monkeypatch):
 
 def grow(knee):
     """A knee's bones, without what is about them."""
-    form = build_of(knee, TABLES)
-    for grown in (bones.grown_femur(form, knee.osteophytes), bones.grown_tibia(form, knee.osteophytes)):
+    form = resolve_bone_parameters(knee, TABLES)
+    for grown in (
+        bone_shells.grow_femur_osteophytes(form, knee.osteophytes),
+        bone_shells.grow_tibia_osteophytes(form, knee.osteophytes),
+    ):
         assert grown.outer.volume() > 0
 
 
 @pytest.mark.parametrize("number", range(6))
 def test_no_triangle_of_an_osteophyte_faces_inwards(number, facing_inwards):
     rng = np.random.default_rng(number)
-    beaks = [pssf.Osteophyte(site=str(site), size_mm=float(rng.uniform(0.3, 3.0))) for site in BORDER_SITES]
+    beaks = [pssf.Osteophyte(site=str(site), size_mm=float(rng.uniform(0.3, 3.0))) for site in MARGIN_AND_SPINE_SITES]
     grow(pssf.Knee(jsw_medial_mm=2.8, osteophytes=tuple(beaks), bone_scale=float(rng.uniform(0.9, 1.1))))
     assert facing_inwards
     assert sum(before for before, _ in facing_inwards) > 0
@@ -157,17 +167,17 @@ def test_no_tip_of_an_osteophyte_is_cut_off():
     shapes = [(grown.outer, shape) for grown in (assembly.femur, assembly.tibia) for shape in grown.shapes]
     assert len(shapes) == 6
     for outer, shape in shapes:
-        points = mesh_of(outer).vertices
+        points = extract_mesh(outer).vertices
         about = points[np.linalg.norm(points - shape.tip, axis=1) < 3.0]
-        assert (about @ shape.out).max() == pytest.approx(shape.farthest @ shape.out, abs=1e-4)
+        assert (about @ shape.direction).max() == pytest.approx(shape.farthest_point @ shape.direction, abs=1e-4)
 
 
 def test_folds_are_laid_flat():
     # A fine ball with three of its vertices pulled across their neighbours.
-    ball = femur._rough_condyle(SHAPE.femur.condyles.medial, "medial").refine_to_length(2.0)
+    ball = template_femur._build_csg_condyle(SHAPE.femur.condyles.medial, "medial").refine_to_length(2.0)
 
     def field(points):
-        return femur.condyle_field(points, SHAPE.femur.condyles.medial)
+        return template_femur.condyle_distance_mm(points, SHAPE.femur.condyles.medial)
 
     def pull(points):
         places = np.array(points)
@@ -177,9 +187,11 @@ def test_folds_are_laid_flat():
             )
         return places
 
-    settled = implicit.project_solid(ball, field).warp_batch(pull)
+    settled = implicit_shapes.project_solid(ball, field).warp_batch(pull)
     assert outwardness(settled, field).min() < 0
-    assert outwardness(solid_of(*remesh.laplacian_smooth(mesh_of(settled), field, 0), "smoothed"), field).min() > 0
+    assert (
+        outwardness(build_solid(*remesh.laplacian_smooth(extract_mesh(settled), field, 0), "smoothed"), field).min() > 0
+    )
 
 
 # The tip of its canal, 25 mm wide and 0.8 mm thick, is bent into a crescent: a fan about its middle leaves it.
@@ -191,7 +203,7 @@ BENT = pssf.Knee(
 
 
 def test_a_canal_whose_tip_is_bent_does_not_fold():
-    mesh = mesh_of(anatomy.build(BENT).bones["femur"].canal)
+    mesh = extract_mesh(anatomy.build(BENT).bones["femur"].canal)
     corners = mesh.vertices[mesh.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     tip = corners[:, :, 2].max(axis=1) < mesh.vertices[:, 2].min() + 1.5
@@ -202,7 +214,7 @@ def test_a_canal_whose_tip_is_bent_does_not_fold():
 @pytest.mark.parametrize("number", [1416, 1462, 1536, 1542])
 def test_spongy_bone_with_osteophytes_is_of_one_piece(number):
     rng = np.random.default_rng(np.random.SeedSequence(number, spawn_key=(1,)))
-    built = anatomy.build(wide_knee(rng, 13))
+    built = anatomy.build(sample_wide_range_knee(rng, 13))
     assert {name: len(bone.inner.decompose()) for name, bone in built.bones.items() if name in ("femur", "tibia")} == {
         "femur": 1,
         "tibia": 1,
@@ -211,10 +223,10 @@ def test_spongy_bone_with_osteophytes_is_of_one_piece(number):
 
 def test_a_spine_is_no_margin_that_is_higher():
     rng = np.random.default_rng(np.random.SeedSequence(260, spawn_key=(1,)))
-    bare = replace(wide_knee(rng, 13), osteophytes=(), side="right", rotation_deg=0.0)
+    bare = replace(sample_wide_range_knee(rng, 13), osteophytes=(), side="right", rotation_deg=0.0)
     grown = replace(bare, osteophytes=(Osteophyte(site="lateral_spine", size_mm=2.0),))
-    before, after = (mesh_of(anatomy.build(knee).bones["tibia"].outer) for knee in (bare, grown))
-    there = measured(before).nearest(after.vertices)[0]
+    before, after = (extract_mesh(anatomy.build(knee).bones["tibia"].outer) for knee in (bare, grown))
+    there = sample_surface(before).find_nearest(after.vertices)[0]
     raised = after.vertices[np.linalg.norm(after.vertices - there, axis=1) > 1.0]
     assert len(raised) > 10
     assert (np.abs(raised[:, 0]) < 20.0).all()

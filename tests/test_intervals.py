@@ -10,9 +10,9 @@ from numpy.testing import assert_allclose
 from scipy.special import logit
 from statsmodels.stats.multitest import multipletests
 
-from pssf.study.predictions import ARM
-from pssf.study.statistics import intervals, metrics
-from pssf.study.statistics.scores import score_splits, summarise
+from pssf.study.predictions import ARM_COLUMNS
+from pssf.study.statistics.scores import confidence_intervals, metrics
+from pssf.study.statistics.scores.split_scores import score_splits, summarise_scores
 
 
 def predictions(*, subjects: int = 30, splits: int = 4, shift: float = 1.5, seed: int = 0) -> pd.DataFrame:
@@ -43,14 +43,14 @@ def test_weighted_scores_are_those_of_rows_written_out(classes, rows, seed):
     found = metrics.weighted_scores(truth, probability, weight)
     for sample in range(5):
         written = np.repeat(np.arange(rows), weight[:, sample].astype(int))
-        expected = metrics.score(truth[written], probability[written])
+        expected = metrics.score_predictions(truth[written], probability[written])
         for metric, values in found.items():
             assert_allclose(values[sample], expected[metric], rtol=1e-12, err_msg=metric)
 
 
 def test_the_interval_of_a_mean_is_that_of_nadeau_and_bengio_written_out():
     values = np.array([0.8, 0.9, 0.7, np.nan, 0.85])
-    found = intervals.estimate(values, 15 / 70)
+    found = confidence_intervals.estimate_mean(values, 15 / 70)
     error = np.std([0.8, 0.9, 0.7, 0.85], ddof=1) * np.sqrt(1 / 4 + 15 / 70)
     assert found.value == pytest.approx(0.8125)
     low, high = scipy.stats.t.interval(0.95, 3, 0.8125, error)
@@ -58,21 +58,24 @@ def test_the_interval_of_a_mean_is_that_of_nadeau_and_bengio_written_out():
     assert found.p == pytest.approx(2 * scipy.stats.t.sf(0.8125 / error, 3))
     # Without an overlap it is that of a plain mean.
     plain = scipy.stats.ttest_1samp(values, 0, nan_policy="omit")
-    assert intervals.estimate(values, 0.0).p == pytest.approx(plain.pvalue)
+    assert confidence_intervals.estimate_mean(values, 0.0).p == pytest.approx(plain.pvalue)
 
 
 def test_the_interval_of_a_share_is_the_plain_one_on_the_logit_scale_and_stays_inside():
     narrow = 0.9 + 1e-4 * np.array([-1.0, 0.0, 1.0])
-    plain, found = intervals.estimate(narrow, 0.2), intervals.estimate_share(narrow, 0.2)
+    plain, found = (
+        confidence_intervals.estimate_mean(narrow, 0.2),
+        confidence_intervals.estimate_proportion(narrow, 0.2),
+    )
     assert_allclose([found.low, found.high], [plain.low, plain.high], atol=1e-5)
-    wide = intervals.estimate_share(np.array([1.0, 1.0, 0.8]), 0.2)
+    wide = confidence_intervals.estimate_proportion(np.array([1.0, 1.0, 0.8]), 0.2)
     assert 0 < wide.low < wide.value < wide.high < 1
     assert wide.value - wide.low > wide.high - wide.value
 
 
 @given(values=st.lists(st.sampled_from([0.0, 0.25, 0.5, 1.0]), min_size=1, max_size=8), ratio=st.floats(0, 1))
 def test_an_interval_of_a_share_is_finite_and_inside_for_all_splits(values, ratio):
-    found = intervals.estimate_share(np.array(values), ratio)
+    found = confidence_intervals.estimate_proportion(np.array(values), ratio)
     assert 0 <= found.value <= 1
     assert len(values) == 1 or 0 <= found.low <= found.value + 1e-12 <= found.high + 2e-12 <= 1 + 3e-12
 
@@ -81,33 +84,33 @@ def test_the_share_tested_is_counted_in_subjects():
     parts = pd.DataFrame(
         {"repeat": [0] * 10, "subject": range(10), "part": ["training"] * 7 + ["validation"] + ["test"] * 2}
     )
-    assert intervals.share_tested(parts) == pytest.approx(2 / 7)
+    assert confidence_intervals.compute_test_train_ratio(parts) == pytest.approx(2 / 7)
 
 
 def test_the_middle_of_an_interval_is_the_score_of_the_table():
     table = predictions()
-    found = intervals.intervals(score_splits(table), 0.0).set_index(ARM)
-    scores = summarise(score_splits(table)).set_index(ARM)
+    found = confidence_intervals.compute_arm_intervals(score_splits(table), 0.0).set_index(ARM_COLUMNS)
+    scores = summarise_scores(score_splits(table)).set_index(ARM_COLUMNS)
     assert_allclose((logit(found["auc_low"]) + logit(found["auc_high"])) / 2, logit(scores["auc"]), rtol=1e-9)
 
 
 def test_one_split_has_no_interval():
-    row = intervals.intervals(score_splits(predictions(splits=1)), 0.2).iloc[0]
+    row = confidence_intervals.compute_arm_intervals(score_splits(predictions(splits=1)), 0.2).iloc[0]
     assert np.isnan(row[["auc_low", "auc_high", "macro_f1_low"]].astype(float)).all()
-    assert np.isnan(intervals.estimate(np.array([np.nan]), 0.2).value)
+    assert np.isnan(confidence_intervals.estimate_mean(np.array([np.nan]), 0.2).value)
 
 
 def test_more_subjects_narrow_an_interval_as_the_root_of_their_number():
     widths = []
     for subjects in (60, 960):
         table = score_splits(predictions(subjects=subjects, splits=60, shift=0.8))
-        row = intervals.intervals(table, 0.2).iloc[0]
+        row = confidence_intervals.compute_arm_intervals(table, 0.2).iloc[0]
         widths.append(row["auc_high"] - row["auc_low"])
     assert widths[0] / widths[1] == pytest.approx(4, rel=0.5)
 
 
 def test_differences_are_paired_and_find_the_worse_arm():
-    table = intervals.differences(score_splits(predictions(subjects=200, splits=10)), 15 / 70)
+    table = confidence_intervals.compare_arms(score_splits(predictions(subjects=200, splits=10)), 15 / 70)
     found = table[table["metric"] == "auc"].set_index(["comparison", "model"])
     cross = found.loc[("cross minus within", "lr")]
     assert cross["high"] < 0
@@ -124,7 +127,7 @@ def test_training_on_all_is_held_against_the_reference_on_the_same_films_alone()
     there = own["tested_on"].iloc[0]
     of_all = [own.assign(scenario="multi", trained_on="all", tested_on=on) for on in (there, "x")]
     of_other = own.assign(scenario="cross", tested_on="x")
-    found = intervals.differences(score_splits(pd.concat([own, of_other, *of_all], ignore_index=True)), 0.2)
+    found = confidence_intervals.compare_arms(score_splits(pd.concat([own, of_other, *of_all], ignore_index=True)), 0.2)
     pairs = found[found["metric"] == "auc"].groupby("comparison")["tested_on"].agg(list).to_dict()
     assert pairs["multi minus within"] == [there]
     assert pairs["multi minus cross"] == ["x"]
@@ -134,7 +137,7 @@ def test_an_arm_does_not_differ_from_itself():
     table = predictions()
     twin = table[(table["scenario"] == "within") & (table["model"] == "lr")].assign(scenario="cross", tested_on="x")
     both = pd.concat([table[table["scenario"] == "within"], twin], ignore_index=True)
-    found = intervals.differences(score_splits(both), 0.2)
+    found = confidence_intervals.compare_arms(score_splits(both), 0.2)
     found = found[found["comparison"] == "cross minus within"]
     assert len(found) == 3
     assert (found[["difference", "low", "high"]] == 0).all(axis=None)
@@ -144,7 +147,7 @@ def test_an_arm_does_not_differ_from_itself():
 @settings(max_examples=30)
 @given(p=st.lists(st.floats(0, 1), min_size=1, max_size=20))
 def test_holm_is_that_of_statsmodels(p):
-    assert_allclose(intervals.holm(np.array(p)), multipletests(p, method="holm")[1], rtol=1e-12)
+    assert_allclose(confidence_intervals.apply_holm(np.array(p)), multipletests(p, method="holm")[1], rtol=1e-12)
 
 
 @pytest.mark.parametrize("protocols", [2, 4, 12])
@@ -154,13 +157,15 @@ def test_a_clear_difference_stays_below_005_after_holm_with_any_number_of_protoc
         arm = ("0 vs 2", "cross" if k else "within", "p0", f"p{k}", "lr", "l1")
         for repeat in range(20):
             score = 0.9 - 0.3 * (k > 0) + 0.02 * rng.normal()
-            rows.append(dict(zip(ARM, arm, strict=True)) | dict.fromkeys(metrics.METRICS, score) | {"repeat": repeat})
-    found = intervals.differences(pd.DataFrame(rows).assign(test_subjects=20, test_rarest=10), 15 / 70)
+            rows.append(
+                dict(zip(ARM_COLUMNS, arm, strict=True)) | dict.fromkeys(metrics.METRICS, score) | {"repeat": repeat}
+            )
+    found = confidence_intervals.compare_arms(pd.DataFrame(rows).assign(test_subjects=20, test_rarest=10), 15 / 70)
     assert len(found) == 3 * (protocols - 1)
     assert (found["p_holm"] < 0.05).all()
 
 
 def test_classes_that_are_perfectly_told_apart_have_an_interval_of_no_width():
     table = predictions(shift=200.0)
-    row = intervals.intervals(score_splits(table), 0.2).iloc[0]
+    row = confidence_intervals.compute_arm_intervals(score_splits(table), 0.2).iloc[0]
     assert (row["auc_low"], row["auc_high"]) == (1.0, 1.0)

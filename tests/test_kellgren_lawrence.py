@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import pssf
 from pssf import InputError, Knee, Osteophyte
-from pssf.data.oarsi import oarsi_cuts
+from pssf.data.knees.oarsi_table import load_oarsi_thresholds
 from pssf.model.kellgren_lawrence import allowed_grades, derive_grade
 
 
@@ -26,7 +26,7 @@ def with_osteophyte(size_mm, **fields):
     ],
 )  # fmt: skip
 def test_a_grade_is_derived_from_osteophytes_and_joint_space(size_mm, jsw_mm, grade):
-    assert derive_grade(with_osteophyte(size_mm, jsw_medial_mm=jsw_mm), oarsi_cuts()) == grade
+    assert derive_grade(with_osteophyte(size_mm, jsw_medial_mm=jsw_mm), load_oarsi_thresholds()) == grade
 
 
 @pytest.mark.parametrize(
@@ -38,7 +38,7 @@ def test_a_grade_that_contradicts_the_anatomy_is_refused(size_mm, jsw_mm, grade)
 
 
 def test_a_sampled_knee_cannot_be_changed_into_another_grade():
-    knee = pssf.draw_knee(grade=4, rng=1)
+    knee = pssf.sample_knee(grade=4, rng=1)
     healthy = dict(osteophytes=(), jsw_medial_mm=5.0, jsw_lateral_mm=6.0)
     with pytest.raises(InputError, match="grade must be 0 to 1"):
         dataclasses.replace(knee, **healthy)
@@ -51,10 +51,10 @@ def test_a_sampled_knee_cannot_be_changed_into_another_grade():
 @given(seed=st.integers(0, 2**32), grade=st.integers(0, 4), table=st.sampled_from(("population", "paper")))
 def test_sampled_knees_keep_the_grade_that_they_were_sampled_for(seed, grade, table):
     grade = min(grade, 2) if table == "paper" else grade
-    knee = pssf.draw_knee(grade=grade, rng=seed, grade_table=table)
-    low, high = allowed_grades(knee, oarsi_cuts())
+    knee = pssf.sample_knee(grade=grade, rng=seed, grade_table=table)
+    low, high = allowed_grades(knee, load_oarsi_thresholds())
     assert low <= knee.grade == grade <= high
-    assert low <= derive_grade(knee, oarsi_cuts()) <= high
+    assert low <= derive_grade(knee, load_oarsi_thresholds()) <= high
 
 
 @settings(max_examples=300, deadline=None)
@@ -63,8 +63,8 @@ def test_sampled_knees_keep_the_grade_that_they_were_sampled_for(seed, grade, ta
 )
 def test_every_anatomy_has_a_grade(size_mm, medial, lateral, sex):
     knee = with_osteophyte(size_mm if size_mm >= 0.2 else 0.0, jsw_medial_mm=medial, jsw_lateral_mm=lateral, sex=sex)
-    low, high = allowed_grades(knee, oarsi_cuts())
-    assert 0 <= low <= derive_grade(knee, oarsi_cuts()) <= high <= 4
+    low, high = allowed_grades(knee, load_oarsi_thresholds())
+    assert 0 <= low <= derive_grade(knee, load_oarsi_thresholds()) <= high <= 4
 
 
 def test_labels_have_the_grade_of_the_anatomy(small):
@@ -77,5 +77,5 @@ def test_labels_have_the_grade_of_the_anatomy(small):
 def test_knees_of_a_table_of_ones_own_have_the_grade_that_it_defines(tmp_path):
     own = tmp_path / "my table.toml"
     own.write_text('base = "paper"\n[grade.2]\nosteophyte_count = [0, 0]\njsw_medial_mm = [5.0, 5.0]\n')
-    knees = [pssf.draw_knee(grade=2, rng=np.random.default_rng(k), grade_table=str(own)) for k in range(20)]
+    knees = [pssf.sample_knee(grade=2, rng=np.random.default_rng(k), grade_table=str(own)) for k in range(20)]
     assert {(knee.grade, knee.grade_table, knee.osteophytes) for knee in knees} == {(2, "my table.toml", ())}

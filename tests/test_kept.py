@@ -5,11 +5,18 @@ import pandas as pd
 import pytest
 
 import pssf
-from pssf.core.execution import Execution
-from pssf.data.anatomy import anatomy_tables
+from pssf.core.processes.execution import Execution
+from pssf.data.anatomy.anatomy_tables import load_anatomy_tables
 from pssf.geometry.mesh import Mesh
-from pssf.realism import bones, contours, run
-from pssf.realism.kept import KeptPart, KeptRows, facts_of_bones, key_of
+from pssf.patient_comparison import comparison_run
+from pssf.patient_comparison.bones import bone_comparison
+from pssf.patient_comparison.checkpoint import (
+    RowCheckpoint,
+    SectionCheckpoint,
+    compute_key,
+    hash_bones,
+)
+from pssf.patient_comparison.contours import landmark_comparison
 
 ROWS = [{"bone": "femur", "bones": 2, "rms_mm": 0.1 + 0.2, "scale": ""}, {"bone": "tibia", "bones": 3, "rms_mm": 1e-17}]
 
@@ -17,7 +24,7 @@ ROWS = [{"bone": "femur", "bones": 2, "rms_mm": 0.1 + 0.2, "scale": ""}, {"bone"
 @pytest.fixture
 def counted(monkeypatch):
     """The knees that landmarks are sought of, and how many may be before the run breaks off."""
-    seen, whole = [], contours._landmarks_of
+    seen, whole = [], landmark_comparison._compute_landmarks
     seen_of = {"seen": seen, "most": 100, "of": whole}
 
     def landmarks_of(taking, **more):
@@ -26,7 +33,7 @@ def counted(monkeypatch):
         seen.append(taking)
         return seen_of["of"](taking, **more)
 
-    monkeypatch.setattr(contours, "_landmarks_of", landmarks_of)
+    monkeypatch.setattr(landmark_comparison, "_compute_landmarks", landmarks_of)
     return seen_of
 
 
@@ -34,8 +41,8 @@ def counted(monkeypatch):
 def usual_mm():
     """(16, 2) landmarks of the reference knee."""
     knee = pssf.Knee()
-    return contours._landmarks_of(
-        (knee, pssf.load_protocol("reference")), anatomy_tables(), run.defining_protocol(knee)
+    return landmark_comparison._compute_landmarks(
+        (knee, pssf.load_protocol("reference")), load_anatomy_tables(), comparison_run.load_jsw_protocol(knee)
     )
 
 
@@ -51,7 +58,7 @@ def tables_of(folder):
 
 
 def measure(out, **more):
-    return run.measure(out, Execution(), **{"knees": 10, "seed": 4} | more)
+    return comparison_run.compare_with_patients(out, Execution(), **{"knees": 10, "seed": 4} | more)
 
 
 def test_contours_go_on_where_a_run_broke_off_and_are_those_of_a_run_that_did_not(made_up, tmp_path):
@@ -73,13 +80,17 @@ def test_contours_go_on_where_a_run_broke_off_and_are_those_of_a_run_that_did_no
 
 def test_kept_contours_are_those_that_are_made_bit_for_bit(counted, tmp_path):
     protocol = pssf.load_protocol("reference")
-    knees = run.draw_knees(run.draw_laws("population"), 2, 4, side="right", jsw_as="read")
-    given = [(knee, protocol) for knee in knees], anatomy_tables(), run.defining_protocol(knees[0])
-    kept = KeptRows(path=tmp_path / "knees.csv", code={"a": "b"})
-    made, first, again = (contours.drawn_landmarks(*given, 1, where) for where in (None, kept, kept))
+    knees = comparison_run.sample_knees(
+        comparison_run.load_knee_distributions("population"), 2, 4, side="right", jsw_definition="read"
+    )
+    given = [(knee, protocol) for knee in knees], load_anatomy_tables(), comparison_run.load_jsw_protocol(knees[0])
+    kept = RowCheckpoint(path=tmp_path / "knees.csv", code={"a": "b"})
+    made, first, again = (
+        landmark_comparison.compute_simulated_landmarks(*given, 1, where) for where in (None, kept, kept)
+    )
     assert len(counted["seen"]) == 4
     for sample in (first, again):
-        np.testing.assert_array_equal(sample.places_mm, made.places_mm)
+        np.testing.assert_array_equal(sample.landmarks_mm, made.landmarks_mm)
         np.testing.assert_array_equal(sample.grades, made.grades)
 
 
@@ -91,23 +102,23 @@ def test_rows_of_other_code_or_facts_are_made_anew_and_the_others_stay(tmp_path)
             made.append(number)
             arrived(nth, {"x": number / 3})
 
-    kept = KeptRows(path=tmp_path / "rows.csv", code={"anatomy": "1"})
-    assert [row["x"] for row in kept.completed([b"one", b"two"], make)] == [0.0, 1 / 3]
-    assert [row["x"] for row in kept.completed([b"two", b"three", b"one"], make)] == [1 / 3, 1 / 3, 0.0]
+    kept = RowCheckpoint(path=tmp_path / "rows.csv", code={"anatomy": "1"})
+    assert [row["x"] for row in kept.complete([b"one", b"two"], make)] == [0.0, 1 / 3]
+    assert [row["x"] for row in kept.complete([b"two", b"three", b"one"], make)] == [1 / 3, 1 / 3, 0.0]
     assert made == [0, 1, 1]
-    other = KeptRows(path=tmp_path / "rows.csv", code={"anatomy": "2"})
-    other.completed([b"one"], make)
+    other = RowCheckpoint(path=tmp_path / "rows.csv", code={"anatomy": "2"})
+    other.complete([b"one"], make)
     assert made == [0, 1, 1, 0]
 
 
 def test_a_damaged_table_of_knees_is_refused_by_name(tmp_path):
     (tmp_path / "rows.csv").write_bytes(b"key,x\na,b\n")
-    with pytest.raises(pssf.InputError, match=r"rows\.csv: damaged"):
-        KeptRows(path=tmp_path / "rows.csv", code={}).completed([b"one"], lambda missing, arrived: None)
+    with pytest.raises(pssf.InputError, match=r"rows\.csv must be undamaged .*got: damaged"):
+        RowCheckpoint(path=tmp_path / "rows.csv", code={}).complete([b"one"], lambda missing, arrived: None)
 
 
 def part(folder, key):
-    return KeptPart(folder=folder, name="bones", tables=("bones", "bones_forms"), key=key)
+    return SectionCheckpoint(folder=folder, name="bones", tables=("bones", "bones_forms"), key=key)
 
 
 def test_a_part_is_made_once_and_anew_for_another_key_or_where_a_file_is_gone_or_changed(tmp_path):
@@ -117,17 +128,17 @@ def test_a_part_is_made_once_and_anew_for_another_key_or_where_a_file_is_gone_or
         made.append(1)
         return (ROWS, ROWS[:1]), b"a picture"
 
-    first = part(tmp_path, "k").completed(make)
+    first = part(tmp_path, "k").complete(make)
     assert first == ([[ROWS[0], ROWS[1] | {"scale": ""}], ROWS[:1]], b"a picture")
-    assert part(tmp_path, "k").completed(make) == first
+    assert part(tmp_path, "k").complete(make) == first
     assert len(made) == 1
     (tmp_path / "bones.csv").write_text("bone\nfemur\n")
-    assert part(tmp_path, "k").completed(make) == first
+    assert part(tmp_path, "k").complete(make) == first
     (tmp_path / "pictures" / "bones.png").unlink()
-    assert part(tmp_path, "k").completed(make) == first
+    assert part(tmp_path, "k").complete(make) == first
     (tmp_path / "bones_kept.json").write_text("torn")
-    assert part(tmp_path, "k").completed(make) == first
-    assert part(tmp_path, "other").completed(make) == first
+    assert part(tmp_path, "k").complete(make) == first
+    assert part(tmp_path, "other").complete(make) == first
     assert len(made) == 5
 
 
@@ -135,20 +146,24 @@ def test_a_key_is_another_for_other_code_other_facts_and_other_bones():
     mesh = Mesh(np.arange(9.0).reshape(3, 3), np.array([[0, 1, 2]]))
     moved = Mesh(mesh.vertices + 1e-12, mesh.faces)
     given = [{"femur": [mesh]}, {"femur": [moved]}, {"tibia": [mesh]}, {"femur": [mesh, mesh]}]
-    keys = [key_of({"a": "1"}, facts_of_bones(one)) for one in given]
-    keys += [key_of({"a": "2"}, facts_of_bones(given[0])), key_of({"a": "1"}, b"12"), key_of({"a": "1"}, b"1", b"2")]
+    keys = [compute_key({"a": "1"}, hash_bones(one)) for one in given]
+    keys += [
+        compute_key({"a": "2"}, hash_bones(given[0])),
+        compute_key({"a": "1"}, b"12"),
+        compute_key({"a": "1"}, b"1", b"2"),
+    ]
     assert len(set(keys)) == len(keys)
-    assert key_of({"a": "1"}, facts_of_bones({"femur": [mesh]})) == keys[0]
+    assert compute_key({"a": "1"}, hash_bones({"femur": [mesh]})) == keys[0]
 
 
 def test_bones_are_measured_once_and_anew_for_another_seed(made_up, tmp_path, monkeypatch):
-    mesh = bones.built_bones(pssf.Knee(), anatomy_tables())["patella"]
+    mesh = bone_comparison.build_bones(pssf.Knee(), load_anatomy_tables())["patella"]
     for number in range(2):
         (tmp_path / "given" / "patella").mkdir(parents=True, exist_ok=True)
         larger = Mesh(mesh.vertices * (1.0, 1.0, 1.0 + 0.1 * number), mesh.faces)
         larger.as_trimesh().export(tmp_path / "given" / "patella" / f"{number}.stl")
-    seen, whole = [], bones.compare
-    monkeypatch.setattr(bones, "compare", lambda *given: seen.append(1) or whole(*given))
+    seen, whole = [], bone_comparison.compare_bones
+    monkeypatch.setattr(bone_comparison, "compare_bones", lambda *given: seen.append(1) or whole(*given))
     settings = {"bones_folder": tmp_path / "given"}
     first = measure(tmp_path / "out", **settings)
     page, tables = first.page.read_text(), tables_of(tmp_path / "out")
@@ -157,6 +172,6 @@ def test_bones_are_measured_once_and_anew_for_another_seed(made_up, tmp_path, mo
     assert again.page.read_text() == page
     assert tables_of(tmp_path / "out") == tables
     assert again.rows == first.rows
-    assert {"built mean from given mean", "drawn about built mean"} < {row["what"] for row in first.rows["bones"]}
+    assert {"built mean to patient mean", "sampled bones to built mean"} < {row["what"] for row in first.rows["bones"]}
     measure(tmp_path / "out", **settings, seed=5)
     assert len(seen) == 2

@@ -11,10 +11,10 @@ import pytest
 from numba.core.caching import NullCache
 
 from pssf.core import kernel_cache
-from pssf.core.kernel_cache import KernelCache, cache_of
+from pssf.core.kernel_cache import KernelCache, make_kernel_cache
 
 TOY = """
-from pssf.core.compiled import kernel
+from pssf.core.numba_kernel import kernel
 
 @kernel()
 def toy_kernel(x):
@@ -172,7 +172,7 @@ def test_every_kernel_of_the_package_has_this_cache():
 
 def test_a_function_that_is_in_no_file_has_no_cache():
     exec(compile("def nowhere(x):\n    return x", "<nowhere>", "exec"), made := {})
-    assert isinstance(cache_of(made["nowhere"]), NullCache)
+    assert isinstance(make_kernel_cache(made["nowhere"]), NullCache)
 
 
 def test_a_simulation_goes_on_from_damaged_files_of_all_kernels(tmp_path):

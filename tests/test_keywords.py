@@ -9,7 +9,7 @@ import trimesh
 
 import pssf
 from pssf import InputError
-from pssf.core.keywords import keywords
+from pssf.core.keyword_arguments import check_keywords
 
 
 @pytest.mark.parametrize(
@@ -23,23 +23,23 @@ from pssf.core.keywords import keywords
         (pssf.Scene, "ambiant", "ambient"),
         (pssf.simulate, "worker", "workers"),
         (pssf.trace, "material", "materials"),
-        (pssf.present, "bit", "bits"),
+        (pssf.render_for_display, "bit", "bits"),
         (pssf.save, "intend", "intent"),
-        (pssf.draw_exposure, "sides", "side"),
+        (pssf.sample_acquisition, "sides", "side"),
         (pssf.build, "protocoll", "protocol"),
         (pssf.export_meshes, "format", "formats"),
     ],
 )
 def test_an_unknown_keyword_is_refused_with_the_nearest_name(call, given, nearest):
-    with pytest.raises(InputError, match=rf"{call.__name__} takes no keyword '{given}' \(did you mean '{nearest}'\?\)"):
+    with pytest.raises(InputError, match=rf"{call.__name__}: .*, got '{given}' \(did you mean '{nearest}'\?\)"):
         call(**{given: 1})
 
 
 def test_a_change_of_an_unknown_field_names_the_nearest(small):
-    with pytest.raises(InputError, match=r"Protocol takes no keyword 'kv' \(did you mean 'tube_kv'\?\)"):
+    with pytest.raises(InputError, match=r"Protocol: keywords must be among .*, got 'kv' \(did you mean 'tube_kv'\?\)"):
         dataclasses.replace(small, kv=80.0)
     with pytest.raises(InputError, match=r"did you mean 'jsw_medial_mm'"):
-        pssf.draw_knee(grade=2, rng=1, jsw=3.0)
+        pssf.sample_knee(grade=2, rng=1, jsw=3.0)
 
 
 def test_an_earlier_name_is_taken_with_a_warning_and_not_beside_the_new_one():
@@ -65,7 +65,7 @@ def test_the_name_of_a_protocol_is_taken_for_the_protocol(small, tmp_path):
     path.write_text('base = "reference"\nname = "own"\nrows = 16\ncols = 16\npixel_mm = 9.6\nscatter = "none"\n')
     radiograph = pssf.simulate(pssf.Scene([]), path)
     assert radiograph == pssf.simulate(pssf.Scene([]), pssf.load_protocol(path))
-    with pytest.raises(InputError, match=r"allowed: .*reference"):
+    with pytest.raises(InputError, match=r"protocol must be .*reference"):
         pssf.simulate(pssf.Scene([]), "referense")
 
 
@@ -74,7 +74,7 @@ def test_checked_classes_keep_their_signature_and_are_pickled():
     assert pickle.loads(pickle.dumps(knee)) == knee
     assert dataclasses.replace(knee, varus_deg=2.0).varus_deg == 2.0
 
-    @keywords(before="now")
+    @check_keywords(before="now")
     def call(now=1, **others):
         return now, others
 

@@ -8,8 +8,13 @@ import pytest
 
 import pssf
 from pssf import InputError
-from pssf.cohort import make_cohort, plan_cohort, verify_cohort, write_labels
-from pssf.io.labels import read_pts
+from pssf.cohort import (
+    make_cohort,
+    plan_cohort,
+    verify_cohort,
+    write_labels,
+)
+from pssf.io.label_formats import read_pts
 
 # Of the Osteoarthritis Initiative's readings of knee radiographs, without the visit before them.
 OF_GRADES = [
@@ -81,11 +86,11 @@ def test_labels_of_a_cohort_are_read_back_as_the_field_reads_them(made, tmp_path
         assert annotation["attributes"]["jsw_medial_mm"] == truth.jsw_medial_mm
         assert float(reading["HKANGLE"]) == pytest.approx(180 - truth.readings["hip_knee_ankle_deg"], abs=1e-3)
         # The manifest and the radiograph itself tell them, too.
-        assert float(made_row["grade_read"]) == truth.grade_read == float(reading["XRKL_READ"])
+        assert float(made_row["reader_grade"]) == truth.reader_grade == float(reading["XRKL_READ"])
         assert float(made_row["truth_jsw_225_mm"]) == pytest.approx(truth.jsw_at_mm[0.225], abs=1e-4)
         assert {name: float(made_row[f"truth_{name}"]) for name in truth.readings} == truth.readings
-        assert {name: made_row[f"truth_taking_{name}"] for name in truth.taking} == {
-            name: str(value) for name, value in truth.taking.items()
+        assert {name: made_row[f"truth_acquisition_{name}"] for name in truth.acquisition} == {
+            name: str(value) for name, value in truth.acquisition.items()
         }
         for name, (row, col) in truth.landmarks_px.items():
             name = name.removesuffix("_joint_line")
@@ -107,7 +112,7 @@ def test_margins_are_as_far_apart_as_on_the_built_knee_under_the_radiographs_own
 def test_a_radiograph_that_shows_no_contours_is_refused_before_anything_is_written(small_protocols, tmp_path):
     drawn = {"knees": [1], "protocols": [small_protocols[0], "lateral"]}
     make_cohort(plan_cohort("quick", seed=5, overrides=drawn), tmp_path / "cohort")
-    with pytest.raises(InputError, match="projection = 'ML'; allowed: AP or PA"):
+    with pytest.raises(InputError, match=r"projection must be AP or PA, .* got 'ML'"):
         write_labels(tmp_path / "cohort", tmp_path / "labels")
     assert not (tmp_path / "labels").exists()
 
@@ -116,15 +121,15 @@ def test_labels_are_not_written_into_the_cohort(made, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "link").symlink_to(made)
     for own in (made, tmp_path / "link"):
-        with pytest.raises(InputError, match="the cohort's own folder; allowed: another one"):
+        with pytest.raises(InputError, match="out must be another folder than the cohort's own"):
             write_labels(made, own)
     assert verify_cohort(made).faults == ()
 
 
 def test_labels_of_what_is_no_cohort_are_refused(tmp_path):
-    with pytest.raises(InputError, match=r"no manifest\.csv"):
+    with pytest.raises(InputError, match=r"a finished cohort with manifest\.csv"):
         write_labels(tmp_path, tmp_path / "out")
     assert not (tmp_path / "out").exists()
     (tmp_path / "torn.pts").write_text("version: 1\n{\n1 2\n3\n}")
-    with pytest.raises(InputError, match=r"torn\.pts: 2 landmarks"):
+    with pytest.raises(InputError, match=r"torn\.pts: landmarks must be 2"):
         read_pts(tmp_path / "torn.pts", ["a", "b"])

@@ -5,12 +5,17 @@ import pytest
 from numpy.testing import assert_allclose
 
 import pssf
-from pssf.anatomy.contours import envelope, turned_px
-from pssf.anatomy.landmarks import CONTOUR_LANDMARKS, FEMORAL, contour_landmarks
-from pssf.anatomy.solids import edges_of, height_field, mesh_of
-from pssf.data.landmarks import landmark_reference
+from pssf.anatomy.meshing.solids import build_height_field, extract_mesh, find_edges
+from pssf.anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS, FEMORAL_LANDMARKS, find_contour_landmarks
+from pssf.anatomy.outlines.projected_contours import compute_outline_rows, rotate_px
+from pssf.data.analysis.landmark_table import load_landmark_reference
 from pssf.geometry.mesh import Mesh
-from pssf.geometry.view import View, magnification, project, view_of
+from pssf.geometry.view import (
+    View,
+    magnification,
+    project_points,
+    resolve_view,
+)
 
 REFERENCE = pssf.load_protocol("reference")
 ON_FLOOR = ("tibia_medial_1", "tibia_medial_2")
@@ -24,17 +29,19 @@ def spots(built):
 
 
 def surface(built, name):
-    return next(s.arrays for s in built.scene.surfaces if s.name == name)
+    return next(s.mesh_arrays for s in built.scene.surfaces if s.name == name)
 
 
 def outline_row(mesh, view, col, lowest):
     """Row of a projected mesh's outline at a column that need not be whole."""
-    seen = project(mesh.vertices, view)
-    return envelope(np.column_stack((seen[:, 0], seen[:, 1] - col + 1e4)), edges_of(mesh.faces), 10_000, 1, lowest)[0]
+    seen = project_points(mesh.vertices, view)
+    return compute_outline_rows(
+        np.column_stack((seen[:, 0], seen[:, 1] - col + 1e4)), find_edges(mesh.faces), 10_000, 1, lowest
+    )[0]
 
 
 def test_every_landmark_of_the_annotations_is_a_label(spots):
-    assert landmark_reference().names == CONTOUR_LANDMARKS
+    assert load_landmark_reference().names == CONTOUR_LANDMARKS
     assert set(CONTOUR_LANDMARKS) <= set(spots)
     assert spots["notch"] == spots["notch_top"]
 
@@ -44,21 +51,21 @@ def test_landmarks_lie_on_the_projected_contours(built, protocol):
     technique = pssf.load_protocol(protocol)
     for name, (row, col) in built.truth(technique).landmarks_px.items():
         if name in CONTOUR_LANDMARKS and name not in ON_FLOOR:
-            bone, lowest = ("femur", 1.0) if name in FEMORAL else ("tibia", -1.0)
-            assert_allclose(row, outline_row(surface(built, bone), view_of(technique), col, lowest), atol=1e-6)
+            bone, lowest = ("femur", 1.0) if name in FEMORAL_LANDMARKS else ("tibia", -1.0)
+            assert_allclose(row, outline_row(surface(built, bone), resolve_view(technique), col, lowest), atol=1e-6)
 
 
 def test_landmarks_follow_each_other_as_along_a_contour(spots, knee):
     medial = 1 if knee.side == "right" else -1
-    for names in (CONTOUR_LANDMARKS[:9], FEMORAL):
+    for names in (CONTOUR_LANDMARKS[:9], FEMORAL_LANDMARKS):
         assert (np.diff([spots[name][1] * medial for name in names]) > 0).all()
 
 
 def test_landmarks_of_a_left_knee_mirror_those_of_a_right_one(built, knee):
     femur, tibia = surface(built, "femur"), surface(built, "tibia")
-    here = contour_landmarks(femur, tibia, view_of(REFERENCE), 1)
+    here = find_contour_landmarks(femur, tibia, resolve_view(REFERENCE), 1)
     turned = [Mesh(mesh.vertices * [-1, 1, 1], mesh.faces[:, ::-1]) for mesh in (femur, tibia)]
-    there = contour_landmarks(*turned, view_of(REFERENCE), -1)
+    there = find_contour_landmarks(*turned, resolve_view(REFERENCE), -1)
     for name, (row, col) in here.items():
         assert_allclose(there[name], (row, REFERENCE.cols - 1 - col), atol=1e-9)
 
@@ -73,7 +80,7 @@ def test_size_and_number_of_pixels_do_not_move_landmarks(built, spots):
 
 def test_an_osteophyte_belongs_to_the_contour(spots, knee):
     beak = next(one for one in knee.osteophytes if one.site == "medial_tibia")
-    mm = REFERENCE.pixel_mm / magnification(view_of(REFERENCE))
+    mm = REFERENCE.pixel_mm / magnification(resolve_view(REFERENCE))
     beyond = (spots["tibia_medial_edge"][1] - spots["medial_plateau_edge"][1]) * mm
     assert 0.4 * beak.size_mm < beyond < 1.1 * beak.size_mm
     bare = (spots["lateral_plateau_edge"][1] - spots["tibia_lateral_edge"][1]) * mm
@@ -86,15 +93,15 @@ def dished(rim_mm, tilt=0.0):
     x, y = np.linspace(-38, 38, 305), np.linspace(-24, 24, 97)
     gx, gy = np.meshgrid(x, y, indexing="ij")
     spines = 9 * np.exp(-(((np.abs(gx) - 8) / 2.5) ** 2) - (gy / 8) ** 2)
-    tibia = mesh_of(height_field(x, y, rim_mm * (gy / 24) ** 2 + tilt * gy + spines, -40.0, "tibia"))
+    tibia = extract_mesh(build_height_field(x, y, rim_mm * (gy / 24) ** 2 + tilt * gy + spines, -40.0, "tibia"))
     roof = 18 * np.exp(-((gx / 9) ** 2)) + ((gx**2) / 38**2 - 0.3) ** 2 * 6
-    slab = mesh_of(height_field(x, y, 0 * gx - roof, -60.0, "femur"))
+    slab = extract_mesh(build_height_field(x, y, 0 * gx - roof, -60.0, "femur"))
     return Mesh(slab.vertices * [1, 1, -1] + [0, 0, 5], slab.faces[:, ::-1]), tibia
 
 
 def test_points_beside_the_spines_lie_on_the_floor_of_the_medial_dish_and_on_the_lateral_contour():
     for rim in (0.0, 2.0, 5.0):
-        spots = contour_landmarks(*dished(rim), FAR, 1)
+        spots = find_contour_landmarks(*dished(rim), FAR, 1)
         for name in ON_FLOOR:
             assert_allclose((200 - spots[name][0]) * 0.5, 0.0, atol=0.15)
         # Laterally they lie on the contour.
@@ -104,12 +111,12 @@ def test_points_beside_the_spines_lie_on_the_floor_of_the_medial_dish_and_on_the
 
 
 def test_where_a_plateau_falls_backwards_its_floor_is_a_quarter_of_its_depth_from_the_back():
-    spots = contour_landmarks(*dished(0.0, tilt=-0.05), FAR, 1)
+    spots = find_contour_landmarks(*dished(0.0, tilt=-0.05), FAR, 1)
     assert_allclose((200 - spots["tibia_medial_1"][0]) * 0.5, -0.6, atol=0.05)
 
 
 def test_points_lie_at_their_shares_of_the_way_to_the_spine():
-    spots = contour_landmarks(*dished(2.0), FAR, 1)
+    spots = find_contour_landmarks(*dished(2.0), FAR, 1)
     x = {name: (col - 200) * 0.5 for name, (_, col) in spots.items()}
     assert_allclose((x["tibia_medial_edge"], x["medial_spine"]), (38.0, 8.0), atol=0.1)
     assert_allclose(x["tibia_medial_1"], 38 - 0.392 * 30, atol=0.1)
@@ -118,8 +125,8 @@ def test_points_lie_at_their_shares_of_the_way_to_the_spine():
 
 def test_the_notch_is_taken_at_its_side_s_share_of_the_way_up():
     femur, tibia = dished(2.0)
-    spots = contour_landmarks(femur, tibia, FAR, 1)
-    low = envelope(project(femur.vertices, FAR), edges_of(femur.faces), 130, 70, 1.0).max()
+    spots = find_contour_landmarks(femur, tibia, FAR, 1)
+    low = compute_outline_rows(project_points(femur.vertices, FAR), find_edges(femur.faces), 130, 70, 1.0).max()
     top = spots["notch_top"][0]
     for side, share in (("lateral", 0.355), ("medial", 0.404)):
         assert_allclose(spots[f"femur_{side}_notch"][0], low + share * (top - low), atol=0.3)
@@ -131,9 +138,9 @@ def test_edges_are_where_lines_at_30_degrees_touch_the_bones(built, spots, knee)
     medial = 1 if knee.side == "right" else -1
     for bone, up in (("tibia", -1), ("femur", 1)):
         # By the leg's own axes, however it leans on the film.
-        view, lean = view_of(REFERENCE), built.assembly.pose.lean_deg * medial
-        rows, cols = turned_px(project(surface(built, bone).vertices, view), view, -lean).T
+        view, lean = resolve_view(REFERENCE), built.assembly.pose.lean_deg * medial
+        rows, cols = rotate_px(project_points(surface(built, bone).vertices, view), view, -lean).T
         for side, out in (("medial", medial), ("lateral", -medial)):
-            ((row, col),) = turned_px(np.array([spots[f"{bone}_{side}_edge"]]), view, -lean)
+            ((row, col),) = rotate_px(np.array([spots[f"{bone}_{side}_edge"]]), view, -lean)
             steep, flat = up * np.cos(np.deg2rad(30)), out * np.sin(np.deg2rad(30))
             assert_allclose(steep * row + flat * col, (steep * rows + flat * cols).max(), atol=1e-6)

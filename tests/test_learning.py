@@ -6,10 +6,10 @@ import pytest
 from scipy.stats import ttest_rel
 from statsmodels.stats.power import TTestPower
 
-from pssf.study.learn.split import split_subjects
-from pssf.study.statistics import learning
-from pssf.study.statistics.intervals import estimate
-from pssf.study.statistics.metrics import auc
+from pssf.study.learn.subject_split import split_subjects
+from pssf.study.statistics.analyses import learning_curves
+from pssf.study.statistics.scores.confidence_intervals import estimate_mean
+from pssf.study.statistics.scores.metrics import auc
 
 SPLITS = 12
 
@@ -35,21 +35,22 @@ def shown(subjects: int, cohorts: int) -> float:
     """Share of cohorts in which the difference of the two markers is shown."""
     found = 0
     for seed in range(cohorts):
-        table = learning.paired(studied(subjects, 1000 + seed), "both", "measured")
-        found += estimate(table["difference"].to_numpy(), learning.ratio_of(table)).p < 0.05
+        table = learning_curves.pair_auc_differences(studied(subjects, 1000 + seed), "both", "measured")
+        found += estimate_mean(table["difference"].to_numpy(), learning_curves.average_test_train_ratio(table)).p < 0.05
     return found / cohorts
 
 
 def planned(subjects: int, cohorts: int, difference: float) -> pd.DataFrame:
     rows = [
-        learning.power(studied(subjects, seed), pd.Series({"0 vs 2": subjects}), difference) for seed in range(cohorts)
+        learning_curves.tabulate_power(studied(subjects, seed), pd.Series({"0 vs 2": subjects}), difference)
+        for seed in range(cohorts)
     ]
     return pd.concat(rows)
 
 
 def test_power_of_independent_splits_is_that_of_a_paired_t_test():
     expected = TTestPower().power(effect_size=0.7, nobs=12, alpha=0.05)
-    assert learning.power_of(1 / np.sqrt(12), 0.7, 12) == pytest.approx(expected, abs=1e-6)
+    assert learning_curves.compute_power(1 / np.sqrt(12), 0.7, 12) == pytest.approx(expected, abs=1e-6)
     rng = np.random.default_rng(0)
     p = [ttest_rel(rng.normal(0.7, 1, 12), np.zeros(12)).pvalue for _ in range(400)]
     assert np.mean(np.array(p) < 0.05) == pytest.approx(expected, abs=0.1)
@@ -57,13 +58,15 @@ def test_power_of_independent_splits_is_that_of_a_paired_t_test():
 
 def test_a_cohort_of_the_needed_size_has_the_wanted_power_and_another_size_follows():
     error = 0.05
-    needed = learning.subjects_needed(error, 0.1, 20, 100)
-    assert learning.power_of(error * np.sqrt(100 / needed), 0.1, 20) == pytest.approx(learning.WANTED, abs=1e-6)
-    assert learning.subjects_needed(error, 0.05, 20, 100) == pytest.approx(4 * needed)
+    needed = learning_curves.subjects_needed(error, 0.1, 20, 100)
+    assert learning_curves.compute_power(error * np.sqrt(100 / needed), 0.1, 20) == pytest.approx(
+        learning_curves.TARGET_POWER, abs=1e-6
+    )
+    assert learning_curves.subjects_needed(error, 0.05, 20, 100) == pytest.approx(4 * needed)
     row = pd.Series({"error": error, "subjects": 100, "difference": 0.1, "splits": 20})
-    curve = learning.power_curve(row, np.array([needed / 4, needed, 4 * needed]))
+    curve = learning_curves.compute_power_curve(row, np.array([needed / 4, needed, 4 * needed]))
     assert curve[0] < 0.5 < curve[1] < curve[2]
-    assert curve[1] == pytest.approx(learning.WANTED, abs=1e-6)
+    assert curve[1] == pytest.approx(learning_curves.TARGET_POWER, abs=1e-6)
 
 
 def test_cohorts_show_a_difference_as_often_as_was_planned_from_smaller_ones():
@@ -78,7 +81,7 @@ def test_cohorts_show_a_difference_as_often_as_was_planned_from_smaller_ones():
 def test_the_spread_of_the_needed_number_is_the_chi_square_interval_of_a_variance():
     rng = np.random.default_rng(1)
     variances = rng.normal(size=(4000, 10)).var(axis=1, ddof=1)
-    low, high = learning.spread_bounds(10)
+    low, high = learning_curves.variance_interval_factors(10)
     assert np.mean((variances * low <= 1) & (variances * high >= 1)) == pytest.approx(0.95, abs=0.015)
 
 
@@ -91,12 +94,12 @@ def test_a_curve_has_the_gain_of_each_step_on_the_same_tested_subjects():
             label = {"grades": "0 vs 2", "rung": "radiomics", "repeat": repeat, "share": share}
             label |= {"trained": int(80 * share), "test_subjects": 20, "test_rarest": 10}
             rows.append(label | {"auc": 0.7 + rise + chance + 0.001 * rng.normal()})
-    table = learning.curves(pd.DataFrame(rows)).set_index("trained")
+    table = learning_curves.compute_learning_curves(pd.DataFrame(rows)).set_index("trained")
     assert np.isnan(table.loc[40, "gain"])
     assert table.loc[80, "gain"] == pytest.approx(0.1, abs=0.002)
     # With the variance of the smaller share: 20 tested over 40 learnt from.
     auc_of = pd.DataFrame(rows).pivot(index="repeat", columns="share", values="auc")
-    expected = estimate((auc_of[1.0] - auc_of[0.5]).to_numpy(), 20 / 40)
+    expected = estimate_mean((auc_of[1.0] - auc_of[0.5]).to_numpy(), 20 / 40)
     assert table.loc[80, ["gain_low", "gain_high"]].tolist() == pytest.approx([expected.low, expected.high])
     # What both shares have in common is not in the interval of the gain.
     assert table.loc[80, "gain_high"] - table.loc[80, "gain_low"] < table.loc[80, "high"] - table.loc[80, "low"]
@@ -104,12 +107,12 @@ def test_a_curve_has_the_gain_of_each_step_on_the_same_tested_subjects():
 
 def test_splits_that_do_not_differ_plan_nothing():
     same = studied(60, 0).assign(auc=0.8)
-    assert learning.power(same, pd.Series({"0 vs 2": 60}), 0.05).empty
+    assert learning_curves.tabulate_power(same, pd.Series({"0 vs 2": 60}), 0.05).empty
 
 
 def test_no_power_is_planned_for_an_auc_above_1():
     table = studied(60, 0)
     nearly = table.assign(auc=np.where(table["rung"] == "both", 1.0, 0.96 + 0.001 * (table["repeat"] % 2)))
     subjects = pd.Series({"0 vs 2": 60})
-    assert learning.power(nearly, subjects, 0.05).empty
-    assert len(learning.power(nearly, subjects, 0.03)) == 1
+    assert learning_curves.tabulate_power(nearly, subjects, 0.05).empty
+    assert len(learning_curves.tabulate_power(nearly, subjects, 0.03)) == 1

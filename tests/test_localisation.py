@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 from numpy.testing import assert_allclose
 
-from pssf.study.statistics.localisation import errors, summarise
+from pssf.study.statistics.features.localisation_error import add_localisation_errors, summarise_localisation
 
 
 def test_errors_are_at_the_joint_plane_and_failures_are_counted():
@@ -23,7 +23,7 @@ def test_errors_are_at_the_joint_plane_and_failures_are_counted():
             "sod_mm": [1000.0] * 3,
         }
     )
-    found = summarise(errors(table))
+    found = summarise_localisation(add_localisation_errors(table))
     assert list(found["refused"]) == [1, 0, 1]
     assert found["mean_px"].tolist() == [5.0, 0.0, 2.5]
     assert_allclose(found["mean_mm"], np.array([5.0, 0.0, 2.5]) * 0.15 / 1.2)

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from pssf import study
 from pssf.core.checks import InputError
 from pssf.study import FilmSet
-from pssf.study.films import Film
-from pssf.study.manifest_checks import require_manifest
+from pssf.study.design.manifest_checks import require_manifest
+from pssf.study.design.patient_sets import Film
 
 NAN = float("nan")
 FAULTS = [
@@ -23,18 +23,18 @@ FAULTS = [
     ("subject", 7, "subject must be text in all rows or numbers in all rows, got both"),
     ("knee", NAN, "knee must be text or a number, got nan"),
     ("protocol", NAN, "protocol must be text or a number, got nan"),
-    ("grade", NAN, "grade = nan; allowed: 0, 1, 2, 3, 4"),
-    ("grade", 1.5, "grade = 1.5; allowed: 0, 1, 2, 3, 4"),
-    ("grade", "KL0", "grade = 'KL0'; allowed: 0, 1, 2, 3, 4"),
-    ("grade", True, "grade = True; allowed"),
-    ("grade", 7, "grade = 7; allowed"),
-    ("side", "up", "side = 'up'; allowed: right, left"),
-    ("side", NAN, "side = nan; allowed: right, left"),
-    ("pixel_mm", "0.15", "pixel_mm = '0.15' mm; allowed: 0.001 to 50 mm"),
-    ("pixel_mm", NAN, "pixel_mm = nan mm"),
-    ("pixel_mm", -0.15, "pixel_mm = -0.15 mm"),
-    ("sdd_mm", 0.0, "sdd_mm = 0.0 mm"),
-    ("sod_mm", "far", "sod_mm = 'far' mm"),
+    ("grade", NAN, "grade must be one of 0, 1, 2, 3, 4, got nan"),
+    ("grade", 1.5, "grade must be one of 0, 1, 2, 3, 4, got 1.5"),
+    ("grade", "KL0", "grade must be one of 0, 1, 2, 3, 4, got 'KL0'"),
+    ("grade", True, "grade must be one of 0, 1, 2, 3, 4, got True"),
+    ("grade", 7, "grade must be one of 0, 1, 2, 3, 4, got 7"),
+    ("side", "up", "side must be one of right, left, got 'up'"),
+    ("side", NAN, "side must be one of right, left, got nan"),
+    ("pixel_mm", "0.15", "pixel_mm must be between 0.001 and 50 mm, got '0.15' mm"),
+    ("pixel_mm", NAN, "pixel_mm must be between 0.001 and 50 mm, got nan mm"),
+    ("pixel_mm", -0.15, "pixel_mm must be between 0.001 and 50 mm, got -0.15 mm"),
+    ("sdd_mm", 0.0, "mm, got 0.0 mm"),
+    ("sod_mm", "far", "mm, got 'far' mm"),
     ("truth_medial_row_px", "12", "truth_medial_row_px must be a number"),
     ("file", NAN, "file must be text or a number, got nan"),
 ]
@@ -63,7 +63,9 @@ def test_every_entry_refuses_a_file_in_two_rows(entry, column, tmp_path):
     both = pd.concat([table, table.head(1).assign(radiograph="again")], ignore_index=True)
     other = {"file": "sha256", "sha256": "file"}[column]
     both.loc[len(table), other] = "another"
-    with pytest.raises(InputError, match=f"{table['radiograph'][0]} and again have one {column}"):
+    with pytest.raises(
+        InputError, match=f"{table['radiograph'][0]} and again must have files of their own, got the same {column}"
+    ):
         entry(both, drawn.cohort().load, [drawn.TEMPLATE], drawn.LIGHT, tmp_path)
 
 
@@ -73,7 +75,10 @@ def test_every_entry_refuses_a_file_in_two_rows(entry, column, tmp_path):
     [
         (lambda table: table.to_dict("records"), "must be a pandas DataFrame, got list"),
         (lambda table: table.head(0), "one row per radiograph, got none"),
-        (lambda table: pd.concat([table, table[["grade"]]], axis=1), "column 'grade' is given twice"),
+        (
+            lambda table: pd.concat([table, table[["grade"]]], axis=1),
+            "must have each column once, got column 'grade' twice",
+        ),
     ],
 )
 def test_every_entry_refuses_what_is_no_table_of_radiographs(entry, change, why, tmp_path):
@@ -85,7 +90,7 @@ def test_repeats_are_checked_as_the_manifest_is(tmp_path):
     table = drawn.text_subjects()
     repeats = table.head(2).assign(kind="noise", turn=1, radiograph=["a", "b"], file=["a", "b"], sha256=["a", "b"])
     repeats["side"] = ["up", "left"]
-    with pytest.raises(InputError, match="manifest of repeats: radiograph a: side = 'up'"):
+    with pytest.raises(InputError, match=r"manifest of repeats: radiograph a: side must be one of .*, got 'up'"):
         study.measure(table, drawn.cohort().load, [drawn.TEMPLATE], drawn.LIGHT, tmp_path, retest=repeats)
 
 
@@ -99,7 +104,7 @@ def test_grades_that_a_data_frame_made_floats_of_are_those_grades(grades, kind):
 def test_films_are_films_and_each_once():
     film = Film(file="a.png", grade=0, subject="1", side=None, pixel_mm=None, sha256="0")
     given = {"load": print, "load_cohort": print, "protocol": "reference"}
-    with pytest.raises(InputError, match=r"file = 'a\.png', twice"):
+    with pytest.raises(InputError, match=r"each file once, got 'a\.png' twice"):
         FilmSet(films=(film, dataclasses.replace(film, grade=None)), **given)
     with pytest.raises(InputError, match="films must be of type Film"):
         FilmSet(films=("a.png",), **given)

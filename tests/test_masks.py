@@ -118,21 +118,21 @@ def test_masks_that_were_not_asked_for_are_refused(knee, small, radiograph, tmp_
         dataclasses.replace(radiograph, truth=None),
         dataclasses.replace(radiograph, truth=dataclasses.replace(radiograph.truth, masks={})),
     ):
-        with pytest.raises(pssf.InputError, match=r"masks = none; allowed: those of a Knee simulated with keep="):
+        with pytest.raises(pssf.InputError, match=r"must have masks, got masks = none: simulate a Knee with keep="):
             pssf.save_masks(image, tmp_path / "masks.tif")
     assert not list(tmp_path.iterdir())
 
 
 def test_a_mask_of_another_size_is_refused(radiograph, tmp_path):
     truth = dataclasses.replace(radiograph.truth, masks={"femur": np.zeros((4, 4), bool)})
-    with pytest.raises(pssf.InputError, match=r"mask femur: shape = \(4, 4\); allowed: \(256, 256\)"):
+    with pytest.raises(pssf.InputError, match=r"mask femur: shape must be \(256, 256\), got \(4, 4\)"):
         pssf.save_masks(dataclasses.replace(radiograph, truth=truth), tmp_path / "masks.tif")
 
 
 @pytest.mark.parametrize("name", ["", "a\\b", "f" * 65, "tibia "])
 def test_a_mask_whose_name_no_file_can_hold_is_refused(radiograph, tmp_path, name):
     truth = dataclasses.replace(radiograph.truth, masks={name: radiograph.truth.masks["tibia"]})
-    with pytest.raises(pssf.InputError, match=r"mask name = .*; allowed: 1 to 64 letters"):
+    with pytest.raises(pssf.InputError, match=r"mask name must be 1 to 64 letters, .*, got "):
         pssf.save_masks(dataclasses.replace(radiograph, truth=truth), tmp_path / "masks.dcm")
 
 
@@ -146,9 +146,9 @@ def test_one_mask_is_enough(radiograph, tmp_path, suffix):
 
 
 def test_another_suffix_of_masks_is_refused(radiograph, tmp_path):
-    with pytest.raises(pssf.InputError, match=r"suffix '.png'; allowed: .tif, .tiff, .dcm"):
+    with pytest.raises(pssf.InputError, match=r"suffix must be one of .tif, .tiff, .dcm, got '.png'"):
         pssf.save_masks(radiograph, tmp_path / "masks.png")
-    with pytest.raises(pssf.InputError, match=r"suffix '.npz'; allowed: .tif, .tiff, .dcm"):
+    with pytest.raises(pssf.InputError, match=r"suffix must be one of .tif, .tiff, .dcm, got '.npz'"):
         pssf.load_masks(tmp_path / "masks.npz")
 
 
@@ -165,7 +165,7 @@ def test_a_damaged_or_other_file_of_masks_is_refused_by_name(radiograph, tmp_pat
         pssf.save(radiograph, path)
     else:
         path.unlink()
-    with pytest.raises(pssf.InputError, match=rf"masks\{suffix}: .*; allowed: ") as refusal:
+    with pytest.raises(pssf.InputError, match=rf"masks\{suffix}.* must be ") as refusal:
         pssf.load_masks(path)
     assert "\n" not in str(refusal.value)
 
@@ -173,5 +173,5 @@ def test_a_damaged_or_other_file_of_masks_is_refused_by_name(radiograph, tmp_pat
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_a_file_of_masks_is_not_a_radiograph(radiograph, tmp_path, suffix):
     path = pssf.save_masks(radiograph, tmp_path / f"masks{suffix}")
-    with pytest.raises(pssf.InputError, match=rf"masks\{suffix}: .*; allowed: "):
+    with pytest.raises(pssf.InputError, match=rf"masks\{suffix}.* must be "):
         pssf.load(path)

@@ -85,7 +85,7 @@ def test_a_mesh_file_that_is_cut_off_anywhere_is_refused_by_its_own_fault(tmp_pa
         ("stl", lambda content: content[:-50], "the 24 facets that its header announces, got bytes for 23.0"),
         ("stl", lambda content: content + b"more", "the 24 facets that its header announces"),
         ("stl_ascii", lambda content: content[: content.rindex(b"endsolid")], "end with endsolid"),
-        ("stl_ascii", lambda content: content.replace(b"endfacet", b"", 1), "got 24 begun and 23 ended, 72 corners"),
+        ("stl_ascii", lambda content: content.replace(b"endfacet", b"", 1), "got 24 begun, 23 ended, 72 corners"),
         ("stl_ascii", lambda content: content.replace(b"-20", b"-2O", 1), "corners must be numbers"),
         ("glb", lambda content: content[:-1], "as its header says"),
     ],
@@ -125,8 +125,8 @@ def test_an_exported_scene_comes_back_with_names_and_materials(nested, tmp_path,
         (one.name, one.inside, one.outside) for one in nested.surfaces
     ]
     for one, two in zip(nested.surfaces, again.surfaces, strict=True):
-        np.testing.assert_array_equal(one.solid.points.astype(np.float32), two.arrays.vertices.astype(np.float32))
-        np.testing.assert_array_equal(one.solid.faces, two.arrays.faces)
+        np.testing.assert_array_equal(one.solid.points.astype(np.float32), two.mesh_arrays.vertices.astype(np.float32))
+        np.testing.assert_array_equal(one.solid.faces, two.mesh_arrays.faces)
 
 
 @pytest.mark.parametrize("kind", ["glb", "3mf"])
@@ -153,7 +153,7 @@ def test_an_exported_scene_is_read_at_the_command_line(nested, tmp_path):
 @pytest.mark.parametrize("kind", ["glb", "3mf"])
 def test_a_scene_is_not_joined_to_one_mesh(nested, tmp_path, kind):
     (path,) = pssf.export_meshes(nested, tmp_path, formats=(kind,))
-    with pytest.raises(pssf.InputError, match=r"a scene: pssf\.read_scene reads one"):
+    with pytest.raises(pssf.InputError, match=r"a scene: use pssf\.read_scene"):
         pssf.read_mesh(path)
 
 

@@ -7,15 +7,15 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 from sklearn.metrics import balanced_accuracy_score, f1_score, roc_auc_score
 
-from pssf.study.statistics import metrics
+from pssf.study.statistics.scores import metrics
 
 
 def test_metrics_of_four_knees_are_those_worked_out_by_hand():
     # Positives at 0.9 and 0.3, negatives at 0.2 and 0.6: three of four pairs are in order. One of each class is called.
     truth, p = np.array([1, 1, 0, 0]), np.array([0.9, 0.3, 0.2, 0.6])
-    found = metrics.score(truth, np.column_stack([1 - p, p]))
+    found = metrics.score_predictions(truth, np.column_stack([1 - p, p]))
     assert found == {"auc": 0.75, "balanced_accuracy": 0.5, "macro_f1": 0.5}
-    assert_array_equal(metrics.confusion(truth, np.column_stack([1 - p, p])), [[1, 1], [1, 1]])
+    assert_array_equal(metrics.confusion_matrix(truth, np.column_stack([1 - p, p])), [[1, 1], [1, 1]])
 
 
 @settings(max_examples=30)
@@ -31,7 +31,7 @@ def test_metrics_equal_those_of_scikit_learn(classes, rows, seed):
         "balanced_accuracy": balanced_accuracy_score(truth, called),
         "macro_f1": f1_score(truth, called, average="macro"),
     }
-    assert metrics.score(truth, probability) == pytest.approx(theirs, abs=1e-12)
+    assert metrics.score_predictions(truth, probability) == pytest.approx(theirs, abs=1e-12)
 
 
 @given(seed=st.integers(0, 10**6), splits=st.integers(1, 5), levels=st.sampled_from([3, 1000]))
@@ -56,4 +56,4 @@ def test_splits_without_both_classes_have_no_roc_curve():
 
 
 def test_a_class_that_is_not_tested_gives_no_measure():
-    assert all(np.isnan(value) for value in metrics.score(np.zeros(3, int), np.full((3, 2), 0.5)).values())
+    assert all(np.isnan(value) for value in metrics.score_predictions(np.zeros(3, int), np.full((3, 2), 0.5)).values())

@@ -11,10 +11,10 @@ from numpy.testing import assert_allclose
 from test_radiomics import texture
 
 import pssf
-from pssf.data.ibsi import ibsi_tags
-from pssf.radiomics.backends import BACKENDS
-from pssf.radiomics.families import FAMILIES, family
-from pssf.radiomics.features import extract
+from pssf.data.analysis.ibsi_table import load_ibsi_tags
+from pssf.radiomics.features.feature_backends import BACKENDS
+from pssf.radiomics.features.feature_extraction import extract_features
+from pssf.radiomics.features.feature_families import FAMILIES, feature_family
 
 pytest.importorskip("mirp")
 pytest.importorskip("radiomics")
@@ -27,7 +27,7 @@ def regions() -> list[np.ndarray]:
     """(192, 192) about the medial joint line of three knees, one a grade, under three protocols."""
     found = []
     for grade, name in enumerate(("reference", "low_dose", "geometry_shift")):
-        knee = pssf.draw_knee(grade=grade, rng=np.random.default_rng(grade), grade_table="paper")
+        knee = pssf.sample_knee(grade=grade, rng=np.random.default_rng(grade), grade_table="paper")
         radiograph = pssf.simulate(knee, pssf.load_protocol(name), rng=grade, engine="scanline")
         row, col = (round(at) - SIZE // 2 for at in radiograph.truth.medial_joint_line_px)
         found.append(radiograph.pixels[row : row + SIZE, col : col + SIZE])
@@ -39,13 +39,13 @@ def regions() -> list[np.ndarray]:
 
 def both(region: np.ndarray, **how) -> list[dict[str, float]]:
     """By pyradiomics, by MIRP."""
-    return [extract(region, 0.15, ibsi_tags(), BINS, backend=name, **how) for name in BACKENDS]
+    return [extract_features(region, 0.15, load_ibsi_tags(), BINS, backend=name, **how) for name in BACKENDS]
 
 
 @pytest.mark.parametrize("number", range(3))
 def test_every_feature_that_mirp_has_is_the_same_in_the_same_order(regions, number):
     ours, theirs = both(regions[number])
-    assert list(theirs) == [name for name in ours if name not in BACKENDS["mirp"].lacks]
+    assert list(theirs) == [name for name in ours if name not in BACKENDS["mirp"].missing_features]
     for name, value in theirs.items():
         # What is nothing but for rounding: the mean of a z-score, and what follows from it.
         assert_allclose(value, ours[name], rtol=1e-9, atol=1e-9 if name == "firstorder_z_Mean" else 0, err_msg=name)
@@ -61,12 +61,14 @@ def test_grey_values_on_edges_of_bins_are_among_the_sample(regions):
 @pytest.mark.parametrize("name", FAMILIES)
 def test_a_family_asked_for_alone_is_as_it_is_among_all(name):
     region = texture(40, 3)
-    whole, part = (extract(region, 0.15, ibsi_tags(), backend="mirp", **how) for how in ({}, {"families": (name,)}))
-    assert part == {feature: value for feature, value in whole.items() if family(feature) == name}
+    whole, part = (
+        extract_features(region, 0.15, load_ibsi_tags(), backend="mirp", **how) for how in ({}, {"families": (name,)})
+    )
+    assert part == {feature: value for feature, value in whole.items() if feature_family(feature) == name}
 
 
 def test_mirp_stays_silent_and_leaves_the_log_as_it_was(capfd):
     before = list(logging.getLogger().handlers), logging.getLogger().level
-    extract(texture(32, 1), 0.15, ibsi_tags(), backend="mirp")
+    extract_features(texture(32, 1), 0.15, load_ibsi_tags(), backend="mirp")
     assert capfd.readouterr() == ("", "")
     assert (list(logging.getLogger().handlers), logging.getLogger().level) == before

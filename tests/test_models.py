@@ -6,17 +6,17 @@ import pytest
 from made_up import NAMES, features
 from numpy.testing import assert_allclose
 
-from pssf.study.learn.models import tune
-from pssf.study.learn.selection import preparation
-from pssf.study.settings import SELECTIONS
+from pssf.study.design.study_settings import SELECTIONS
+from pssf.study.learn.models.classifiers import tune_classifier
+from pssf.study.learn.models.feature_selection import build_feature_pipeline
 
 
 @pytest.mark.parametrize("selection", list(SELECTIONS))
 def test_features_without_anything_in_them_give_a_model_of_chance(selection):
     table = pd.DataFrame({"a": np.ones(12), "b": np.zeros(12)})
     y = np.arange(12) % 2
-    prepared = preparation(selection, rho=0.9, most=4, seed=0).fit(table, y)
-    fitted = tune(prepared, "lr", (table, y), (table, y), seed=0)
+    prepared = build_feature_pipeline(selection, rho=0.9, max_features=4, seed=0).fit(table, y)
+    fitted = tune_classifier(prepared, "lr", (table, y), (table, y), seed=0)
     assert_allclose(fitted.pipeline.predict_proba(table), 0.5, atol=1e-6)
 
 
@@ -24,7 +24,9 @@ def test_features_without_anything_in_them_give_a_model_of_chance(selection):
 def test_importances_are_shares_and_the_signals_copy_leads(model):
     table = features(20, noise=0.2)
     X, y = table[NAMES], table["grade"].to_numpy()
-    fitted = tune(preparation("l1", rho=0.9, most=5, seed=0).fit(X, y), model, (X, y), (X, y), seed=0)
+    fitted = tune_classifier(
+        build_feature_pipeline("l1", rho=0.9, max_features=5, seed=0).fit(X, y), model, (X, y), (X, y), seed=0
+    )
     assert sum(fitted.importance.values()) == pytest.approx(1)
     # Of the two that tell the same the first by name stays.
     assert max(fitted.importance, key=fitted.importance.get) == "copy"
@@ -33,5 +35,7 @@ def test_importances_are_shares_and_the_signals_copy_leads(model):
 def test_without_validation_rows_the_most_cautious_parameters_are_taken():
     table = features(10)
     X, y = table[NAMES], table["grade"].to_numpy()
-    fitted = tune(preparation("l1", rho=0.9, most=5, seed=0).fit(X, y), "lr", (X, y), (X[:0], y[:0]), seed=0)
+    fitted = tune_classifier(
+        build_feature_pipeline("l1", rho=0.9, max_features=5, seed=0).fit(X, y), "lr", (X, y), (X[:0], y[:0]), seed=0
+    )
     assert fitted.parameters == {"C": 0.01}

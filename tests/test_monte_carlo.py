@@ -9,20 +9,20 @@ from msgspec import structs
 from numpy.testing import assert_allclose
 
 import pssf
-from pssf.accuracy.monte_carlo import reference_rows
-from pssf.accuracy.scatter import slab
-from pssf.core.blocks import block_mean
-from pssf.data.detectors import detectors
-from pssf.data.references import ScatterCases, references
-from pssf.scatter import transport
-from pssf.scatter.interactions import interactions_of
-from pssf.scatter.monte_carlo import count, scatter_monte_carlo
-from pssf.scatter.voxels import voxels_of
-from pssf.xray.primary import transmit
-from pssf.xray.spectrum import beam_of
-from pssf.xray.technique import technique_of
+from pssf.core.resample import downsample_by_blocks
+from pssf.data.analysis.reference_table import ScatterCases, load_reference_tables
+from pssf.data.imaging.detector_table import load_detectors
+from pssf.scatter import photon_transport
+from pssf.scatter.monte_carlo import compute_monte_carlo_scatter_kev, simulate_photons
+from pssf.scatter.photon_interactions import make_interaction_tables
+from pssf.scatter.voxel_grid import voxelise_scene
+from pssf.validation.imaging.monte_carlo_reference import compare_monte_carlo_with_reference
+from pssf.validation.imaging.scatter_phantoms import build_slab
+from pssf.xray.primary_beam import transmit
+from pssf.xray.resolved_technique import resolve_technique
+from pssf.xray.spectrum import compute_beam
 
-CSI = detectors()["csi"]
+CSI = load_detectors()["csi"]
 # Wide enough that one draw in 15 000 falls outside.
 SIGMAS = 4.0
 
@@ -43,7 +43,7 @@ def taken(kv=70.0, thick_mm=120.0, gap_mm=140.0, rows=300, cols=300):
 
 
 def open_kev(protocol):
-    return float(transmit({}, beam_of(technique_of(protocol)), technique_of(protocol)).kev.max())
+    return float(transmit({}, compute_beam(resolve_technique(protocol)), resolve_technique(protocol)).kev.max())
 
 
 def mean_and_error(batches):
@@ -51,7 +51,7 @@ def mean_and_error(batches):
 
 
 def test_voxels_hold_the_volume_of_each_material(scene):
-    voxels = voxels_of(scene)
+    voxels = voxelise_scene(scene)
     held = np.bincount(voxels.index.ravel(), minlength=len(voxels.names)) * voxels.size_mm.prod()
     for number, name in enumerate(voxels.names[1:], start=1):
         inside = sum(s.mesh.volume for s in scene.surfaces if s.inside == name)
@@ -62,7 +62,7 @@ def test_voxels_hold_the_volume_of_each_material(scene):
 
 def test_voxels_do_not_depend_on_the_order_of_the_surfaces(scene):
     turned = pssf.Scene(scene.surfaces[::-1])
-    one, other = voxels_of(scene, voxel_mm=4.0), voxels_of(turned, voxel_mm=4.0)
+    one, other = voxelise_scene(scene, voxel_mm=4.0), voxelise_scene(turned, voxel_mm=4.0)
     assert (np.array(one.names)[one.index] == np.array(other.names)[other.index]).all()
 
 
@@ -72,7 +72,7 @@ def test_voxels_lie_where_the_scene_is():
         pssf.Surface(box(100, 120, 140), "muscle", "air", "outer"),
         pssf.Surface(inner, "cortical_bone", "muscle", "inner"),
     ])  # fmt: skip
-    voxels = voxels_of(scene)
+    voxels = voxelise_scene(scene)
     where = np.argwhere(voxels.index == voxels.names.index("cortical_bone"))
     low = voxels.origin_mm + where.min(axis=0) * voxels.size_mm
     high = voxels.origin_mm + (where.max(axis=0) + 1) * voxels.size_mm
@@ -81,8 +81,8 @@ def test_voxels_lie_where_the_scene_is():
 
 @pytest.mark.parametrize("size", [0.0, np.nan, 0.2])
 def test_voxels_too_small_are_refused_by_name(size):
-    with pytest.raises(pssf.InputError, match=r"voxel_mm = .*; allowed: "):
-        voxels_of(slab(120.0), voxel_mm=size)
+    with pytest.raises(pssf.InputError, match=r"^voxel_mm (=|must be) "):
+        voxelise_scene(build_slab(120.0), voxel_mm=size)
 
 
 @pytest.mark.parametrize("kev", [20.0, 60.0, 120.0])
@@ -91,7 +91,7 @@ def test_compton_scatter_keeps_the_mean_energy_of_klein_and_nishina(kev):
     share = 1 / (1 + kev / 510.99895 * (1 - cosine))
     section = share**2 * (share + 1 / share - 1 + cosine**2)
     free, random = np.ones(5000), stream()
-    drawn = np.array([transport._compton(kev, random, free) for _ in range(40_000)])
+    drawn = np.array([photon_transport._sample_compton(kev, random, free) for _ in range(40_000)])
     for found, value in ((drawn[:, 1], share), (drawn[:, 0], cosine)):
         expected = np.sum(section * value) / np.sum(section)
         assert abs(found.mean() - expected) < SIGMAS * found.std() / np.sqrt(len(found))
@@ -100,15 +100,22 @@ def test_compton_scatter_keeps_the_mean_energy_of_klein_and_nishina(kev):
 @pytest.mark.parametrize("kev", [20.0, 60.0])
 @pytest.mark.parametrize("kind", ["compton", "rayleigh"])
 def test_scatter_in_oxygen_has_the_angles_of_xraylib(kev, kind):
-    what, random = interactions_of((material("O@1.0"),), 80.0, CSI), stream(2)
+    what, random = make_interaction_tables((material("O@1.0"),), 80.0, CSI), stream(2)
     # Below 0.01 there are no values for Compton, and too little of the weight to matter.
     angle = np.linspace(0.01, np.pi, 4001) if kind == "compton" else np.linspace(0, np.pi, 4001)
     section = xraylib.DCS_Compt if kind == "compton" else xraylib.DCS_Rayl
     weight = np.sin(angle) * np.array([section(8, kev, float(a)) for a in angle])
     if kind == "compton":
-        drawn = np.array([transport._compton(kev, random, what.bound[0])[0] for _ in range(40_000)])
+        drawn = np.array(
+            [photon_transport._sample_compton(kev, random, what.incoherent_function[0])[0] for _ in range(40_000)]
+        )
     else:
-        drawn = np.array([transport._rayleigh(kev, random, what.x2, what.coherent[0]) for _ in range(40_000)])
+        drawn = np.array(
+            [
+                photon_transport._sample_rayleigh(kev, random, what.x_squared, what.coherent_integral[0])
+                for _ in range(40_000)
+            ]
+        )
     for power in (1, 2):
         expected = np.sum(weight * np.cos(angle) ** power) / weight.sum()
         found = drawn**power
@@ -116,10 +123,10 @@ def test_scatter_in_oxygen_has_the_angles_of_xraylib(kev, kind):
 
 
 def test_tables_add_up_to_the_attenuation_of_the_primary():
-    what = interactions_of(tuple(map(material, ("muscle", "cortical_bone", "Ti@4.51"))), 80.0, CSI)
-    energies = 5.0 + 0.5 * np.arange(what.photo.shape[1])
+    what = make_interaction_tables(tuple(map(material, ("muscle", "cortical_bone", "Ti@4.51"))), 80.0, CSI)
+    energies = 5.0 + 0.5 * np.arange(what.photoelectric.shape[1])
     for number, name in enumerate(("muscle", "cortical_bone", "Ti@4.51")):
-        total = (what.photo + what.compton + what.rayleigh)[number]
+        total = (what.photoelectric + what.compton + what.rayleigh)[number]
         assert_allclose(total, attenuation(name, energies), rtol=1e-12)
 
 
@@ -129,17 +136,25 @@ def test_tables_add_up_to_the_attenuation_of_the_primary():
 def test_unscattered_photons_follow_beer_and_lambert(angle_deg, mono_kev, detector):
     protocol = dataclasses.replace(taken(), beam_angle_deg=angle_deg, mono_kev=mono_kev, detector=detector)
     scene = pssf.Scene([pssf.Surface(box(90, 60, 110, at_mm=(20, 10, -15)), "muscle", "air", "block")])
-    found = count(scene, technique_of(protocol), photons=400_000, voxel_mm=1.0)
+    found = simulate_photons(scene, resolve_technique(protocol), photons=400_000, voxel_mm=1.0)
     paths = pssf.trace(scene, protocol, materials=["muscle"]).path_mm
-    exact = transmit(paths, beam_of(technique_of(protocol)), technique_of(protocol)).kev
+    exact = transmit(paths, compute_beam(resolve_technique(protocol)), resolve_technique(protocol)).kev
     # Inside the shadow of the block: elsewhere photons are aimed only near it.
     shadow = paths["muscle"] > 59.0
-    cells = found.step * np.arange(found.primary_kev.shape[1]), found.step * np.arange(found.primary_kev.shape[2])
-    whole = np.array([[shadow[r : r + found.step, c : c + found.step].all() for c in cells[1]] for r in cells[0]])
+    cells = (
+        found.pixels_per_cell * np.arange(found.primary_kev.shape[1]),
+        found.pixels_per_cell * np.arange(found.primary_kev.shape[2]),
+    )
+    whole = np.array(
+        [
+            [shadow[r : r + found.pixels_per_cell, c : c + found.pixels_per_cell].all() for c in cells[1]]
+            for r in cells[0]
+        ]
+    )
     assert whole.sum() > 50
     mean, error = mean_and_error(found.primary_kev[:, whole].sum(axis=1))
     expected = sum(
-        exact[r : r + found.step, c : c + found.step].sum(dtype=float)
+        exact[r : r + found.pixels_per_cell, c : c + found.pixels_per_cell].sum(dtype=float)
         for (i, r), (j, c) in ((a, b) for a in enumerate(cells[0]) for b in enumerate(cells[1]))
         if whole[i, j]
     )
@@ -150,11 +165,11 @@ def test_unscattered_photons_follow_beer_and_lambert(angle_deg, mono_kev, detect
 def test_scatter_over_primary_is_nearly_the_same_in_either_detector():
     ratios = []
     for detector in ("csi", "gos"):
-        technique, scene = technique_of(dataclasses.replace(taken(), detector=detector)), limb(120.0)
-        counts = count(scene, technique, photons=400_000)
+        technique, scene = resolve_technique(dataclasses.replace(taken(), detector=detector)), limb(120.0)
+        counts = simulate_photons(scene, technique, photons=400_000)
         # As in a radiograph: photons are followed for the scatter alone.
         paths = pssf.trace(scene, technique.protocol).path_mm
-        primary = block_mean(transmit(paths, beam_of(technique), technique).kev, counts.step)
+        primary = downsample_by_blocks(transmit(paths, compute_beam(technique), technique).kev, counts.pixels_per_cell)
         scatter = counts.scatter_kev.mean(axis=0) / counts.pixels
         ratios.append(scatter[15:22, 15:22].sum() / primary[15:22, 15:22].sum())
     # The thinner screen absorbs less of either; absorbing scatter as in the thicker one gave 1.7.
@@ -162,28 +177,30 @@ def test_scatter_over_primary_is_nearly_the_same_in_either_detector():
 
 
 def test_the_energy_emitted_is_absorbed_or_falls_on_the_field_or_past_it():
-    found = count(limb(120.0), technique_of(taken()), photons=50_000)
+    found = simulate_photons(limb(120.0), resolve_technique(taken()), photons=50_000)
     assert found.energy_kev[1:].sum() == pytest.approx(found.energy_kev[0], rel=1e-9)
     assert (found.energy_kev > 0).all()
 
 
 def test_nothing_scatters_in_what_is_next_to_nothing():
     thin = pssf.Scene([pssf.Surface(box(100, 100, 100), "H@0.000001", "H@0.000001", "nothing")], ambient="H@0.000001")
-    found = count(thin, technique_of(taken()), photons=50_000)
+    found = simulate_photons(thin, resolve_technique(taken()), photons=50_000)
     assert found.scatter_kev.sum() < 1e-4 * found.primary_kev.sum()
 
 
 @pytest.mark.parametrize("at_mm", [(0.0, 400.0, 0.0), (3000.0, 0.0, 0.0)])
 def test_a_scene_behind_the_detector_or_beside_the_beam_scatters_nothing(at_mm):
     scene = pssf.Scene([pssf.Surface(box(100, 100, 100, at_mm=at_mm), "muscle", "air", "away")])
-    image, error = scatter_monte_carlo(scene, technique_of(taken()), photons=3200)
+    image, error = compute_monte_carlo_scatter_kev(scene, resolve_technique(taken()), photons=3200)
     assert (image == 0).all()
     assert error == 0
 
 
 def test_scatter_is_the_same_bytes_on_any_number_of_workers_and_another_for_another_seed():
     one, two, other = (
-        scatter_monte_carlo(limb(120.0), technique_of(taken()), photons=20_000, seed=seed, workers=workers)[0].tobytes()
+        compute_monte_carlo_scatter_kev(
+            limb(120.0), resolve_technique(taken()), photons=20_000, seed=seed, workers=workers
+        )[0].tobytes()
         for seed, workers in ((3, 1), (3, 2), (4, 2))
     )
     assert one == two
@@ -194,7 +211,7 @@ def test_scatter_is_the_same_bytes_on_any_number_of_workers_and_another_for_anot
 def test_a_metre_of_lead_is_finite(setting):
     protocol = dataclasses.replace(taken(), **setting)
     scene = pssf.Scene([pssf.Surface(box(1000, 1000, 1000), "Pb@11.35", "air", "lead")])
-    image, error = scatter_monte_carlo(scene, technique_of(protocol), photons=3200)
+    image, error = compute_monte_carlo_scatter_kev(scene, resolve_technique(protocol), photons=3200)
     assert np.isfinite(image).all()
     assert np.isfinite(error)
     assert image.max() <= 1e-6 * max(open_kev(protocol), 1.0)
@@ -202,7 +219,7 @@ def test_a_metre_of_lead_is_finite(setting):
 
 def test_a_source_inside_the_scene_is_followed_too():
     around = pssf.Scene([pssf.Surface(box(400, 2400, 400), "air", "air", "room")], ambient="air")
-    found = count(around, technique_of(taken()), photons=20_000)
+    found = simulate_photons(around, resolve_technique(taken()), photons=20_000)
     assert found.energy_kev[1:].sum() == pytest.approx(found.energy_kev[0], rel=1e-9)
     # A metre of air lets through exp(-0.023) of 50 keV.
     assert 0.9 < found.primary_kev.mean(axis=0).sum() / found.pixels.sum() / open_kev(taken()) < 1.0
@@ -210,8 +227,10 @@ def test_a_source_inside_the_scene_is_followed_too():
 
 def test_scatter_is_in_the_units_of_the_kernel_and_follows_the_tube_current():
     protocol = taken()
-    one, error = scatter_monte_carlo(limb(120.0), technique_of(protocol), photons=200_000)
-    two, _ = scatter_monte_carlo(limb(120.0), technique_of(dataclasses.replace(protocol, mas=4.0)), photons=200_000)
+    one, error = compute_monte_carlo_scatter_kev(limb(120.0), resolve_technique(protocol), photons=200_000)
+    two, _ = compute_monte_carlo_scatter_kev(
+        limb(120.0), resolve_technique(dataclasses.replace(protocol, mas=4.0)), photons=200_000
+    )
     assert_allclose(two, 2 * one, rtol=1e-5)
     assert one.shape == (300, 300)
     assert one.dtype == np.float32
@@ -220,14 +239,16 @@ def test_scatter_is_in_the_units_of_the_kernel_and_follows_the_tube_current():
 
 def test_scatter_falls_on_the_side_of_what_scatters():
     scene = pssf.Scene([pssf.Surface(box(40, 40, 40, at_mm=(60, 0, 70)), "water", "air", "cube")])
-    image, _ = scatter_monte_carlo(scene, technique_of(taken()), photons=100_000)
+    image, _ = compute_monte_carlo_scatter_kev(scene, resolve_technique(taken()), photons=100_000)
     # +x is to the right, +z up.
     assert image[:150, 150:].sum() > 1.5 * max(image[:150, :150].sum(), image[150:, 150:].sum())
 
 
 def test_the_stated_error_is_that_of_repeats():
     def run(seed):
-        return scatter_monte_carlo(limb(120.0), technique_of(taken(cols=180)), photons=32_000, seed=seed)
+        return compute_monte_carlo_scatter_kev(
+            limb(120.0), resolve_technique(taken(cols=180)), photons=32_000, seed=seed
+        )
 
     maps, errors = zip(*(run(seed) for seed in range(12)), strict=True)
     spread = np.sqrt(np.var(maps, axis=0, ddof=1).mean()) / np.mean(maps)
@@ -241,11 +262,15 @@ def test_the_stated_error_is_that_of_repeats():
 )
 def test_scatter_behind_water_agrees_with_the_reference_within_3_percent(kv, thick_mm, gap_mm, reference):
     protocol = taken(float(kv), thick_mm, gap_mm)
-    found = count(slab(thick_mm), technique_of(protocol), photons=1_000_000, cell_mm=10.0)
+    found = simulate_photons(build_slab(thick_mm), resolve_technique(protocol), photons=1_000_000, cell_mm=10.0)
     middle = np.s_[:, 12:18, 12:18]
     scatter, error = mean_and_error(found.scatter_kev[middle].sum(axis=(1, 2)) / found.pixels[middle[1:]].sum())
-    paths = pssf.trace(slab(thick_mm), protocol, materials=["water"]).path_mm
-    primary = transmit(paths, beam_of(technique_of(protocol)), technique_of(protocol)).kev[120:180, 120:180].mean()
+    paths = pssf.trace(build_slab(thick_mm), protocol, materials=["water"]).path_mm
+    primary = (
+        transmit(paths, compute_beam(resolve_technique(protocol)), resolve_technique(protocol))
+        .kev[120:180, 120:180]
+        .mean()
+    )
     assert error / scatter < 0.03
     assert abs(scatter / primary / reference - 1) < 0.03 + 3 * error / scatter
 
@@ -257,17 +282,17 @@ def test_scatter_behind_water_agrees_with_the_reference_within_3_percent(kv, thi
 )
 def test_scatter_behind_a_limb_agrees_with_the_reference_within_3_percent(kv, thick_mm, gap_mm, reference):
     protocol = taken(float(kv), thick_mm, gap_mm, cols=240)
-    found = count(limb(thick_mm), technique_of(protocol), photons=1_000_000, cell_mm=10.0)
+    found = simulate_photons(limb(thick_mm), resolve_technique(protocol), photons=1_000_000, cell_mm=10.0)
     middle = np.s_[:, 4:26, 10:14]
     scatter, error = mean_and_error(found.scatter_kev[middle].sum(axis=(1, 2)) / found.pixels[middle[1:]].sum())
     assert abs(scatter / open_kev(protocol) / reference - 1) < 0.03 + 3 * error / scatter
 
 
 def test_the_table_beside_an_independent_monte_carlo_has_a_row_a_case(monkeypatch):
-    known = references()
+    known = load_reference_tables()
     few = structs.replace(known, scatter=ScatterCases(limb=known.scatter.limb[:1], slab=known.scatter.slab[:1]))
-    monkeypatch.setattr("pssf.accuracy.monte_carlo.references", lambda: few)
-    rows = reference_rows(2, photons=400_000)
+    monkeypatch.setattr("pssf.validation.imaging.monte_carlo_reference.load_reference_tables", lambda: few)
+    rows = compare_monte_carlo_with_reference(2, photons=400_000)
     assert [row["object"] for row in rows] == ["slab", "limb"]
     for row in rows:
         # The reference's own error is 1 to 2 %.

@@ -8,8 +8,15 @@ import trimesh
 from numpy.testing import assert_allclose
 from test_raycast import ENGINES, alone, ball, box, box_length, convex_chord, detector, moved, rays
 
-from pssf import InputError, PlaneWaves, Scene, Surface, simulate, trace
-from pssf.geometry.view import View, view_of
+from pssf import (
+    InputError,
+    PlaneWaves,
+    Scene,
+    Surface,
+    simulate,
+    trace,
+)
+from pssf.geometry.view import View, resolve_view
 
 # float64 against float64: the engines' own error, without that of storing.
 SCANLINE_MM, EMBREE_MM = 1e-6, 1e-4
@@ -98,7 +105,7 @@ def test_from_a_source_on_a_face_that_all_rays_enter_by_the_path_is_that_inside(
 
 
 def test_a_source_on_a_surface_that_some_rays_enter_and_some_do_not_is_refused(engine):
-    with pytest.raises(InputError, match="thing: the source lies on it"):
+    with pytest.raises(InputError, match="thing: source_mm must be inside or outside the surface, got"):
         path(box(40, 40, 40, at=(20.0, -900.0, 0.0)), towards(), engine)
 
 
@@ -157,7 +164,7 @@ def prism(ring, height_mm):
 def test_duplicate_and_degenerate_faces_are_left_out_with_a_notice(engine):
     mesh = box(30, 30, 30)
     faces = np.vstack((mesh.faces, mesh.faces[3:5], [[2, 2, 5]]))
-    with pytest.warns(UserWarning, match="left out"):
+    with pytest.warns(UserWarning, match="removed"):
         chord = path(trimesh.Trimesh(mesh.vertices, faces, process=False), towards(), engine)
     assert_allclose(chord, convex_chord(mesh, towards()), rtol=0, atol=BOUND_MM[engine])
 
@@ -177,9 +184,9 @@ def test_what_has_no_right_answer_is_refused_before_any_tracing(engine, fault):
     mesh = box(30, 30, 30)
     points, faces = np.array(mesh.vertices), np.array(mesh.faces)
     if fault == "hole":
-        faces, line = faces[1:], "edges of a hole or an open sheet, on one face only: 3"
+        faces, line = faces[1:], "edges of a hole or an open sheet, with one face only: 3"
     elif fault == "winding":
-        faces[2], line = faces[2, ::-1], "edges wound both ways, at which two faces disagree what is outside: 3"
+        faces[2], line = faces[2, ::-1], "edges between two faces of opposite winding: 3"
     elif fault == "empty":
         faces, line = faces[:0], "mesh has 0 faces"
     else:
@@ -191,7 +198,7 @@ def test_what_has_no_right_answer_is_refused_before_any_tracing(engine, fault):
 def test_inverted_normals_are_turned_with_a_notice(engine):
     mesh = ball(30.0)
     mesh.invert()
-    with pytest.warns(UserWarning, match="thing: mesh is inside out; faces: 1280; turned outward"):
+    with pytest.warns(UserWarning, match="thing: mesh is inside out; faces: 1280; flipped outward"):
         chord = path(mesh, towards(), engine)
     assert_allclose(chord, convex_chord(ball(30.0), towards()), rtol=0, atol=BOUND_MM[engine])
 
@@ -323,7 +330,9 @@ def test_a_mesh_given_twice_is_met_once_with_a_notice(engine, way):
         twice = trimesh.Trimesh(mesh.vertices, np.vstack((mesh.faces, mesh.faces)), process=False)
     else:
         twice = trimesh.util.concatenate([mesh, mesh])
-    with pytest.warns(UserWarning, match="thing: faces that stand twice: 1280, first 1280, 1281, 1282, ...; left out"):
+    with pytest.warns(
+        UserWarning, match="thing: duplicate faces: 1280, first 1280, 1281, 1282, ...; duplicates removed"
+    ):
         chord = path(twice, towards(), engine)
     assert_allclose(chord, convex_chord(mesh, towards()), rtol=0, atol=BOUND_MM[engine])
 
@@ -331,7 +340,7 @@ def test_a_mesh_given_twice_is_met_once_with_a_notice(engine, way):
 def test_triangle_soup_as_stl_gives_it_is_welded(engine):
     mesh = ball(30.0)
     soup = trimesh.Trimesh(mesh.triangles.reshape(-1, 3), np.arange(3 * 1280).reshape(-1, 3), process=False)
-    with pytest.warns(UserWarning, match="thing: corners equal to another: 3198, .*; welded"):
+    with pytest.warns(UserWarning, match="thing: duplicate vertices: 3198, .*; merged"):
         chord = path(soup, towards(), engine)
     assert_allclose(chord, convex_chord(mesh, towards()), rtol=0, atol=BOUND_MM[engine])
 
@@ -367,7 +376,9 @@ def between(mesh, view, density):
 
 def test_an_image_can_be_made_with_the_detector_inside_the_scene(engine):
     protocol = replace(detector(), rows=32, cols=32, pixel_mm=4.0)
-    radiograph = simulate(alone(ball(60.0, at=(0.0, view_of(protocol).centre_mm[1], 0.0))), protocol, engine=engine)
+    radiograph = simulate(
+        alone(ball(60.0, at=(0.0, resolve_view(protocol).centre_mm[1], 0.0))), protocol, engine=engine
+    )
     assert radiograph.audit["unrepaired"] == 0
     assert radiograph.pixels.min() < radiograph.pixels.max()
 

@@ -6,10 +6,16 @@ import trimesh
 from test_nasty_scenes import prism
 from test_raycast import ENGINES, ball, detector
 
-from pssf import InputError, PlaneWaves, Scene, Surface, trace
-from pssf.geometry.view import view_of
-from pssf.raycast import require_paths
-from pssf.raycast.negative import least_paths, why_negative
+from pssf import (
+    InputError,
+    PlaneWaves,
+    Scene,
+    Surface,
+    trace,
+)
+from pssf.geometry.view import resolve_view
+from pssf.raycast import require_nonnegative_paths
+from pssf.raycast.negative_paths import explain_negative_path, find_shortest_paths
 
 VIEW = detector(rows=96, cols=96, pixel_mm=0.3)
 
@@ -44,25 +50,26 @@ def test_a_large_fold_is_refused_with_its_surface_and_pixel(engine):
     with pytest.raises(InputError) as error:
         trace(plate(4.0), VIEW, engine=engine)
     text = str(error.value)
-    assert text.startswith("cortical_bone: path length -4 mm at pixel (4")
-    assert text.endswith(": plate: its mesh overlaps itself or is folded inside out there; allowed: -0.05 mm or more")
+    assert text.startswith("cortical_bone: path length must be -0.05 mm or more, got -4 mm at pixel (4")
+    assert text.endswith(": plate: its mesh overlaps itself or is inside out there")
 
 
 def test_the_shortest_path_is_the_one_of_that_pixel():
     scene = plate(0.03)
     path_mm = trace(scene, VIEW, engine="scanline", precision="float64").path_mm["cortical_bone"]
-    least = least_paths(scene, view_of(VIEW))["cortical_bone"]
-    assert path_mm[least.row, least.col] == path_mm.min() == pytest.approx(least.mm, rel=1e-12)
-    assert least.negative == (path_mm < -1e-4).sum()
-    assert "air" not in least_paths(scene, view_of(VIEW))
+    least = find_shortest_paths(scene, resolve_view(VIEW))["cortical_bone"]
+    assert path_mm[least.row, least.col] == path_mm.min() == pytest.approx(least.min_path_mm, rel=1e-12)
+    assert least.negative_rays == (path_mm < -1e-4).sum()
+    assert "air" not in find_shortest_paths(scene, resolve_view(VIEW))
 
 
 def test_a_path_is_negative_because_of_what_is_said_to_be_outside():
     scene = Scene([Surface(ball(30.0), "water", "air", "ball"), Surface(ball(10.0), "muscle", "marrow", "inner")])
-    why = why_negative(scene, view_of(VIEW), "marrow", 48, 48)
+    why = explain_negative_path(scene, resolve_view(VIEW), "marrow", 48, 48)
     assert why.startswith("inner: outside is marrow, but water (ball) is there, over up to 20 mm of a ray")
     with pytest.raises(
-        InputError, match=r"^marrow: path length -19.97 mm at pixel .*: inner: outside is marrow, but water"
+        InputError,
+        match=r"^marrow: path length must be .*, got -19.97 mm at pixel .*: inner: outside is marrow, but water",
     ):
         trace(scene, VIEW)
 
@@ -70,26 +77,29 @@ def test_a_path_is_negative_because_of_what_is_said_to_be_outside():
 def test_a_path_in_the_ambient_material_is_held_to_the_same_where_it_is_asked_for():
     scene = Scene([Surface(ball(30.0), "water", "air", "ball"), Surface(ball(10.0), "muscle", "air", "inner")])
     assert trace(scene, VIEW).path_mm["water"].max() > 50
-    with pytest.raises(InputError, match=r"^air: path length .*: inner: outside is air, but water \(ball\) is there"):
+    with pytest.raises(
+        InputError, match=r"^air: path length .*, got .*: inner: outside is air, but water \(ball\) is there"
+    ):
         trace(scene, VIEW, materials=["air"])
 
 
 def test_a_density_of_less_than_nothing_is_named_as_the_reason():
     shell = Surface(ball(30.0), "water", "air", inside_density=PlaneWaves(mean=-1.0))
     with pytest.raises(
-        InputError, match=r"^water: path length -.*: a density integrates to less than 0; allowed: -0.05"
+        InputError,
+        match=r"^water: path length must be -0.05 mm or more, got -.*: the integral of a density is negative",
     ):
         trace(Scene([shell]), VIEW)
 
 
 def test_paths_that_somebody_changed_are_looked_at_again():
     paths = trace(plate(0.03), VIEW)
-    require_paths(paths.path_mm, paths.scene, paths.view)
+    require_nonnegative_paths(paths.path_mm, paths.scene, paths.view)
     paths.path_mm["cortical_bone"][3, 4] = -1.0
     with pytest.raises(
-        InputError, match=r"^cortical_bone: path length -1 mm at pixel \(3, 4\): a surface has it outside"
+        InputError, match=r"^cortical_bone: path length must be .*, got -1 mm at pixel \(3, 4\): a surface names it"
     ):
-        require_paths(paths.path_mm, paths.scene, paths.view)
+        require_nonnegative_paths(paths.path_mm, paths.scene, paths.view)
     paths.path_mm["cortical_bone"][3, 4] = np.nan
-    with pytest.raises(InputError, match=r"^cortical_bone: path length nan mm at pixel \(3, 4\)"):
-        require_paths(paths.path_mm, paths.scene, paths.view)
+    with pytest.raises(InputError, match=r"^cortical_bone: path length must be .*, got nan mm at pixel \(3, 4\)"):
+        require_nonnegative_paths(paths.path_mm, paths.scene, paths.view)

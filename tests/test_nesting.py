@@ -6,10 +6,10 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pssf.geometry.repair import repair
-from pssf.geometry.topology import volumes_mm3
+from pssf.geometry.mesh_repair import repair_mesh
+from pssf.geometry.mesh_topology import body_volumes_mm3
 
-ONE = "thing: a body that is no cavity is inside out; faces: 12; turned outward"
+ONE = "thing: a body that is not a cavity is inside out; faces: 12; flipped outward"
 
 
 def box(side_mm, *at_mm):
@@ -39,11 +39,11 @@ SCENES = {
     "a hollow box apart, wholly inside out": (
         [box(40), inverted(box(10, 90, 0, 0), inverted(box(5, 90, 0, 0)))],
         64875,
-        ["thing: 2 bodies that are no cavities are inside out; faces: 24; turned outward"],
+        ["thing: 2 bodies that are not cavities are inside out; faces: 24; flipped outward"],
     ),
     "as large a box beside it, inside out": ([box(40), inverted(box(40, 50, 0, 0))], 128000, [ONE]),
     "all of it inside out": (
-        [inverted(box(40)), box(10)], 63000, ["thing: mesh is inside out; faces: 24; turned outward"]
+        [inverted(box(40)), box(10)], 63000, ["thing: mesh is inside out; faces: 24; flipped outward"]
     ),
     "a hole thinner than any rounding shows": (
         [box(40), inverted(trimesh.creation.box(bounds=[[-20, -5, -5], [-20 + 1e-6, 5, 5]]))], 64000 - 1e-4, []
@@ -64,13 +64,15 @@ def test_what_is_a_cavity_hangs_on_no_order_of_faces_or_vertices_and_on_no_place
     mesh.apply_transform(trimesh.transformations.rotation_matrix(np.deg2rad(turn), [1, 2, 3]))
     order = rng.permutation(len(mesh.vertices))
     faces = rng.permutation(np.argsort(order)[np.array(mesh.faces)])
-    solid = repair((np.array(mesh.vertices)[order] + away_mm) * scale, np.roll(faces, rng.integers(3), axis=1), "thing")
+    solid = repair_mesh(
+        (np.array(mesh.vertices)[order] + away_mm) * scale, np.roll(faces, rng.integers(3), axis=1), "thing"
+    )
     assert [str(fault) for fault in solid.faults] == lines
     assert volume(solid) / scale**3 == pytest.approx(volume_mm3, rel=1e-9)
 
 
 def volume(solid):
-    return float(volumes_mm3(solid.points, solid.faces, np.zeros(len(solid.points), np.int32), 1)[0])
+    return float(body_volumes_mm3(solid.points, solid.faces, np.zeros(len(solid.points), np.int32), 1)[0])
 
 
 OCTAHEDRON = trimesh.convex.convex_hull(0.3 * np.vstack((np.eye(3), -np.eye(3))))
@@ -87,13 +89,13 @@ def porous(number, at_mm):
 
 
 def test_thousands_of_cavities_stay_cavities():
-    solid = repair(*porous(8000, (0, 0, 0)), "thing")
+    solid = repair_mesh(*porous(8000, (0, 0, 0)), "thing")
     assert not solid.faults
     assert volume(solid) == pytest.approx(64**3 - 8000 * OCTAHEDRON.volume)
 
 
 def test_thousands_of_bodies_inside_out_are_turned_with_one_notice():
-    solid = repair(*porous(8000, (100, 0, 0)), "thing")
-    line = "thing: 8000 bodies that are no cavities are inside out; faces: 64000; turned outward"
+    solid = repair_mesh(*porous(8000, (100, 0, 0)), "thing")
+    line = "thing: 8000 bodies that are not cavities are inside out; faces: 64000; flipped outward"
     assert [str(fault) for fault in solid.faults] == [line]
     assert volume(solid) == pytest.approx(64**3 + 8000 * OCTAHEDRON.volume)

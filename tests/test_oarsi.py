@@ -2,13 +2,13 @@ import numpy as np
 import pytest
 
 import pssf
-from pssf.data.oarsi import oarsi_cuts
-from pssf.data.spongy import trabecular_bone
-from pssf.model import oarsi as readings_of
+from pssf.data.anatomy.trabecular_table import load_trabecular_bone
+from pssf.data.knees.oarsi_table import load_oarsi_thresholds
+from pssf.model import oarsi_grades as readings_of
 
 
 def oarsi(knee, attrition_mm):
-    return readings_of.oarsi(knee, attrition_mm, oarsi_cuts(), trabecular_bone())
+    return readings_of.compute_oarsi_grades(knee, attrition_mm, load_oarsi_thresholds(), load_trabecular_bone())
 
 
 def test_a_healthy_knee_has_no_grade_above_0():
@@ -25,11 +25,13 @@ def test_an_osteophyte_is_graded_at_its_own_margin(size_mm, grade):
 
 
 def test_a_space_is_graded_by_what_is_lost_of_the_way_it_is_measured():
-    for measured in oarsi_cuts().healthy_mm:
+    for measured in load_oarsi_thresholds().healthy_mm:
         for sex in ("male", "female"):
-            healthy = oarsi_cuts().healthy("medial", sex=sex, jsw_as=measured)
-            spaces = [healthy * share for share in (0.9, *(1 - cut - 1e-6 for cut in oarsi_cuts().narrowing))]
-            knees = [pssf.Knee(sex=sex, jsw_as=measured, jsw_medial_mm=space) for space in spaces]
+            healthy = load_oarsi_thresholds().healthy_jsw_mm("medial", sex=sex, jsw_definition=measured)
+            spaces = [
+                healthy * share for share in (0.9, *(1 - cut - 1e-6 for cut in load_oarsi_thresholds().narrowing))
+            ]
+            knees = [pssf.Knee(sex=sex, jsw_definition=measured, jsw_medial_mm=space) for space in spaces]
             assert [oarsi(knee, {})["XRJSM"] for knee in knees] == [0, 1, 2, 3]
 
 
@@ -37,7 +39,7 @@ def test_drawn_knees_narrow_as_their_grade_is_defined():
     most = {}
     for grade in range(5):
         knees = [
-            pssf.draw_knee(grade=grade, rng=np.random.default_rng(seed), grade_table="population")
+            pssf.sample_knee(grade=grade, rng=np.random.default_rng(seed), grade_table="population")
             for seed in range(300)
         ]
         most[grade] = np.array([max(oarsi(knee, {})[name] for name in ("XRJSM", "XRJSL")) for knee in knees])

@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from test_raycast import ball, box, detector, moved
 
 from pssf import Scene, Surface
-from pssf.geometry.view import View, view_of
-from pssf.raycast.overlaps import contradictions, folded
+from pssf.geometry.view import View, resolve_view
+from pssf.raycast.surface_overlaps import find_contradictions, find_self_overlaps
 
-VIEW = view_of(detector(rows=64, cols=64, pixel_mm=3.0))
+VIEW = resolve_view(detector(rows=64, cols=64, pixel_mm=3.0))
 places = st.tuples(*3 * [st.floats(-8, 8)])
 
 
@@ -20,7 +20,10 @@ def limb(*surfaces):
 
 
 def said(scene, view=VIEW):
-    return {(one.surface, one.says, one.there, one.owner) for one in contradictions(scene, view)}
+    return {
+        (one.surface, one.stated_material, one.found_material, one.found_surface)
+        for one in find_contradictions(scene, view)
+    }
 
 
 @settings(max_examples=15)
@@ -31,7 +34,7 @@ def test_shells_within_each_other_contradict_nothing_wherever_they_lie_and_in_an
         Surface(moved(box(40, 30, 50), at, turn), "trabecular_bone", "cortical_bone", "spongy"),
         Surface(moved(box(20, 10, 50), at, turn), "marrow", "trabecular_bone", "marrow"),  # its ends lie on a wall
     ]
-    assert not contradictions(limb(*(shells[k] for k in order)), VIEW)
+    assert not find_contradictions(limb(*(shells[k] for k in order)), VIEW)
 
 
 @pytest.mark.parametrize(
@@ -58,7 +61,7 @@ def test_a_core_that_sticks_out_of_its_shell_is_seen_on_both_and_as_far_as_it_do
     )
     expected = {("canal", "cortical_bone", "muscle", "limb"), ("bone", "muscle", "marrow", "canal")}
     assert said(scene) == expected
-    assert all(one.longest_mm == pytest.approx(5.0, rel=0.01) for one in contradictions(scene, VIEW))
+    assert all(one.longest_mm == pytest.approx(5.0, rel=0.01) for one in find_contradictions(scene, VIEW))
 
 
 def test_each_of_several_shells_that_are_wrong_is_named_with_what_surrounds_it():
@@ -68,10 +71,11 @@ def test_each_of_several_shells_that_are_wrong_is_named_with_what_surrounds_it()
         ("nail", 40, "Ti@4.51", "adipose"),
     )
     scene = Scene([Surface(ball(radius), inside, outside, name) for name, radius, inside, outside in shells])
-    assert {(one.surface, one.says, one.there, one.owner) for one in contradictions(scene, VIEW)} == {
+    found = find_contradictions(scene, VIEW)
+    assert {(one.surface, one.stated_material, one.found_material, one.found_surface) for one in found} == {
         ("leg", "water", "air", ""), ("bone", "marrow", "muscle", "leg"), ("nail", "adipose", "cortical_bone", "bone"),
     }  # fmt: skip
-    ways_mm = {one.surface: one.longest_mm for one in contradictions(scene, VIEW)}
+    ways_mm = {one.surface: one.longest_mm for one in find_contradictions(scene, VIEW)}
     assert ways_mm == pytest.approx({"leg": 120, "bone": 100, "nail": 80}, rel=0.01)
 
 
@@ -83,7 +87,7 @@ def test_the_way_is_measured_and_a_slight_overlap_is_passed_over():
     for deep_mm, expected in ((0.04, 0), (0.5, 2)):
         near, far = box(20, 20, 20, at=(0, -10 + deep_mm / 2, 0)), box(20, 20, 20, at=(0, 10 - deep_mm / 2, 0))
         both = limb(Surface(near, "water", "muscle", "near"), Surface(far, "water", "muscle", "far"))
-        contrary = contradictions(both, VIEW)
+        contrary = find_contradictions(both, VIEW)
         assert len(contrary) == expected
         for one in contrary:
             assert one.longest_mm == pytest.approx(deep_mm, rel=0.01)
@@ -93,7 +97,7 @@ def test_the_way_is_measured_and_a_slight_overlap_is_passed_over():
 def test_from_a_source_within_the_scene_the_rest_of_it_is_judged():
     view = View(source_mm=(1.0, 0.0, 2.0), centre_mm=(0.0, 200.0, 0.0), rows=16, cols=16, pixel_mm=8.0)
     shells = [Surface(ball(30.0), "cortical_bone", "muscle", "bone"), Surface(ball(10.0), "marrow", "cortical_bone")]
-    assert not contradictions(limb(*shells), view)
+    assert not find_contradictions(limb(*shells), view)
     wrong = [Surface(ball(30.0), "cortical_bone", "muscle", "bone"), Surface(ball(10.0), "marrow", "muscle", "core")]
     assert ("core", "muscle", "cortical_bone", "bone") in said(limb(*wrong), view)
 
@@ -101,8 +105,8 @@ def test_from_a_source_within_the_scene_the_rest_of_it_is_judged():
 def test_a_mesh_that_overlaps_itself_is_folded_and_contradicts_no_other():
     both = trimesh.util.concatenate([ball(20.0), ball(20.0, at=(0.0, 20.0, 0.0))])
     scene = limb(Surface(both, "water", "muscle", "both"))
-    assert not contradictions(scene, VIEW)
-    (fold,) = folded(scene, VIEW)
+    assert not find_contradictions(scene, VIEW)
+    (fold,) = find_self_overlaps(scene, VIEW)
     assert scene.surfaces[fold.surface].name == "both"
     assert fold.rays > 20
     assert fold.longest_mm == pytest.approx(20.0, rel=0.02)
@@ -114,4 +118,4 @@ def test_walls_of_a_mesh_that_touch_are_no_fold():
     hole.invert()
     for mesh in (beside, trimesh.util.concatenate([box(20, 20, 20), hole])):
         mesh.apply_transform(trimesh.transformations.rotation_matrix(np.deg2rad(20), [1, 2, 3]))
-        assert not folded(limb(Surface(mesh, "water", "muscle")), VIEW)
+        assert not find_self_overlaps(limb(Surface(mesh, "water", "muscle")), VIEW)

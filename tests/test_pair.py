@@ -10,11 +10,11 @@ from numpy.testing import assert_allclose
 import pssf
 from pssf import InputError
 from pssf.anatomy import build_pair
-from pssf.geometry.view import magnification, view_of
+from pssf.geometry.view import magnification, resolve_view
 
 BILATERAL = pssf.load_protocol("bilateral")
 SMALL = dataclasses.replace(BILATERAL, rows=BILATERAL.rows // 16, cols=BILATERAL.cols // 16, pixel_mm=0.15 * 16)
-RIGHT = pssf.Knee(jsw_medial_mm=4.2, jsw_lateral_mm=5.1, jsw_as="read", texture_seed=1)
+RIGHT = pssf.Knee(jsw_medial_mm=4.2, jsw_lateral_mm=5.1, jsw_definition="read", texture_seed=1)
 LEFT = dataclasses.replace(RIGHT, side="left")
 
 
@@ -60,7 +60,9 @@ def test_labels_of_both_lie_where_their_masks_end(pair):
         row, col = truth.landmarks_px["medial_spine"]
         assert np.flatnonzero(truth.masks["tibia"][:, round(col)])[0] == pytest.approx(row, abs=1.5)
         (top, _), (bottom, _) = (truth.landmarks_px[f"medial_jsw_{bone}"] for bone in ("femur", "tibia"))
-        assert truth.jsw_medial_mm == pytest.approx((bottom - top) * 0.6 / magnification(view_of(protocol)), abs=0.05)
+        assert truth.jsw_medial_mm == pytest.approx(
+            (bottom - top) * 0.6 / magnification(resolve_view(protocol)), abs=0.05
+        )
 
 
 def test_a_radiograph_of_both_comes_back_from_a_file(pair, tmp_path):
@@ -88,12 +90,12 @@ def test_masks_of_both_come_back_from_a_file_by_their_sides(pair, tmp_path):
 @pytest.mark.parametrize(
     ("knees", "more", "why"),
     [
-        ((LEFT, RIGHT), {}, r"right one = left; allowed: a right and a left Knee, in this order"),
-        ((RIGHT, "left"), {}, r"knee = 'left'; allowed: a Knee, a BuiltKnee, a right and a left one, or a Scene"),
-        ((RIGHT, LEFT, LEFT), {}, r"allowed: a Knee, a BuiltKnee, a right and a left one, or a Scene"),
-        ((RIGHT, LEFT), dict(apart_mm=0.0), r"apart_mm = 0 mm with two knees"),
-        ((RIGHT, LEFT), dict(beam_along="medial_plateau"), r"with two knees; allowed: 'horizontal'"),
-        (RIGHT, {}, r"apart_mm = 210 mm with one knee; allowed: 0"),
+        ((LEFT, RIGHT), {}, r"a right and a left Knee in this order, got left as the right one"),
+        ((RIGHT, "left"), {}, r"knee must be a Knee, a BuiltKnee, a right and a left one, or a Scene, got 'left'"),
+        ((RIGHT, LEFT, LEFT), {}, r"knee must be a Knee, a BuiltKnee, a right and a left one, or a Scene"),
+        ((RIGHT, LEFT), dict(knee_distance_mm=0.0), r"knee_distance_mm must be above 0 mm for two knees"),
+        ((RIGHT, LEFT), dict(beam_along="medial_plateau"), r"beam_along must be 'horizontal' for two knees"),
+        (RIGHT, {}, r"knee_distance_mm must be 0 for one knee, got 210 mm"),
     ],
 )
 def test_what_is_no_pair_is_refused_with_the_reason(knees, more, why):
@@ -102,14 +104,16 @@ def test_what_is_no_pair_is_refused_with_the_reason(knees, more, why):
 
 
 def test_legs_that_overlap_are_refused_with_the_room_they_need(pair):
-    with pytest.raises(InputError, match=r"apart_mm = 80 mm: the legs overlap; allowed: more than 1\d\d mm"):
-        build_pair(*pair.knees, dataclasses.replace(BILATERAL, apart_mm=80.0))
-    with pytest.raises(InputError, match=r"apart_mm = 200 mm; allowed: 210 mm, as the knees were built"):
-        pssf.simulate(pair, dataclasses.replace(SMALL, apart_mm=200.0))
+    with pytest.raises(InputError, match=r"must be more than 1\d\d mm for these legs, got 80 mm: the legs overlap"):
+        build_pair(*pair.knees, dataclasses.replace(BILATERAL, knee_distance_mm=80.0))
+    with pytest.raises(
+        InputError, match=r"knee_distance_mm must be 210 mm, with which the knees were built, got 200 mm"
+    ):
+        pssf.simulate(pair, dataclasses.replace(SMALL, knee_distance_mm=200.0))
 
 
 def test_a_drawn_pair_is_of_one_body_and_each_knee_has_a_joint_of_its_own():
-    right, left = pssf.draw_pair(grade=3, rng=np.random.default_rng(5), grade_table="population")
+    right, left = pssf.sample_knee_pair(grade=3, rng=np.random.default_rng(5), grade_table="population")
     assert (right.side, left.side) == ("right", "left")
     assert right.grade == left.grade == 3
     for name in (
@@ -126,7 +130,7 @@ def test_a_drawn_pair_is_of_one_body_and_each_knee_has_a_joint_of_its_own():
         assert getattr(right, name) == getattr(left, name), name
     for name in ("jsw_medial_mm", "texture_seed", "flexion_deg", "osteophytes"):
         assert getattr(right, name) != getattr(left, name), name
-    assert pssf.draw_pair(grade=3, rng=np.random.default_rng(5), grade_table="population") == (right, left)
-    held = pssf.draw_pair(grade=3, rng=np.random.default_rng(5), grade_table="population", bmi=31.0)
+    assert pssf.sample_knee_pair(grade=3, rng=np.random.default_rng(5), grade_table="population") == (right, left)
+    held = pssf.sample_knee_pair(grade=3, rng=np.random.default_rng(5), grade_table="population", bmi=31.0)
     assert held[0].bmi == held[1].bmi == 31.0
     assert held[0].limb_ap_mm == held[1].limb_ap_mm != right.limb_ap_mm

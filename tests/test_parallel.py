@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 from scipy import fft
 
-from pssf.core import parallel
-from pssf.core.parallel import ordered_map
-from pssf.core.workers import WorkersLostError
+from pssf.core.processes import parallel_map
+from pssf.core.processes.parallel_map import map_in_parallel
+from pssf.core.processes.worker_processes import WorkersLostError
 
 ENDLESS = """
 import os, time
-from pssf.core.parallel import ordered_map
+from pssf.core.processes.parallel_map import map_in_parallel
 
 def work(item):
     os.write(1, b"%d\\n" % os.getpid())  # in one piece, whatever the other one writes
     time.sleep(600)
 
 if __name__ == "__main__":
-    ordered_map(work, [1, 2], shared={}, workers=2)
+    map_in_parallel(work, [1, 2], shared={}, workers=2)
 """
 
 
@@ -33,10 +33,10 @@ def double(item, offset):
 
 def test_results_come_in_order_whatever_the_number_of_workers():
     arrived = []
-    found = ordered_map(
-        double, range(7), shared={"offset": 1}, workers=2, arrived=lambda index, value: arrived.append((index, value))
+    found = map_in_parallel(
+        double, range(7), shared={"offset": 1}, workers=2, on_result=lambda index, value: arrived.append((index, value))
     )
-    assert found == ordered_map(double, range(7), shared={"offset": 1}) == [1, 3, 5, 7, 9, 11, 13]
+    assert found == map_in_parallel(double, range(7), shared={"offset": 1}) == [1, 3, 5, 7, 9, 11, 13]
     assert sorted(arrived) == list(enumerate(found))
 
 
@@ -46,14 +46,14 @@ def number_and_shared(item, **shared):
 
 
 def test_processes_stand_between_calls_and_each_gets_what_the_next_one_shares(tmp_path, monkeypatch):
-    first = ordered_map(number_and_shared, [1, 2], shared={"offset": 1}, workers=2)
-    second = ordered_map(number_and_shared, [1, 2], shared={"scale": np.arange(3)}, workers=2)
+    first = map_in_parallel(number_and_shared, [1, 2], shared={"offset": 1}, workers=2)
+    second = map_in_parallel(number_and_shared, [1, 2], shared={"scale": np.arange(3)}, workers=2)
     assert {number for number, _ in first} == {number for number, _ in second}
     assert len({number for number, _ in first}) == 2
     assert [shared for _, shared in first] == [{"offset": 1}] * 2
     assert all(list(shared) == ["scale"] and list(shared["scale"]) == [0, 1, 2] for _, shared in second)
     monkeypatch.chdir(tmp_path)
-    elsewhere = ordered_map(number_and_shared, [1, 2], shared={}, workers=2)
+    elsewhere = map_in_parallel(number_and_shared, [1, 2], shared={}, workers=2)
     assert not {number for number, _ in first} & {number for number, _ in elsewhere}
 
 
@@ -64,8 +64,8 @@ class FailsToArrive:
 
 def test_what_cannot_be_taken_up_is_an_error_and_the_next_call_works():
     with pytest.raises(ZeroDivisionError):
-        ordered_map(double, range(4), shared={"offset": FailsToArrive()}, workers=2)
-    assert ordered_map(double, range(4), shared={"offset": 1}, workers=2) == [1, 3, 5, 7]
+        map_in_parallel(double, range(4), shared={"offset": FailsToArrive()}, workers=2)
+    assert map_in_parallel(double, range(4), shared={"offset": 1}, workers=2) == [1, 3, 5, 7]
 
 
 def die_once(item, marker):
@@ -78,7 +78,9 @@ def die_once(item, marker):
 def test_the_work_of_a_killed_worker_is_done_again_and_none_of_it_twice_over(tmp_path):
     arrived = []
     shared = {"marker": tmp_path / "died"}
-    found = ordered_map(die_once, range(6), shared=shared, workers=2, arrived=lambda *result: arrived.append(result))
+    found = map_in_parallel(
+        die_once, range(6), shared=shared, workers=2, on_result=lambda *result: arrived.append(result)
+    )
     assert (tmp_path / "died").exists()
     assert found == [0, 2, 4, 6, 8, 10]
     assert sorted(arrived) == list(enumerate(found))
@@ -95,8 +97,10 @@ def die_always(item, killer, seconds):
 def test_work_that_kills_every_worker_is_given_up_after_all_else_was_done(killer, seconds):
     arrived = []
     shared = {"killer": killer, "seconds": seconds}
-    with pytest.raises(WorkersLostError, match="a worker process was killed 3 times over"):
-        ordered_map(die_always, range(5), shared=shared, workers=2, arrived=lambda index, _: arrived.append(index))
+    with pytest.raises(WorkersLostError, match="worker processes were killed 3 times in a row"):
+        map_in_parallel(
+            die_always, range(5), shared=shared, workers=2, on_result=lambda index, _: arrived.append(index)
+        )
     assert sorted(arrived) == sorted({*range(5)} - {killer})
 
 
@@ -121,12 +125,12 @@ def ticks():
 
 
 def test_a_worker_computes_in_one_thread():
-    assert ordered_map(busy_threads, [0.5, 0.5], shared={}, workers=2) == [1, 1]
+    assert map_in_parallel(busy_threads, [0.5, 0.5], shared={}, workers=2) == [1, 1]
 
 
 def test_cores_are_those_that_this_process_may_use(monkeypatch):
-    monkeypatch.setattr(parallel.os, "sched_getaffinity", lambda _: {0, 3, 5}, raising=False)
-    assert parallel.cores() == 3
+    monkeypatch.setattr(parallel_map.os, "sched_getaffinity", lambda _: {0, 3, 5}, raising=False)
+    assert parallel_map.count_cores() == 3
 
 
 def test_workers_end_when_their_parent_is_killed(tmp_path):
@@ -153,7 +157,7 @@ def alive(pid):
 FAULTS = """
 import resource
 import numpy as np
-from pssf.core.workers import keep_memory
+from pssf.core.processes.worker_processes import retain_freed_memory
 
 def faults():
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
@@ -162,7 +166,7 @@ def faults():
 
 faults()
 given_back = faults()
-keep_memory()
+retain_freed_memory()
 faults()
 print(given_back, faults())
 """
@@ -178,18 +182,20 @@ def test_a_worker_keeps_the_memory_of_arrays_for_those_that_come():
 THREADS = """
 import os
 from manifold3d import Manifold
-from pssf.core.workers import hold_to_one_thread
+from pssf.core.processes.worker_processes import limit_manifold_to_one_thread
 
 before = os.sched_getaffinity(0), len(os.listdir("/proc/self/task"))
 if {held}:
-    hold_to_one_thread()
+    limit_manifold_to_one_thread()
 ball = Manifold.sphere(1.0, 1000)
 (ball ^ ball.translate((0.5, 0.1, 0.2))).volume()
 print(before[0] == os.sched_getaffinity(0), len(os.listdir("/proc/self/task")) - before[1])
 """
 
 
-@pytest.mark.skipif(not Path("/proc/self/task").is_dir() or parallel.cores() < 2, reason="threads are counted on Linux")
+@pytest.mark.skipif(
+    not Path("/proc/self/task").is_dir() or parallel_map.count_cores() < 2, reason="threads are counted on Linux"
+)
 def test_manifold3d_is_held_to_one_thread_and_the_process_keeps_its_cores():
     def after(held):
         run = subprocess.run(

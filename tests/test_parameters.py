@@ -7,10 +7,16 @@ import pandas as pd
 import pytest
 from scipy.stats import spearmanr
 
-from pssf.data.grade_tables import grade_table
-from pssf.io.records import read_manifest
-from pssf.study.statistics.parameters import composition, follows, morphology, parameters_of, strongest
-from pssf.study.tables import laws_of
+from pssf.data.knees.grade_tables import load_grade_table
+from pssf.io.cohort_records import read_manifest
+from pssf.study.design.study_tables import resolve_sampling_laws
+from pssf.study.statistics.analyses.knee_parameters import (
+    correlate_with_parameters,
+    extract_knee_parameters,
+    select_strongest_correlations,
+    summarise_composition,
+    summarise_morphology,
+)
 
 
 def manifest() -> pd.DataFrame:
@@ -29,7 +35,7 @@ def manifest() -> pd.DataFrame:
 
 
 def test_parameters_are_one_row_a_knee_with_the_largest_osteophyte_and_their_count():
-    found = parameters_of(manifest())
+    found = extract_knee_parameters(manifest())
     assert len(found) == 12
     assert found["osteophyte_count"].tolist() == [0, 1, 2, 3] * 3
     assert found["largest_osteophyte_mm"].tolist() == [0.0, 0.0, 0.5, 1.0] * 3
@@ -38,7 +44,9 @@ def test_parameters_are_one_row_a_knee_with_the_largest_osteophyte_and_their_cou
 
 
 def test_what_was_drawn_stands_beside_the_range_of_its_grade():
-    table = morphology(parameters_of(manifest()), grade_table("paper")).set_index(["parameter", "grade"])
+    table = summarise_morphology(extract_knee_parameters(manifest()), load_grade_table("paper")).set_index(
+        ["parameter", "grade"]
+    )
     space = table.loc[("nominal JSW medial, mm", 1)]
     assert (space["low"], space["high"]) == (3.5, 5.0)
     assert (space["least"], space["mean"], space["most"]) == pytest.approx((4.8, 4.95, 5.1))
@@ -49,22 +57,22 @@ def test_a_feature_follows_what_it_was_made_of():
     told, rng = manifest(), np.random.default_rng(0)
     features = {"glcm_a": -told["nominal_jsw_medial_mm"], "glcm_b": rng.normal(size=len(told)), "glcm_c": 1.0}
     usable = told[["knee", "grade", "protocol"]].assign(**features)
-    table = follows(usable, list(features), parameters_of(told), "reference")
+    table = correlate_with_parameters(usable, list(features), extract_knee_parameters(told), "reference")
     first = usable[usable["protocol"] == "reference"]
     for name in ("glcm_a", "glcm_b"):
         for column, label in (("age_years", "age, years"), ("nominal_jsw_medial_mm", "nominal JSW medial, mm")):
-            known = parameters_of(told)[column]
+            known = extract_knee_parameters(told)[column]
             rho = table[(table["feature"] == name) & (table["parameter"] == label)]["rho"].item()
             assert rho == pytest.approx(spearmanr(first[name], known).statistic, abs=1e-12)
     assert table.query("feature == 'glcm_c'")["rho"].isna().all()
-    best = strongest(table).set_index("feature")
+    best = select_strongest_correlations(table).set_index("feature")
     assert best.loc["glcm_a", "parameter"] == "nominal JSW medial, mm"
     assert best.loc["glcm_a", "rho"] == pytest.approx(-1)
     assert "glcm_c" not in best.index
 
 
 def test_the_cohort_is_counted_by_grade_and_in_all():
-    found = composition(manifest())
+    found = summarise_composition(manifest())
     assert found["grade"].tolist() == ["0", "1", "2", "Total"]
     assert found["knees"].tolist() == [4, 4, 4, 12]
     assert found["subjects"].tolist() == [2, 2, 2, 6]
@@ -74,17 +82,17 @@ def test_the_cohort_is_counted_by_grade_and_in_all():
 
 def test_ranges_are_of_the_table_that_the_manifest_names():
     told = manifest().assign(grade_table="paper")
-    laws = laws_of(told)
-    assert laws.grades == grade_table("paper")
-    assert morphology(parameters_of(told), laws.grades)["low"].notna().any()
+    laws = resolve_sampling_laws(told)
+    assert laws.grades == load_grade_table("paper")
+    assert summarise_morphology(extract_knee_parameters(told), laws.grades)["low"].notna().any()
     for other in (
         manifest(),
         told.assign(grade_table="gone.toml"),
         told.assign(grade_table=["paper", "population"] * 12),
     ):
-        assert laws_of(other) is None
-    assert morphology(parameters_of(told), None)["low"].isna().all()
-    assert morphology(parameters_of(told), grade_table("population"))["low"].isna().all()
+        assert resolve_sampling_laws(other) is None
+    assert summarise_morphology(extract_knee_parameters(told), None)["low"].isna().all()
+    assert summarise_morphology(extract_knee_parameters(told), load_grade_table("population"))["low"].isna().all()
 
 
 @pytest.mark.filterwarnings("error")
@@ -93,4 +101,4 @@ def test_a_manifest_of_many_columns_is_read_and_added_to_without_a_warning(tmp_p
     rows.assign(knee=[0, 1], subject=[0, 1], grade=[0, 2], sex=["female", "male"]).to_csv(
         tmp_path / "m.csv", index=False
     )
-    assert parameters_of(read_manifest(tmp_path / "m.csv"))["female"].tolist() == [1.0, 0.0]
+    assert extract_knee_parameters(read_manifest(tmp_path / "m.csv"))["female"].tolist() == [1.0, 0.0]

@@ -5,17 +5,17 @@ import pytest
 from made_up import fitted, measured_cohort
 from sklearn.inspection import permutation_importance
 
-from pssf.study.learn.permutation import permuted
+from pssf.study.learn.models.permutation_importance import compute_permutation_importance
 
 
 def test_shuffling_what_a_model_leans_on_costs_auc_and_shuffling_noise_does_not():
     table = measured_cohort(per_grade=20)
     model, X, y = fitted("lr", table)
-    drops = permuted(model.pipeline, X, y, seed=2**40)
+    drops = compute_permutation_importance(model.pipeline, X, y, seed=2**40)
     assert max(drops, key=drops.get) == "signal"
     assert drops["signal"] > 0.2
     assert all(abs(drop) < 0.1 for name, drop in drops.items() if name != "signal")
-    assert permuted(model.pipeline, X, np.zeros(len(X), int), seed=0) == {}
+    assert compute_permutation_importance(model.pipeline, X, np.zeros(len(X), int), seed=0) == {}
 
 
 @pytest.mark.parametrize("name", ["lr", "rf", "xgb"])
@@ -23,4 +23,7 @@ def test_falls_are_those_of_scikit_learn(name):
     model, X, y = fitted(name, measured_cohort(per_grade=8))
     kept = model.pipeline[:-1].transform(X)
     known = permutation_importance(model.pipeline[-1], kept, y, scoring="roc_auc", n_repeats=5, random_state=7)
-    assert list(permuted(model.pipeline, X, y, seed=7).values()) == known["importances_mean"].tolist()
+    assert (
+        list(compute_permutation_importance(model.pipeline, X, y, seed=7).values())
+        == known["importances_mean"].tolist()
+    )

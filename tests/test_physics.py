@@ -1,11 +1,11 @@
 import pytest
 
-from pssf.accuracy.physics import physics_rows
+from pssf.validation.imaging.physics_reference import compare_physics_with_references
 
 
 @pytest.fixture(scope="module")
 def physics():
-    return {row["quantity"]: row["difference_percent"] for row in physics_rows()}
+    return {row["quantity"]: row["difference_percent"] for row in compare_physics_with_references()}
 
 
 @pytest.mark.parametrize(

@@ -9,14 +9,14 @@ from drawn import SIZE, SMALL, TEMPLATE, cohort
 
 from pssf import study
 from pssf.core.checks import InputError
-from pssf.core.execution import Execution
-from pssf.data.readmes import readmes
-from pssf.experiment import SHOWN, shown_rows
-from pssf.io.readme import open_checkout
-from pssf.io.results import load_table
-from pssf.radiomics.table import TEXT
-from pssf.study.learn.modelfile import unpack
-from pssf.study.learn.saving import loads
+from pssf.core.processes.execution import Execution
+from pssf.data.analysis.readme_table import load_readme_tables
+from pssf.experiment import README_TABLES, collect_readme_rows
+from pssf.io.readme_tables import open_checkout
+from pssf.io.study_results import load_table
+from pssf.radiomics.features.feature_table import TEXT_COLUMNS
+from pssf.study.learn.models.model_bytes import loads
+from pssf.study.learn.models.model_file import unpack_model
 
 
 @pytest.fixture(scope="module")
@@ -49,10 +49,10 @@ def test_a_study_finds_the_regions_and_tells_the_grades_apart(result):
 
 
 def test_the_readme_of_a_checkout_takes_what_a_study_found(result, tmp_path):
-    names = [name for source in SHOWN for name in readmes().shown(source)]
+    names = [name for source in README_TABLES for name in load_readme_tables().tables_showing(source)]
     (tmp_path / "README.md").write_text("".join(f"<!-- table: {name} -->\n<!-- /table -->\n" for name in names))
-    checkout = open_checkout(tmp_path, SHOWN, preset="mine")
-    written = checkout.take(shown_rows(result), result.pictures.values(), measured_with=result.report)
+    checkout = open_checkout(tmp_path, README_TABLES, preset="mine")
+    written = checkout.update_tables(collect_readme_rows(result), result.pictures.values(), measured_with=result.report)
     assert [path.name for path in written] == ["README.md", "robustness.png", "stability.png"]
     text = written[0].read_text()
     assert text.count("`uv run pssf study --preset mine`") == len(names)
@@ -74,8 +74,8 @@ def test_the_report_is_one_page_with_everything_in_it(result):
     assert "43 of 107" in page
     # The result, and how far it is one, before anything else.
     first = page[page.index("<h1>") : page.index("<nav")]
-    assert "AUC as the mean of the splits" in first
-    assert "Few were tested." in first
+    assert "mean over the splits" in first
+    assert "Too few test subjects." in first
     for path in [*result.pictures.values(), *result.tables.values()]:
         assert path.stat().st_size > 0
     assert not [path for path in result.report.parent.rglob("*") if path.name.startswith(".")]
@@ -116,7 +116,7 @@ def test_a_row_of_features_that_was_changed_by_hand_is_measured_again(result, tm
 
 
 def test_repeats_have_their_own_reliability_and_no_part_in_training_or_localisation(result):
-    across = result.reliability.groupby("across")["knees"].max()
+    across = result.reliability.groupby("conditions")["knees"].max()
     assert across["repeated noise"] == across["small perturbations"] == 3
     assert across["all protocols"] == 15
     assert result.localisation.iloc[-1]["radiographs"] == 45
@@ -130,13 +130,13 @@ def test_repeats_have_their_own_reliability_and_no_part_in_training_or_localisat
 def test_models_on_disk_have_learnt_from_all_subjects_within_and_over_protocols(result):
     sets = {"0v2_reference": (10, 10), "0v2_all": (10, 30), "012_reference": (15, 15), "012_all": (15, 45)}
     assert set(result.models) == {f"{model}_l1_{name}" for model in ("lr", "rf") for name in sets}
-    features = load_table(result.tables["features"], TEXT)
+    features = load_table(result.tables["features"], TEXT_COLUMNS)
     for name, path in result.models.items():
-        model = unpack(path.read_bytes(), name)
+        model = unpack_model(path.read_bytes(), name)
         assert (model.card.subjects, model.card.radiographs) == sets["_".join(name.split("_")[2:])]
         assert model.card.grade_names[0] == "normal"
         anybody = loads(path.read_bytes()).predict_proba(features[list(model.card.features)])
-        np.testing.assert_array_equal(model.probabilities(features), anybody)
+        np.testing.assert_array_equal(model.predict_probabilities(features), anybody)
         assert anybody.shape == (len(features), len(model.card.grades))
 
 
@@ -145,15 +145,21 @@ def test_repeats_that_cannot_serve_are_refused_by_name(tmp_path):
     first = manifest[manifest["protocol"] == "reference"].set_index("knee")
     for broken, told in (
         (retest.drop(columns="turn"), "turn"),
-        (retest.assign(kind="shake"), "kind of repeat = 'shake'"),
+        (retest.assign(kind="shake"), "kind of repeat must be one of .*, got 'shake'"),
         (retest.assign(radiograph=manifest["radiograph"].iloc[0]), "listed twice"),
-        (retest.assign(sha256=retest["knee"].map(first["sha256"])), f"has sha256 = {first['sha256'][0][:12]}.*own"),
-        (retest.assign(sha256=retest["sha256"].iloc[0]), r"has sha256 = .*\(7 such\); allowed: a file of its own"),
-        (retest.assign(knee=99), r"has knee = 99 \(8 such\); allowed: a knee of the manifest"),
-        (retest.assign(subject=14), "manifest of repeats: knee 0 has subject = 0 and 14"),
-        (retest.assign(grade=2), "manifest of repeats: knee 0 has grade = 0 and 2"),
-        (retest.assign(knee=1 - retest["knee"]), "manifest of repeats: knee 0 has subject = 0 and 1"),
-        (retest.assign(side="left"), "manifest of repeats: knee 0 has side = right and left"),
+        (
+            retest.assign(sha256=retest["knee"].map(first["sha256"])),
+            f"a file of its own, got sha256 = {first['sha256'][0][:12]}",
+        ),
+        (
+            retest.assign(sha256=retest["sha256"].iloc[0]),
+            r"must have a file of its own, got sha256 = .*\(7 such rows\)",
+        ),
+        (retest.assign(knee=99), r"must have a knee of the manifest, got knee = 99 \(8 such rows\)"),
+        (retest.assign(subject=14), "manifest of repeats: knee 0 must have one subject, got 0 and 14"),
+        (retest.assign(grade=2), "manifest of repeats: knee 0 must have one grade, got 0 and 2"),
+        (retest.assign(knee=1 - retest["knee"]), "manifest of repeats: knee 0 must have one subject, got 0 and 1"),
+        (retest.assign(side="left"), "manifest of repeats: knee 0 must have one side, got right and left"),
     ):
         with pytest.raises(InputError, match=told):
             study.run(manifest, cohort().load, [TEMPLATE], SMALL, tmp_path, retest=broken)
@@ -175,7 +181,7 @@ def test_refused_regions_are_counted_and_left_out_and_subjects_numbered_by_grade
     assert found.localisation.iloc[-1]["refused"] == 3
     assert "P14" not in set(pd.read_csv(found.tables["predictions"])["subject"])
     assert set(found.reliability["subjects"]) == {14}
-    assert "<strong>Mind:</strong> Subjects are numbered by their grade" in found.report.read_text(encoding="utf-8")
+    assert "<strong>Warning:</strong> Subjects are numbered by their grade" in found.report.read_text(encoding="utf-8")
 
 
 def test_a_cohort_of_one_protocol_and_two_grades_has_a_report_too(tmp_path):
@@ -196,7 +202,7 @@ def test_a_manifest_that_cannot_serve_is_refused_by_name(tmp_path):
         (manifest.drop(columns="sha256"), "sha256"),
         (manifest[manifest["protocol"] != "reference"], "reference"),
         (pd.concat([manifest, manifest.head(1)]), "listed twice"),
-        (manifest.assign(sha256=manifest["sha256"].iloc[0]), "has subject = 0 and 1"),
+        (manifest.assign(sha256=manifest["sha256"].iloc[0]), "must have one subject, got 0 and 1"),
     ):
         with pytest.raises(InputError, match=told):
             study.run(broken, cohort().load, [TEMPLATE], SMALL, tmp_path)

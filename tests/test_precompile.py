@@ -15,7 +15,7 @@ from numba.core import config
 
 import pssf
 from pssf import precompile
-from pssf.precompile import compiling_aside, is_compiled, kernels
+from pssf.precompile import is_compiled, list_kernels, precompile_in_background
 
 SMALL = {"rows": 96, "cols": 96, "pixel_mm": 2.0}
 # A process whose cache is empty: what it compiles itself, and its pixels.
@@ -37,7 +37,7 @@ radiograph = pssf.simulate(pssf.Knee(), protocol)
 print(json.dumps([hashlib.sha256(radiograph.pixels.tobytes()).hexdigest(), sorted(Compiled.names)]))
 """
 TOY = """
-from pssf.core.compiled import kernel
+from pssf.core.numba_kernel import kernel
 
 @kernel()
 def doubled(x):
@@ -60,34 +60,34 @@ def started(monkeypatch):
     calls = []
 
     @contextmanager
-    def noted(*arguments, environment, patience_s):
+    def noted(*arguments, environment, timeout_s):
         calls.append(arguments)
         yield
 
-    monkeypatch.setattr(precompile, "beside", noted)
-    monkeypatch.setattr(precompile, "_tried", set())
-    monkeypatch.setattr(precompile, "can_run_beside", lambda: True)
-    monkeypatch.setattr(precompile, "compile_others", lambda: None)
+    monkeypatch.setattr(precompile, "run_in_background", noted)
+    monkeypatch.setattr(precompile, "_attempted", set())
+    monkeypatch.setattr(precompile, "can_run_in_background", lambda: True)
+    monkeypatch.setattr(precompile, "compile_other_kernels", lambda: None)
     monkeypatch.setattr(precompile, "is_compiled", lambda kernel: False)
     return calls
 
 
 def enter(workers=2):
-    with compiling_aside("embree", textured=True, workers=workers):
+    with precompile_in_background("embree", textured=True, workers=workers):
         pass
 
 
 def test_what_is_not_compiled_is_compiled_aside_once(started):
     enter()
     enter()
-    assert started == [("pssf.precompile", "compile_rays", "embree", "trabecular")]
+    assert started == [("pssf.precompile", "compile_ray_kernels", "embree", "trabecular")]
 
 
 @pytest.mark.parametrize(
     ("where", "name", "value"),
     [
         (precompile, "is_compiled", lambda kernel: True),
-        (precompile, "can_run_beside", lambda: False),
+        (precompile, "can_run_in_background", lambda: False),
         (config, "DISABLE_JIT", 1),
         (os, "access", lambda path, mode: False),
     ],
@@ -119,12 +119,12 @@ def test_where_nobody_knows_a_kernel_counts_as_compiled():
 @pytest.mark.parametrize("engine", ["embree", "scanline"])
 @pytest.mark.parametrize("textured", [True, False])
 def test_the_kernels_looked_for_are_those_that_rays_compile(engine, textured):
-    precompile.compile_rays(engine, "trabecular" if textured else "none")
+    precompile.compile_ray_kernels(engine, "trabecular" if textured else "none")
     protocol = replace(pssf.load_protocol("reference"), **SMALL, texture="trabecular" if textured else "none")
-    before = [kernel.signatures for kernel in kernels(engine, textured)]
+    before = [kernel.signatures for kernel in list_kernels(engine, textured)]
     assert all(len(types) > 0 for types in before)
     pssf.simulate(pssf.Knee(), protocol, engine=engine)
-    assert [kernel.signatures for kernel in kernels(engine, textured)] == before
+    assert [kernel.signatures for kernel in list_kernels(engine, textured)] == before
 
 
 def test_after_an_installation_rays_are_compiled_aside_and_pixels_are_the_same(tmp_path):
@@ -139,8 +139,8 @@ def test_after_an_installation_rays_are_compiled_aside_and_pixels_are_the_same(t
     )
     cold, compiled = json.loads(done.stdout)
     assert cold == warm
-    assert "pssf.geometry.within" in compiled
-    rays = {kernel.py_func.__module__ for kernel in kernels("embree", True)}
+    assert "pssf.geometry.mesh_containment" in compiled
+    rays = {kernel.py_func.__module__ for kernel in list_kernels("embree", True)}
     assert not rays & set(compiled)
 
 
@@ -158,11 +158,11 @@ def said_by(code, folder):
 
 REPAIR = """
 import numpy as np
-from pssf.geometry.repair import repair
+from pssf.geometry.mesh_repair import repair_mesh
 corners = np.array([[0.0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]])
 faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 def mend():
-    repair(corners, faces, "tetrahedron")
+    repair_mesh(corners, faces, "tetrahedron")
 """
 WORKER = """
 import multiprocessing, sys

@@ -9,10 +9,10 @@ from numpy.testing import assert_allclose
 
 import pssf
 from pssf import quality
-from pssf.data.references import references
-from pssf.quality import beam, detector, measure
-from pssf.quality.exposure import exposure_quantities
-from pssf.xray.technique import technique_of
+from pssf.data.analysis.reference_table import load_reference_tables
+from pssf.quality import beam_quality, detector_quality, quality_measurement
+from pssf.quality.exposure_index import measure_exposure_quantities
+from pssf.xray.resolved_technique import resolve_technique
 
 REFERENCE = pssf.load_protocol("reference")
 
@@ -21,40 +21,43 @@ def test_energy_transfer_to_air_is_as_tabulated():
     # Hubbell and Seltzer 1995, mass energy-absorption of dry air, cm2/g.
     known = {15.0: 1.334, 20.0: 0.5389, 30.0: 0.1537, 40.0: 0.06833, 60.0: 0.03041, 80.0: 0.02407}
     assert_allclose(
-        beam.energy_transfer_cm2_per_g(material("air"), np.array(list(known))), list(known.values()), rtol=0.015
+        beam_quality.energy_transfer_cm2_per_g(material("air"), np.array(list(known))), list(known.values()), rtol=0.015
     )
 
 
 def test_the_half_value_layer_of_one_energy_is_a_closed_form():
-    first, second = beam.half_value_layers_mm_al(material("air"), np.array([50.0]), np.array([1e6]))
+    first, second = beam_quality.half_value_layers_mm_al(material("air"), np.array([50.0]), np.array([1e6]))
     expected = np.log(2) / (xraylib.CS_Total(13, 50.0) * 0.2699)
     assert_allclose([first, second], expected, rtol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["low_kv", "reference", "high_kv"])
 def test_the_beam_is_that_of_an_independent_computation(name):
-    values = beam.beam_quantities(technique_of(pssf.load_protocol(name)))
-    protocol, known = pssf.load_protocol(name), references()
-    rows = [measure._row(quantity, values[quantity], protocol, known) for quantity in measure._BEAM]
+    values = beam_quality.compute_beam_quantities(resolve_technique(pssf.load_protocol(name)))
+    protocol, known = pssf.load_protocol(name), load_reference_tables()
+    rows = [
+        quality_measurement._make_row(quantity, values[quantity], protocol, known)
+        for quantity in quality_measurement._BEAM_QUANTITIES
+    ]
     assert_allclose([float(row["value"]) for row in rows], [row["reference"] for row in rows], rtol=0.015)
 
 
 @pytest.mark.parametrize("kind", ["csi", "gos"])
 def test_the_mtf_of_a_slanted_edge_is_the_one_asked_for(kind):
-    curve = detector.mtf(technique_of(dataclasses.replace(REFERENCE, detector=kind)))
-    inside = curve.per_mm < 3.0
+    curve = detector_quality.measure_mtf(resolve_technique(dataclasses.replace(REFERENCE, detector=kind)))
+    inside = curve.frequency_per_mm < 3.0
     assert_allclose(curve.measured[inside], curve.model[inside], rtol=0.02)
 
 
 def test_noise_of_flat_fields_has_the_spectrum_of_the_model():
-    curve = detector.nnps(technique_of(REFERENCE))
+    curve = detector_quality.measure_nnps(resolve_technique(REFERENCE))
     # 96 regions with some 40 frequencies a ring at least: 3 standard errors are below 5 % a ring, 1 % over all.
     assert_allclose((curve.measured / curve.model).mean(), 1.0, atol=0.03)
     assert_allclose(curve.measured[2:], curve.model[2:], rtol=0.12)
 
 
 def test_variance_grows_with_the_mean_as_counts_do():
-    for mean, found, meant in detector.photon_transfer(technique_of(REFERENCE)):
+    for mean, found, meant in detector_quality.measure_photon_transfer(resolve_technique(REFERENCE)):
         # Variance of n normal values: relative standard deviation sqrt(2 / n), n = 512 x 512.
         assert_allclose(found, meant, rtol=5 * np.sqrt(2) / 512)
         assert mean > 0
@@ -71,7 +74,7 @@ def test_every_figure_of_a_protocol_comes_with_its_reference(tmp_path):
         row = rows[f"noise_{name}"]
         assert float(row["low"]) < float(row["value"]) < float(row["high"])
     assert found.spr.shape == (128, 128)
-    assert found.cell_mm * 128 == pytest.approx(2048 * 0.15)
+    assert found.spr_cell_mm * 128 == pytest.approx(2048 * 0.15)
     assert found.spr.max() > 1 > found.spr[64, 2]
     assert 150 < float(rows["exposure_index"]["value"]) < 600
     assert rows["hvl1_mm_al"]["reference"] == "2.636"
@@ -82,6 +85,8 @@ def test_every_figure_of_a_protocol_comes_with_its_reference(tmp_path):
 def test_a_protocol_with_a_posture_a_field_and_a_marker_is_measured_as_the_open_detector_sees_it():
     bent = dataclasses.replace(pssf.load_protocol("fixed_flexion"), rows=256, cols=256, pixel_mm=1.2)
     taken = dataclasses.replace(bent, field_width_mm=20.0, field_height_mm=20.0, marker="R")
-    assert detector.bare(technique_of(taken), 64) == detector.bare(technique_of(bent), 64)
-    quantities, _ = exposure_quantities(technique_of(bent))
+    assert detector_quality.make_bare_technique(resolve_technique(taken), 64) == detector_quality.make_bare_technique(
+        resolve_technique(bent), 64
+    )
+    quantities, _ = measure_exposure_quantities(resolve_technique(bent))
     assert 150 < quantities["exposure_index"] < 600

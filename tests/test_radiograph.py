@@ -11,10 +11,10 @@ import trimesh
 from PIL import Image
 
 import pssf
-from pssf.quality.beam import air_kerma_ugy
-from pssf.quality.exposure import exposure_index
+from pssf.quality.beam_quality import air_kerma_ugy
+from pssf.quality.exposure_index import exposure_index
+from pssf.xray.resolved_technique import resolve_technique
 from pssf.xray.spectrum import tube_spectrum
-from pssf.xray.technique import technique_of
 
 SMALL = {"rows": 192, "cols": 160, "pixel_mm": 1.6}
 
@@ -40,7 +40,7 @@ def open_field(**changes):
 def test_the_text_of_a_radiograph_is_one_short_line(radiograph):
     text = repr(radiograph)
     assert text == "Radiograph(left knee, reference, 70 kV, 2 mAs, 192 x 160 px of 1.6 mm, seed 7)"
-    graded = dataclasses.replace(radiograph, knee=pssf.draw_knee(grade=2, rng=np.random.default_rng(1), side="left"))
+    graded = dataclasses.replace(radiograph, knee=pssf.sample_knee(grade=2, rng=np.random.default_rng(1), side="left"))
     assert "left knee, grade 2, " in repr(graded)
     assert repr(open_field()).startswith("Radiograph(a scene, reference")
     rod = trimesh.creation.cylinder(radius=3, segment=[[-20, 0, 20], [20, 0, 20]])
@@ -52,7 +52,7 @@ def test_a_notebook_gets_a_png_of_the_radiograph_as_processed_for_display(radiog
     with Image.open(io.BytesIO(radiograph._repr_png_())) as picture:
         assert picture.format == "PNG"
         assert picture.size == (160, 192)
-        assert np.array_equal(np.asarray(picture), pssf.present(radiograph, look="processed"))
+        assert np.array_equal(np.asarray(picture), pssf.render_for_display(radiograph, processing="processed"))
     large = dataclasses.replace(radiograph, pixels=np.repeat(np.repeat(radiograph.pixels, 10, 0), 10, 1))
     with Image.open(io.BytesIO(large._repr_png_())) as picture:
         assert max(picture.size) <= 800
@@ -62,7 +62,7 @@ def test_show_opens_the_same_picture(radiograph, monkeypatch):
     shown = []
     monkeypatch.setattr(Image.Image, "show", lambda self: shown.append(np.asarray(self)))
     radiograph.show()
-    assert np.array_equal(shown[0], pssf.present(radiograph, look="processed"))
+    assert np.array_equal(shown[0], pssf.render_for_display(radiograph, processing="processed"))
 
 
 @pytest.mark.parametrize("detector", ["csi", "gos"])
@@ -70,7 +70,7 @@ def test_show_opens_the_same_picture(radiograph, monkeypatch):
 def test_the_exposure_index_of_an_rqa5_field_is_a_hundred_times_its_air_kerma(detector, mas):
     changes = {"tube_kv": 70.0, "filtration_mm_al": 23.5, "anode_angle_deg": 12.0, "mas": mas, "detector": detector}
     flat = open_field(**changes)
-    technique = technique_of(flat.protocol)
+    technique = resolve_technique(flat.protocol)
     energies, photons = tube_spectrum(70.0, 12.0, 23.5)
     kerma_ugy = air_kerma_ugy(technique.material("air"), energies, photons) * mas * (1000 / flat.protocol.sdd_mm) ** 2
     # Towards the corners the inverse square takes up to 2 %.
@@ -82,7 +82,7 @@ def test_the_exposure_index_of_pixels_is_that_of_the_signal_behind_the_limb(name
     shown = pssf.simulate(pssf.Knee(), protocol_of(name), engine="scanline", keep=("primary", "scatter", "path_mm"))
     limb = sum(shown.kept["path_mm"].values()) > 20.0
     signal = shown.kept["primary"] + shown.kept.get("scatter", 0.0)
-    wanted = exposure_index(signal[limb], technique_of(shown.protocol))
+    wanted = exposure_index(signal[limb], resolve_technique(shown.protocol))
     # Which pixels are the limb's is a choice; of either the index is within a third of a step of exposure (IEC: 20 %).
     assert shown.exposure_index == pytest.approx(wanted, rel=0.1)
 
@@ -128,7 +128,7 @@ def own_picture(folder, name):
 @pytest.mark.parametrize("read", [pssf.load, pssf.load_parameters])
 def test_a_picture_from_elsewhere_is_refused_with_what_reads_it(tmp_path, name, read):
     with pytest.raises(
-        pssf.InputError, match=r"from elsewhere: pssf read, pssf\.features and pssf study --films"
+        pssf.InputError, match=r"of another program: pssf predict, pssf\.features and pssf study --films"
     ) as said:
         read(own_picture(tmp_path, name))
     assert "\n" not in str(said.value)

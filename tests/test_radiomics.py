@@ -12,17 +12,23 @@ from phantoms import PIXEL_MM, TEMPLATE, phantom
 from scipy.ndimage import gaussian_filter
 
 from pssf.core.checks import InputError
-from pssf.core.execution import Execution
-from pssf.data.ibsi import ibsi_tags
-from pssf.radiomics.bone import bone_mask
-from pssf.radiomics.families import family
-from pssf.radiomics.features import extract
-from pssf.radiomics.patches import Template
-from pssf.radiomics.region import cut_region
-from pssf.radiomics.table import How, Job, extract_all, measure, settings_key
-from pssf.radiomics.tables import radiomics_tables
+from pssf.core.processes.execution import Execution
+from pssf.data.analysis.ibsi_table import load_ibsi_tags
+from pssf.radiomics.features.bone_mask import segment_bone
+from pssf.radiomics.features.feature_extraction import extract_features
+from pssf.radiomics.features.feature_families import feature_family
+from pssf.radiomics.features.feature_table import (
+    ExtractionSettings,
+    MeasurementJob,
+    hash_settings,
+    measure_radiograph,
+    measure_radiographs,
+)
+from pssf.radiomics.localisation.region_of_interest import cut_region
+from pssf.radiomics.localisation.templates import Template
+from pssf.radiomics.radiomics_tables import radiomics_tables
 
-TAGS, TABLES = ibsi_tags(), radiomics_tables()
+TAGS, TABLES = load_ibsi_tags(), radiomics_tables()
 
 
 def texture(size: int, seed: int, smooth: float = 1.5):
@@ -37,13 +43,13 @@ def test_a_region_holds_its_centre_and_never_wraps(row, col):
     region = cut_region(image, row, col, 16)
     assert region.shape == (16, 16)
     assert region[8, 8] == image[round(row), round(col)]
-    with pytest.raises(InputError, match="leaves the image"):
+    with pytest.raises(InputError, match="must fit into the image"):
         cut_region(image, 7.4, col, 16)
 
 
 def test_the_bone_mask_is_the_bone():
     image = phantom(160, 160)
-    mask = bone_mask(image[96:224, 96:224], PIXEL_MM)
+    mask = segment_bone(image[96:224, 96:224], PIXEL_MM)
     rows, cols = np.mgrid[-64:64, -64:64] * PIXEL_MM
     # Deep in femur and tibia; in the joint space; medial of the bone, where the limb thins.
     assert mask[(np.abs(rows) > 6) & (np.abs(cols + 2) < 10)].mean() > 0.99
@@ -52,7 +58,7 @@ def test_the_bone_mask_is_the_bone():
 
 
 def test_a_region_of_one_grey_value_has_features():
-    found = extract(np.full((32, 32), 500, np.uint16), PIXEL_MM, TAGS)
+    found = extract_features(np.full((32, 32), 500, np.uint16), PIXEL_MM, TAGS)
     assert found["firstorder_linear_Mean"] == 500
 
 
@@ -74,10 +80,10 @@ def test_a_mask_of_ones_alone_is_refused_by_pyradiomics_and_the_border_avoids_it
     with pytest.raises(ValueError, match="No labels found"):
         extractor.execute(*slices(0))
     theirs = {name.removeprefix("original_"): float(value) for name, value in extractor.execute(*slices(1)).items()}
-    ours = extract(region, 0.15, TAGS)
+    ours = extract_features(region, 0.15, TAGS)
     compared = 0
     for name, value in ours.items():
-        if family(name) != "shape2D" and not name.startswith("firstorder_z"):
+        if feature_family(name) != "shape2D" and not name.startswith("firstorder_z"):
             assert_allclose(value, theirs[name.replace("_linear", "")], rtol=1e-12, err_msg=name)
             compared += 1
     assert compared == 18 + 24 + 16 + 16 + 5 + 14
@@ -87,20 +93,23 @@ def test_a_mask_of_ones_alone_is_refused_by_pyradiomics_and_the_border_avoids_it
 @given(gain=st.integers(1, 3), offset=st.integers(0, 5000), seed=st.integers(0, 100))
 def test_gain_and_offset_leave_texture_and_z_scored_features_alone(gain, offset, seed):
     region = texture(40, seed)
-    plain, changed = extract(region, 0.15, TAGS), extract((gain * region + offset).astype(np.uint16), 0.15, TAGS)
+    plain, changed = (
+        extract_features(region, 0.15, TAGS),
+        extract_features((gain * region + offset).astype(np.uint16), 0.15, TAGS),
+    )
     for name, value in plain.items():
-        if family(name) != "shape2D" and not name.startswith("firstorder_linear"):
+        if feature_family(name) != "shape2D" and not name.startswith("firstorder_linear"):
             assert_allclose(changed[name], value, rtol=1e-9, atol=1e-12, err_msg=name)
     assert_allclose(changed["firstorder_linear_Mean"], gain * plain["firstorder_linear_Mean"] + offset)
 
 
 def test_grey_values_that_are_no_integers_are_refused():
     with pytest.raises(InputError, match="integers"):
-        extract(np.ones((16, 16)), 0.15, TAGS)
+        extract_features(np.ones((16, 16)), 0.15, TAGS)
 
 
 def test_pyradiomics_stays_silent(capfd):
-    extract(texture(32, 0), 0.15, TAGS)
+    extract_features(texture(32, 0), 0.15, TAGS)
     assert capfd.readouterr() == ("", "")
 
 
@@ -110,14 +119,22 @@ def load_phantom(file: str):
     return phantom(row, col, noise=1.0, seed=seed)
 
 
-def jobs(count: int) -> list[Job]:
+def jobs(count: int) -> list[MeasurementJob]:
     files = [f"{150 + 3 * i},{160 + 2 * i},{i}" for i in range(count)]
-    return [Job(radiograph=f"r{i}", file=f, sha256=f"sha{i}", side="right", pixel_mm=0.5) for i, f in enumerate(files)]
+    return [
+        MeasurementJob(radiograph=f"r{i}", file=f, sha256=f"sha{i}", side="right", pixel_mm=0.5)
+        for i, f in enumerate(files)
+    ]
 
 
 def test_features_are_the_same_for_one_worker_and_two():
     extract_of = partial(
-        extract_all, jobs(4), load_pixels=load_phantom, templates=[TEMPLATE], tables=TABLES, how=How(region_px=96)
+        measure_radiographs,
+        jobs(4),
+        load_pixels=load_phantom,
+        templates=[TEMPLATE],
+        tables=TABLES,
+        settings=ExtractionSettings(region_px=96),
     )
     (one, _), (two, _) = extract_of(), extract_of(execution=Execution(workers=2))
     assert [record["radiograph"] for record in two] == ["r0", "r1", "r2", "r3"]
@@ -132,20 +149,35 @@ def test_what_is_measured_already_is_kept_until_its_settings_change():
         return load_phantom(file)
 
     saved: list[list[dict]] = []
-    first, _ = extract_all(
-        jobs(3)[:2], load_pixels=load, templates=[TEMPLATE], tables=TABLES, how=How(region_px=96), save=saved.append
+    first, _ = measure_radiographs(
+        jobs(3)[:2],
+        load_pixels=load,
+        templates=[TEMPLATE],
+        tables=TABLES,
+        settings=ExtractionSettings(region_px=96),
+        save=saved.append,
     )
     assert saved[-1] == first
     known = {record["sha256"]: record for record in first}
     loaded.clear()
-    again, _ = extract_all(
-        jobs(3), load_pixels=load, templates=[TEMPLATE], tables=TABLES, how=How(region_px=96), known=known
+    again, _ = measure_radiographs(
+        jobs(3),
+        load_pixels=load,
+        templates=[TEMPLATE],
+        tables=TABLES,
+        settings=ExtractionSettings(region_px=96),
+        known_records=known,
     )
     assert loaded == [jobs(3)[2].file]
     assert again[:2] == first
     loaded.clear()
-    extract_all(
-        jobs(2), load_pixels=load, templates=[TEMPLATE], tables=TABLES, how=How(region_px=96, bins=32), known=known
+    measure_radiographs(
+        jobs(2),
+        load_pixels=load,
+        templates=[TEMPLATE],
+        tables=TABLES,
+        settings=ExtractionSettings(region_px=96, bins=32),
+        known_records=known,
     )
     assert len(loaded) == 2
 
@@ -153,42 +185,59 @@ def test_what_is_measured_already_is_kept_until_its_settings_change():
 @pytest.mark.parametrize("name", ["row_px", "status", "glcm_Contrast"])
 def test_a_record_in_which_something_was_changed_is_measured_again(name):
     extract_of = partial(
-        extract_all, jobs(2), load_pixels=load_phantom, templates=[TEMPLATE], tables=TABLES, how=How(region_px=96)
+        measure_radiographs,
+        jobs(2),
+        load_pixels=load_phantom,
+        templates=[TEMPLATE],
+        tables=TABLES,
+        settings=ExtractionSettings(region_px=96),
     )
     first, _ = extract_of()
     changed = {**first[0], name: "low score" if name == "status" else np.nextafter(first[0][name], np.inf)}
-    again, _ = extract_of(known={"sha0": changed, "sha1": first[1]})
+    again, _ = extract_of(known_records={"sha0": changed, "sha1": first[1]})
     assert again == first
 
 
 def test_the_key_of_the_settings_changes_with_the_template():
     other = Template(pixels=TEMPLATE.pixels + 1, row=160, col=180, pixel_mm=PIXEL_MM)
-    assert settings_key([TEMPLATE], How()) != settings_key([other], How())
-    assert settings_key([TEMPLATE], How()) == settings_key([TEMPLATE], How())
+    assert hash_settings([TEMPLATE], ExtractionSettings()) != hash_settings([other], ExtractionSettings())
+    assert hash_settings([TEMPLATE], ExtractionSettings()) == hash_settings([TEMPLATE], ExtractionSettings())
 
 
-@pytest.mark.parametrize("name", ["radiomics/by_mirp.py", "radiomics/families.py", "core/workers.py", "io/images.py"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "radiomics/features/mirp_backend.py",
+        "radiomics/features/feature_families.py",
+        "core/processes/worker_processes.py",
+        "io/radiograph_files.py",
+    ],
+)
 def test_the_key_of_the_settings_changes_with_the_code(copied_code, name):
-    before = settings_key([TEMPLATE], How())
+    before = hash_settings([TEMPLATE], ExtractionSettings())
     change(copied_code / name)
-    assert settings_key([TEMPLATE], How()) != before
+    assert hash_settings([TEMPLATE], ExtractionSettings()) != before
 
 
 def test_a_worker_with_other_code_measures_nothing():
-    with pytest.raises(InputError, match=r"on .*: other code of pssf \(radiomics\)"):
-        measure(
+    with pytest.raises(InputError, match=r"code of pssf on .* must be .*, got other code \(radiomics\)"):
+        measure_radiograph(
             jobs(1)[0],
             load_pixels=load_phantom,
             templates=[TEMPLATE],
             tables=TABLES,
-            how=How(),
+            settings=ExtractionSettings(),
             code={"radiomics": "0"},
         )
 
 
 def test_a_refused_match_keeps_its_place_and_has_no_features():
-    (record,), _ = extract_all(
-        jobs(1), load_pixels=load_phantom, templates=[TEMPLATE], tables=TABLES, how=How(region_px=400)
+    (record,), _ = measure_radiographs(
+        jobs(1),
+        load_pixels=load_phantom,
+        templates=[TEMPLATE],
+        tables=TABLES,
+        settings=ExtractionSettings(region_px=400),
     )
     assert record["status"] == "leaves image"
     assert abs(record["row_px"] - 150) < 2
@@ -196,6 +245,6 @@ def test_a_refused_match_keeps_its_place_and_has_no_features():
 
 
 def test_the_first_order_of_the_z_score_has_mean_zero_and_variance_one():
-    found = extract(texture(40, 3), 0.15, TAGS)
+    found = extract_features(texture(40, 3), 0.15, TAGS)
     assert_allclose([found["firstorder_z_Mean"], found["firstorder_z_Variance"]], [0, 1], atol=1e-12)
     assert_array_equal(np.isfinite(list(found.values())), True)

@@ -12,14 +12,14 @@ from test_read import files, film_of, linear, model_of, run  # noqa: F401 (fixtu
 
 import pssf
 from pssf.core.checks import InputError
-from pssf.data.code import code_digest
-from pssf.io.stored_pixels import read_linear, says_what_pixels_are
-from pssf.radiomics.display import DisplayHow, measure_linear
-from pssf.radiomics.patches import density_of
-from pssf.radiomics.second_knee import shows_other_knee
-from pssf.radiomics.table import Job
-from pssf.radiomics.tables import radiomics_tables
-from pssf.study.reading import read_films
+from pssf.data.code_hash import compute_code_hashes
+from pssf.io.patients.stored_pixels import has_declared_pixel_meaning, read_linear_pixels
+from pssf.radiomics.displayed_radiograph import DisplayExtractionSettings, measure_linear
+from pssf.radiomics.features.feature_table import MeasurementJob
+from pssf.radiomics.localisation.second_knee import has_second_knee
+from pssf.radiomics.localisation.templates import compute_density
+from pssf.radiomics.radiomics_tables import radiomics_tables
+from pssf.study.prediction.film_prediction import predict_films
 
 TABLE = radiomics_tables().localisation
 
@@ -36,8 +36,8 @@ def plain(linear, tmp_path):  # noqa: F811
 @pytest.mark.parametrize("name", ["lr_l1_0v2_reference", "lr_l1_0v2_films"])
 def test_own_linear_pixels_give_what_the_packages_own_file_of_them_gives(files, linear, plain, name):  # noqa: F811
     path, known = plain
-    own = read_films(model_of(files[name]), [film_of(linear[0], **known)], linear[0].parent)
-    told = read_films(model_of(files[name]), [film_of(path, **known)], path.parent, linear=True)
+    own = predict_films(model_of(files[name]), [film_of(linear[0], **known)], linear[0].parent)
+    told = predict_films(model_of(files[name]), [film_of(path, **known)], path.parent, linear=True)
     assert own.table["status"].tolist() == told.table["status"].tolist() == ["found"]
     assert_allclose(told.table["p grade 2"], own.table["p grade 2"], rtol=1e-9)
     assert own.warnings == told.warnings == ()
@@ -47,16 +47,16 @@ def test_own_linear_pixels_give_what_the_packages_own_file_of_them_gives(files, 
 @pytest.mark.parametrize("name", ["lr_l1_0v2_reference", "lr_l1_0v2_films"])
 def test_an_image_that_does_not_say_what_it_is_has_a_warning_in_its_row(files, plain, name, tmp_path):  # noqa: F811
     path, known = plain
-    done = read_films(model_of(files[name]), [film_of(path, **known)], tmp_path)
+    done = predict_films(model_of(files[name]), [film_of(path, **known)], tmp_path)
     assert done.table["status"].tolist() == ["found"]
-    assert "the file does not say what its pixels are" in done.table["warning"].iloc[0]
+    assert "the file does not say whether its pixels are linear" in done.table["warning"].iloc[0]
     assert "--linear" in done.table["warning"].iloc[0]
     assert done.warnings == (f"{path.name}: {done.table['warning'].iloc[0]}",)
 
 
 def test_the_command_warns_of_each_image_and_takes_the_owners_word(files, plain, tmp_path, monkeypatch, capsys):  # noqa: F811
     path, known = plain
-    read = ("read", files["lr_l1_0v2_reference"], path, "--workers", 1, "--side", known["side"])
+    read = ("predict", files["lr_l1_0v2_reference"], path, "--workers", 1, "--side", known["side"])
     read += ("--pixel-mm", known["pixel_mm"])
     code, _, said = run(monkeypatch, capsys, *read, "--out", tmp_path / "a")
     assert code == 0
@@ -75,7 +75,7 @@ def test_linear_pixels_of_no_known_side_or_pitch_or_of_8_bit_are_refused_with_th
     path, known = plain
     Image.fromarray(np.full((80, 80), 9, np.uint8)).save(tmp_path / "eight.png")
     films = [film_of(path, side=known["side"]), film_of(path, pixel_mm=0.6), film_of(tmp_path / "eight.png", **known)]
-    done = read_films(model_of(files["lr_l1_0v2_reference"]), films, tmp_path, linear=True)
+    done = predict_films(model_of(files["lr_l1_0v2_reference"]), films, tmp_path, linear=True)
     assert done.table["status"].tolist() == ["pixel_mm not given", "side not given", "unreadable"]
     assert done.table["p grade 0"].isna().all()
 
@@ -87,32 +87,38 @@ def test_linear_pixels_come_as_they_are_from_each_kind_of_file(tmp_path):
     said = {"PresentationIntentType": "FOR PROCESSING", "PixelIntensityRelationship": "LIN", "ImageLaterality": "L"}
     dicom(tmp_path / "a.dcm", pixels % 4096, ImagerPixelSpacing=[0.2, 0.2], **said)
     for name in ("a.tif", "a.png"):
-        np.testing.assert_array_equal(read_linear(tmp_path / name).pixels, pixels)
-        assert not says_what_pixels_are(tmp_path / name)
-    read = read_linear(tmp_path / "a.dcm")
+        np.testing.assert_array_equal(read_linear_pixels(tmp_path / name).pixels, pixels)
+        assert not has_declared_pixel_meaning(tmp_path / name)
+    read = read_linear_pixels(tmp_path / "a.dcm")
     np.testing.assert_array_equal(read.pixels, pixels % 4096)
     assert (read.pixel_mm, read.side) == (0.2, "left")
-    assert says_what_pixels_are(tmp_path / "a.dcm")
+    assert has_declared_pixel_meaning(tmp_path / "a.dcm")
 
 
 @pytest.mark.parametrize(
     ("write", "why"),
     [
-        (lambda path: dicom(path / "x.dcm", np.ones((80, 80))), "PresentationIntentType = FOR PRESENTATION"),
+        (
+            lambda path: dicom(path / "x.dcm", np.ones((80, 80))),
+            "PresentationIntentType of linear pixels must be another value, got FOR PRESENTATION",
+        ),
         (
             lambda path: dicom(
                 path / "x.dcm", np.ones((80, 80)), PresentationIntentType="", PixelIntensityRelationship="LOG"
             ),
-            "PixelIntensityRelationship = LOG",
+            "PixelIntensityRelationship of linear pixels must be another value, got LOG",
         ),
-        (lambda path: _tiff(path, np.ones((80, 80), np.float32)), "of float32; allowed: one grey image"),
+        (
+            lambda path: _tiff(path, np.ones((80, 80), np.float32)),
+            "must be one grey image of 8 to 16 bit, got .* of float32",
+        ),
         (lambda path: _tiff(path, np.ones((80, 80, 3), np.uint16)), r"\(80, 80, 3\) of uint16"),
         (lambda path: _tiff(path, np.full((80, 80), -3, np.int16)), "-3 to -3 of 16 bit"),
     ],
 )
 def test_what_cannot_be_linear_pixels_is_refused(write, why, tmp_path):
     with pytest.raises(InputError, match=why):
-        read_linear(write(tmp_path))
+        read_linear_pixels(write(tmp_path))
 
 
 def _tiff(folder, pixels):
@@ -128,26 +134,26 @@ def pair(gap_px: int = 0):
 
 @pytest.mark.parametrize(("side", "col"), [("right", 180), ("left", SHAPE[1] + 140)])
 def test_a_second_knee_beside_the_one_that_is_read_is_noticed(side, col):
-    assert shows_other_knee(density_of(pair()), side, col, PIXEL_MM, [TEMPLATE], TABLE)
+    assert has_second_knee(compute_density(pair()), side, col, PIXEL_MM, [TEMPLATE], TABLE)
 
 
 def test_one_knee_in_a_wide_field_is_no_pair():
     air = np.full(SHAPE, 30000, np.uint16)
     alone = np.hstack([phantom(160, 180, noise=1.0), air])
-    assert not shows_other_knee(density_of(alone), "right", 180, PIXEL_MM, [TEMPLATE], TABLE)
-    assert not shows_other_knee(density_of(phantom(160, 180)), "right", 180, PIXEL_MM, [TEMPLATE], TABLE)
+    assert not has_second_knee(compute_density(alone), "right", 180, PIXEL_MM, [TEMPLATE], TABLE)
+    assert not has_second_knee(compute_density(phantom(160, 180)), "right", 180, PIXEL_MM, [TEMPLATE], TABLE)
 
 
 def test_a_record_says_how_many_knees_its_radiograph_shows():
-    how = DisplayHow(pixel_mm=PIXEL_MM, region_px=64, families=("shape2D",))
+    how = DisplayExtractionSettings(pixel_mm=PIXEL_MM, region_px=64, families=("shape2D",))
     said = [
         measure_linear(
-            Job(radiograph="a", file="a", sha256="0", side="right", pixel_mm=PIXEL_MM),
+            MeasurementJob(radiograph="a", file="a", sha256="0", side="right", pixel_mm=PIXEL_MM),
             load_pixels=lambda file, pixels=pixels: pixels,
             templates=[TEMPLATE],
-            how=how,
+            settings=how,
             tables=radiomics_tables(),
-            code=code_digest(("core",)),
+            code=compute_code_hashes(("core",)),
         )[0]
         for pixels in (pair(), phantom(160, 180))
     ]

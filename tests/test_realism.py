@@ -13,10 +13,11 @@ from PIL import Image
 from test_realism_contours import made_up
 
 import pssf
-from pssf.core.execution import Execution
-from pssf.data.localisation import localisation
-from pssf.io.films import list_films
-from pssf.realism import films, run
+from pssf.core.processes.execution import Execution
+from pssf.data.analysis.localisation_table import load_localisation_settings
+from pssf.io.patients.patient_radiographs import list_films
+from pssf.patient_comparison import comparison_run
+from pssf.patient_comparison.films import film_features
 
 
 def picture(path, seed, gap_mm, side="right", inverted=False):
@@ -50,43 +51,43 @@ def phantoms_for_knees(monkeypatch, tmp_path):
 
     def simulated(where, plan, known, execution):
         shutil.copytree(made, where, dirs_exist_ok=True)
-        return films.Source(name=run.SIMULATED, folder=where, films=list_films(where))
+        return film_features.FilmSource(name=comparison_run.SIMULATED, folder=where, films=list_films(where))
 
     def contours_of(cohort, protocol):
         assert (cohort / "0").exists()
         assert protocol == "reference"
         return made_up(count=6)
 
-    monkeypatch.setattr(run, "standard_templates", lambda engine, workers: (TEMPLATE,))
-    monkeypatch.setattr(run, "simulated_films", simulated)
-    monkeypatch.setattr(run, "cohort_landmarks", contours_of)
+    monkeypatch.setattr(comparison_run, "make_standard_templates", lambda engine, workers: (TEMPLATE,))
+    monkeypatch.setattr(comparison_run, "simulate_films", simulated)
+    monkeypatch.setattr(comparison_run, "load_cohort_landmarks", contours_of)
 
 
 def test_a_folder_is_one_source_or_each_of_its_folders_is_one(tmp_path):
     clinic(tmp_path / "all" / "here", 4)
     clinic(tmp_path / "all" / "there", 4)
     (tmp_path / "all" / "notes").mkdir()
-    assert [source.name for source in run.sources_of(tmp_path / "all")] == ["here", "there"]
-    (one,) = run.sources_of(tmp_path / "all" / "here")
+    assert [source.name for source in comparison_run.find_film_sources(tmp_path / "all")] == ["here", "there"]
+    (one,) = comparison_run.find_film_sources(tmp_path / "all" / "here")
     assert (one.name, len(one.films)) == ("here", 5)
     assert Counter(film.grade for film in one.films) == {0: 3, 2: 2}
 
 
 def test_a_folder_of_no_films_and_a_name_that_is_taken_are_refused(tmp_path):
-    with pytest.raises(pssf.InputError, match="allowed: a folder of films, or of folders of them"):
-        run.sources_of(tmp_path / "nowhere")
-    with pytest.raises(pssf.InputError, match="films = none"):
-        run.sources_of(tmp_path)
+    with pytest.raises(pssf.InputError, match="must be a folder of radiographs, or of folders of radiographs"):
+        comparison_run.find_film_sources(tmp_path / "nowhere")
+    with pytest.raises(pssf.InputError, match="must have subfolders 0 to 4"):
+        comparison_run.find_film_sources(tmp_path)
     clinic(tmp_path / "simulated", 4)
-    with pytest.raises(pssf.InputError, match="which simulated films have here"):
-        run.sources_of(tmp_path)
+    with pytest.raises(pssf.InputError, match="reserved for simulated radiographs"):
+        comparison_run.find_film_sources(tmp_path)
 
 
 def test_all_that_is_given_is_measured_once_and_the_page_tells_it(phantoms_for_knees, tmp_path, monkeypatch):
     given = clinic(tmp_path / "clinic")
     settings = {"films": given, "knees": 6, "grade_table": "paper", "seed": 1}
-    first = run.measure(tmp_path / "out", Execution(), **settings)
-    assert [line.split(":")[0] for line in first.lines] == ["Contours", "Films"]
+    first = comparison_run.compare_with_patients(tmp_path / "out", Execution(), **settings)
+    assert [line.split(":")[0] for line in first.summaries] == ["Contours", "Films"]
     assert all(path.exists() for path in first.paths)
     facts = json.loads((tmp_path / "out" / "realism.json").read_text())
     found = {row["source"]: row for row in facts["films"]["found"]}
@@ -96,16 +97,21 @@ def test_all_that_is_given_is_measured_once_and_the_page_tells_it(phantoms_for_k
     assert {"contours_outside", "films_domains"} <= set(first.rows)
     page = first.page.read_text()
     assert "data:image/png;base64" in page
-    monkeypatch.setattr(films, "measure_film", lambda *given, **more: pytest.fail("measured again"))
-    again = run.measure(tmp_path / "out", Execution(), **settings)
+    monkeypatch.setattr(film_features, "measure_film", lambda *given, **more: pytest.fail("measured again"))
+    again = comparison_run.compare_with_patients(tmp_path / "out", Execution(), **settings)
     assert again.page.read_text() == page
 
 
 def measured(sources):
     """Records of the films of one source."""
     known = {source.name: {} for source in sources}
-    (records,) = films.measure_films(
-        sources, (TEMPLATE,), localisation(), Execution(), known=known, save=lambda name, records: None
+    (records,) = film_features.measure_films(
+        sources,
+        (TEMPLATE,),
+        load_localisation_settings(),
+        Execution(),
+        previous_records=known,
+        save=lambda name, records: None,
     ).values()
     return records
 
@@ -113,11 +119,11 @@ def measured(sources):
 def test_while_films_are_measured_those_of_every_source_are_saved(tmp_path, monkeypatch):
     for name in ("a", "b"):
         picture(tmp_path / name / "1R.png", 5, 2.5)
-    sources, saved = run.sources_of(tmp_path), []
-    monkeypatch.setattr(films, "seldom", lambda seconds: lambda: True)
+    sources, saved = comparison_run.find_film_sources(tmp_path), []
+    monkeypatch.setattr(film_features, "make_interval_check", lambda seconds: lambda: True)
     known = {source.name: {} for source in sources}
-    films.measure_films(
-        sources, (TEMPLATE,), localisation(), Execution(), known=known,
+    film_features.measure_films(
+        sources, (TEMPLATE,), load_localisation_settings(), Execution(), previous_records=known,
         save=lambda name, records: saved.append((name, len(records))),
     )  # fmt: skip
     assert saved == [("a", 1), ("b", 0), ("a", 1), ("b", 1), ("a", 1), ("b", 1)]
@@ -125,11 +131,16 @@ def test_while_films_are_measured_those_of_every_source_are_saved(tmp_path, monk
 
 def test_a_template_at_another_pitch_is_another_template(tmp_path):
     picture(tmp_path / "1R.png", 5, 2.5)
-    (source,) = run.sources_of(tmp_path)
+    (source,) = comparison_run.find_film_sources(tmp_path)
     other = replace(TEMPLATE, pixel_mm=1.1 * TEMPLATE.pixel_mm)
     keys = {
-        films.measure_films(
-            (source,), (template,), localisation(), Execution(), known={source.name: {}}, save=lambda *_: None
+        film_features.measure_films(
+            (source,),
+            (template,),
+            load_localisation_settings(),
+            Execution(),
+            previous_records={source.name: {}},
+            save=lambda *_: None,
         )[source.name][0]["key"]
         for template in (TEMPLATE, TEMPLATE, other)
     }
@@ -139,7 +150,7 @@ def test_a_template_at_another_pitch_is_another_template(tmp_path):
 def test_a_film_that_cannot_be_read_is_counted_and_the_rest_measured(tmp_path):
     given = clinic(tmp_path / "clinic", 2)
     (given / "0" / "torn1R.png").write_bytes(b"\x89PNG torn")
-    records = measured(run.sources_of(given))
+    records = measured(comparison_run.find_film_sources(given))
     status = {record["file"].split("/")[-1]: record["status"] for record in records}
     assert status["torn1R.png"] == "unreadable"
     assert status["p0001R.png"] == "found"
@@ -149,7 +160,7 @@ def test_a_film_that_cannot_be_read_is_counted_and_the_rest_measured(tmp_path):
 def test_an_inverted_film_measures_what_it_does_upright(tmp_path):
     for name, inverted in (("a1R.png", False), ("b1R.png", True)):
         picture(tmp_path / name, 5, 2.5, inverted=inverted)
-    plain, inverted = measured(run.sources_of(tmp_path))
+    plain, inverted = measured(comparison_run.find_film_sources(tmp_path))
     assert (plain["polarity"], inverted["polarity"]) == ("bone bright", "bone dark")
     assert inverted["joint space|medial_mean"] == pytest.approx(plain["joint space|medial_mean"], abs=0.01)
     assert plain["pixel_from"] == "plateau"
@@ -159,14 +170,14 @@ def test_an_inverted_film_measures_what_it_does_upright(tmp_path):
 @pytest.mark.parametrize(
     ("options", "line"),
     [
-        (("--knees", "3"), "pssf: knees = 3; allowed: whole numbers from 10 to 100000"),
-        (("--films", "nowhere"), "pssf: films = nowhere; allowed: a folder of films, or of folders of them"),
-        (("--bones", "nowhere"), "pssf: folder nowhere: bones = none"),
+        (("--knees", "3"), "pssf: knees must be a whole number from 10 to 100000, got 3"),
+        (("--films", "nowhere"), "pssf: films must be a folder of radiographs, or of folders of radiographs, got "),
+        (("--bones", "nowhere"), "pssf: folder nowhere must have one .npz"),
         (("--protocol", "referense"), "pssf: "),
     ],
 )
 def test_bad_input_is_one_line_and_leaves_nothing(options, line, tmp_path):
-    done = pssf_command("realism", *options, "--out", tmp_path / "o")
+    done = pssf_command("compare-patients", *options, "--out", tmp_path / "o")
     assert done.returncode == 2
     assert done.stderr.startswith(line)
     assert done.stderr.count("\n") == 1

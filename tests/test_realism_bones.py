@@ -7,12 +7,18 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 import pssf
-from pssf.data.anatomy import anatomy_tables
+from pssf.data.anatomy.anatomy_tables import load_anatomy_tables
 from pssf.geometry.mesh import Mesh
-from pssf.io.bones import read_bones
-from pssf.model.draw import draw_laws
-from pssf.realism import bone_fit, bones
-from pssf.realism.surfaces import Similarity, fit_similarity, measured, surface_distance, trimmed
+from pssf.io.meshes.bone_folder import read_bones
+from pssf.model.sampling.knee_sampling import load_knee_distributions
+from pssf.patient_comparison.bones import bone_comparison, bone_registration
+from pssf.patient_comparison.bones.surface_distance import (
+    SimilarityTransform,
+    fit_similarity,
+    measure_surface_distance,
+    sample_surface,
+    trim_to_heights,
+)
 
 
 def pebble(bump_mm=0.0, detail=4):
@@ -25,7 +31,9 @@ def pebble(bump_mm=0.0, detail=4):
 
 def moved(mesh, degrees=0.0, scale=1.0, shift=(0.0, 0.0, 0.0)):
     turn = Rotation.from_rotvec(np.deg2rad(degrees) * np.array([0.6, -0.48, 0.64])).as_matrix()
-    return Mesh(Similarity(rotation=turn, scale=scale, shift_mm=np.array(shift)).apply(mesh.vertices), mesh.faces)
+    return Mesh(
+        SimilarityTransform(rotation=turn, scale=scale, translation_mm=np.array(shift)).apply(mesh.vertices), mesh.faces
+    )
 
 
 def ball(radius_mm):
@@ -41,42 +49,42 @@ def shaft(top_mm):
 
 
 def test_a_copy_that_is_turned_scaled_and_moved_is_at_distance_0():
-    copy = measured(moved(pebble(), 7.0, 1.25, (6.0, -4.0, 3.0)), seed=1)
-    fit = fit_similarity(copy, measured(pebble()))
+    copy = sample_surface(moved(pebble(), 7.0, 1.25, (6.0, -4.0, 3.0)), seed=1)
+    fit = fit_similarity(copy, sample_surface(pebble()))
     assert_allclose(fit.scale, 1 / 1.25, rtol=1e-4)
-    distance = surface_distance(copy, measured(pebble()), fit)
+    distance = measure_surface_distance(copy, sample_surface(pebble()), fit)
     assert distance.rms_mm < 0.003
-    assert surface_distance(copy, measured(pebble())).rms_mm > 3.0
+    assert measure_surface_distance(copy, sample_surface(pebble())).rms_mm > 3.0
 
 
 def test_places_that_are_moved_and_moved_back_are_where_they_were():
-    fit = fit_similarity(measured(moved(pebble(), 5.0, 1.1)), measured(pebble()))
-    assert_allclose(fit.undo(fit.apply(pebble().vertices)), pebble().vertices, atol=1e-9)
+    fit = fit_similarity(sample_surface(moved(pebble(), 5.0, 1.1)), sample_surface(pebble()))
+    assert_allclose(fit.apply_inverse(fit.apply(pebble().vertices)), pebble().vertices, atol=1e-9)
     assert_allclose(fit.rotation @ fit.rotation.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(fit.rotation) > 0
 
 
 def test_a_ball_in_a_smaller_one_stands_out_by_what_its_radius_is_more():
-    outer = surface_distance(measured(ball(21.5)), measured(ball(20.0)))
+    outer = measure_surface_distance(sample_surface(ball(21.5)), sample_surface(ball(20.0)))
     for found in (outer.mean_mm, outer.rms_mm, outer.p99_mm):
         assert_allclose(found, 1.5, atol=0.02)
-    inner = surface_distance(measured(ball(20.0)), measured(ball(21.5)))
+    inner = measure_surface_distance(sample_surface(ball(20.0)), sample_surface(ball(21.5)))
     assert_allclose(inner.mean_mm, -1.5, atol=0.02)
-    assert (inner.back_mm < 0).all()
+    assert (inner.backward_mm < 0).all()
 
 
 def test_size_is_taken_out_by_the_fit():
-    big, small = measured(ball(21.5)), measured(ball(20.0))
+    big, small = sample_surface(ball(21.5)), sample_surface(ball(20.0))
     fit = fit_similarity(big, small)
     assert_allclose(fit.scale, 20 / 21.5, rtol=1e-3)
-    assert surface_distance(big, small, fit).rms_mm < 0.02
+    assert measure_surface_distance(big, small, fit).rms_mm < 0.02
 
 
 def test_the_nearest_place_is_the_nearest_on_all_triangles():
     # Long triangles beside short ones: the nearest middle is not that of the nearest triangle.
-    surface = measured(shaft(60.0))
+    surface = sample_surface(shaft(60.0))
     asked = np.random.default_rng(0).normal([0.0, 0.0, 20.0], 25.0, size=(300, 3))
-    found, _ = surface.nearest(asked)
+    found, _ = surface.find_nearest(asked)
     corners = surface.mesh.vertices[surface.mesh.faces]
     least = []
     for point in asked:
@@ -90,25 +98,25 @@ def test_the_nearest_place_is_the_nearest_on_all_triangles():
 
 
 def test_a_cut_at_another_height_is_no_distance_between_the_heights():
-    long, short = measured(shaft(95.0)), measured(shaft(70.0))
-    heights = bone_fit.heights_mm(short.mesh, "femur")
+    long, short = sample_surface(shaft(95.0)), sample_surface(shaft(70.0))
+    heights = bone_registration.compared_heights_mm(short.mesh, "femur")
     assert_allclose(heights[1], 65.0)
-    assert surface_distance(long, short, heights_mm=heights).rms_mm < 0.02
-    assert surface_distance(long, short).rms_mm > 3.0
-    assert bone_fit.heights_mm(moved(short.mesh, 0.0, -1.0), "tibia")[0] == pytest.approx(-65.0)
-    assert bone_fit.heights_mm(short.mesh, "patella") == (-np.inf, np.inf)
+    assert measure_surface_distance(long, short, heights_mm=heights).rms_mm < 0.02
+    assert measure_surface_distance(long, short).rms_mm > 3.0
+    assert bone_registration.compared_heights_mm(moved(short.mesh, 0.0, -1.0), "tibia")[0] == pytest.approx(-65.0)
+    assert bone_registration.compared_heights_mm(short.mesh, "patella") == (-np.inf, np.inf)
 
 
 def test_a_trimmed_mesh_ends_at_the_heights_and_a_distant_one_is_refused():
-    part = trimmed(shaft(95.0), -5.0, 60.0)
+    part = trim_to_heights(shaft(95.0), -5.0, 60.0)
     used = part.vertices[np.unique(part.faces)]
     assert_allclose((used[:, 2].min(), used[:, 2].max()), (-5.0, 60.0), atol=1e-9)
-    with pytest.raises(pssf.InputError, match="faces between 200 and inf mm = 0"):
-        trimmed(shaft(95.0), 200.0, np.inf)
+    with pytest.raises(pssf.InputError, match="faces between 200 and inf mm, got 0"):
+        trim_to_heights(shaft(95.0), 200.0, np.inf)
     with pytest.raises(pssf.InputError, match="points within"):
-        fit_similarity(measured(ball(20.0)), measured(ball(20.0)), heights_mm=(30.0, 40.0))
-    with pytest.raises(pssf.InputError, match="area = 0 mm2"):
-        measured(Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]])))
+        fit_similarity(sample_surface(ball(20.0)), sample_surface(ball(20.0)), heights_mm=(30.0, 40.0))
+    with pytest.raises(pssf.InputError, match="got 0 mm2"):
+        sample_surface(Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]])))
 
 
 @pytest.mark.parametrize("other_faces", [False, True])
@@ -117,17 +125,17 @@ def test_the_mean_of_bones_has_their_mean_shape_and_size(other_faces):
     if other_faces:
         refined = trimesh.remesh.subdivide(*meshes[1])
         meshes[1] = Mesh(np.asarray(refined[0]), np.asarray(refined[1]))
-    mean = measured(bones.mean_of(meshes, "patella"))
-    fit = fit_similarity(measured(pebble()), mean)
+    mean = sample_surface(bone_comparison.compute_mean_bone(meshes, "patella"))
+    fit = fit_similarity(sample_surface(pebble()), mean)
     assert_allclose(fit.scale, np.sqrt(0.9 * 1.1), rtol=0.01)
-    assert surface_distance(measured(pebble()), mean, fit).rms_mm < 0.06
-    apart = fit_similarity(measured(meshes[0]), mean)
-    assert surface_distance(measured(meshes[0]), mean, apart).rms_mm > 0.2
+    assert measure_surface_distance(sample_surface(pebble()), mean, fit).rms_mm < 0.06
+    apart = fit_similarity(sample_surface(meshes[0]), mean)
+    assert measure_surface_distance(sample_surface(meshes[0]), mean, apart).rms_mm > 0.2
 
 
 def test_no_bone_has_no_mean():
-    with pytest.raises(pssf.InputError, match="patella: bones = 0"):
-        bones.mean_of([], "patella")
+    with pytest.raises(pssf.InputError, match="bones for patella must be 1 or more, got 0"):
+        bone_comparison.compute_mean_bone([], "patella")
 
 
 def varied(amplitude_mm, seed):
@@ -140,13 +148,13 @@ def varied(amplitude_mm, seed):
 @pytest.fixture(scope="module")
 def comparison():
     given, drawn = varied(3.0, 1), varied(1.0, 2)
-    return bones.compare({"patella": given}, {"patella": moved(pebble(), 4.0, 0.8)}, {"patella": drawn})
+    return bone_comparison.compare_bones({"patella": given}, {"patella": moved(pebble(), 4.0, 0.8)}, {"patella": drawn})
 
 
 def test_spreads_of_given_and_drawn_bones_are_told_by_one_measure(comparison):
     mean, given, drawn = comparison.rows
     assert [row["what"] for row in comparison.rows] == [
-        "built mean from given mean", "given about their mean", "drawn about built mean",
+        "built mean to patient mean", "patient bones to their mean", "sampled bones to built mean",
     ]  # fmt: skip
     assert mean["rms_mm"] < 0.05
     assert given["bones"] == drawn["bones"] == 4
@@ -157,10 +165,10 @@ def test_spreads_of_given_and_drawn_bones_are_told_by_one_measure(comparison):
 
 def test_the_distance_of_the_built_mean_is_found_where_it_is():
     given = [pebble()]
-    found = bones.compare({"patella": given}, {"patella": pebble(4.0)}, {"patella": given})
+    found = bone_comparison.compare_bones({"patella": given}, {"patella": pebble(4.0)}, {"patella": given})
     assert len(found.rows) == 1
     fit = found.fits["patella"]
-    place = fit.placed.vertices[fit.off_mm.argmax()]
+    place = fit.placed_mesh.vertices[fit.off_mm.argmax()]
     assert 1.5 < fit.off_mm.max() < 4.0
     assert place[0] > 20
     assert abs(place[2]) < 6
@@ -169,30 +177,36 @@ def test_the_distance_of_the_built_mean_is_found_where_it_is():
 
 def test_the_same_bones_give_the_same_rows_and_picture(comparison):
     given, drawn = varied(3.0, 1), varied(1.0, 2)
-    again = bones.compare({"patella": given}, {"patella": moved(pebble(), 4.0, 0.8)}, {"patella": drawn})
+    again = bone_comparison.compare_bones(
+        {"patella": given}, {"patella": moved(pebble(), 4.0, 0.8)}, {"patella": drawn}
+    )
     assert again.rows == comparison.rows
     assert again.figure == comparison.figure
     assert again.figure.startswith(b"\x89PNG")
 
 
 def test_bones_of_another_name_are_refused():
-    with pytest.raises(pssf.InputError, match="bones = ulna; allowed: some of femur, tibia, patella"):
-        bones.compare({"ulna": [pebble()]}, {}, {})
+    with pytest.raises(pssf.InputError, match="some of femur, tibia, patella, got ulna"):
+        bone_comparison.compare_bones({"ulna": [pebble()]}, {}, {})
 
 
 def test_built_bones_are_closed_and_differ_by_what_is_drawn():
-    drawn = bones.drawn_bones(draw_laws("population"), anatomy_tables(), 2, seed=4)
-    for name, mesh in bones.built_bones(pssf.Knee(), anatomy_tables()).items():
+    drawn = bone_comparison.sample_bones(load_knee_distributions("population"), load_anatomy_tables(), 2, seed=4)
+    for name, mesh in bone_comparison.build_bones(pssf.Knee(), load_anatomy_tables()).items():
         assert mesh.as_trimesh().is_watertight
         assert len(drawn[name]) == 2
         assert abs(np.ptp(drawn[name][0].vertices[:, 0]) - np.ptp(drawn[name][1].vertices[:, 0])) > 0.01
-    for name, mesh in bones.drawn_bones(draw_laws("population"), anatomy_tables(), 3, seed=4).items():
+    for name, mesh in bone_comparison.sample_bones(
+        load_knee_distributions("population"), load_anatomy_tables(), 3, seed=4
+    ).items():
         assert_array_equal(mesh[1].vertices, drawn[name][1].vertices)
-    tilted = bones.built_bones(dataclasses.replace(pssf.Knee(), tibial_slope_deg=9.0), anatomy_tables())["tibia"]
-    plain = bones.built_bones(pssf.Knee(), anatomy_tables())["tibia"]
-    near = [measured(bone_fit.near_joint(mesh, "tibia")) for mesh in (tilted, plain)]
-    heights = bone_fit.heights_mm(near[1].mesh, "tibia")
-    assert 0.2 < surface_distance(*near, fit_similarity(*near, heights_mm=heights), heights).rms_mm < 1.5
+    tilted = bone_comparison.build_bones(dataclasses.replace(pssf.Knee(), tibial_slope_deg=9.0), load_anatomy_tables())[
+        "tibia"
+    ]
+    plain = bone_comparison.build_bones(pssf.Knee(), load_anatomy_tables())["tibia"]
+    near = [sample_surface(bone_registration.crop_near_joint(mesh, "tibia")) for mesh in (tilted, plain)]
+    heights = bone_registration.compared_heights_mm(near[1].mesh, "tibia")
+    assert 0.2 < measure_surface_distance(*near, fit_similarity(*near, heights_mm=heights), heights).rms_mm < 1.5
 
 
 def archive(folder, **arrays):
@@ -226,12 +240,12 @@ def test_bones_are_read_from_mesh_files_by_folder(tmp_path, suffix):
 @pytest.mark.parametrize(
     ("arrays", "why"),
     [
-        ({"femur_mm": np.zeros((4, 3))}, r"femur_mm: shape = \(4, 3\), float64; allowed: \(bones, vertices, 3\)"),
-        ({"femur_mm": np.full((1, 200, 3), np.nan)}, "femur_mm: 600 values = not finite"),
-        ({"femur_faces": None}, "femur_faces = none; allowed"),
-        ({"femur_faces": np.array([[0, 1, 999]])}, "femur_faces: vertices = 0 to 999; allowed: 0 to 161"),
-        ({"femur_faces": np.zeros((1, 3))}, r"femur_faces: shape = \(1, 3\), float64; allowed: \(faces, 3\)"),
-        ({"femur_mm": None}, "bones = none; allowed"),
+        ({"femur_mm": np.zeros((4, 3))}, r"femur_mm must be \(bones, vertices, 3\) floats, got \(4, 3\), float64"),
+        ({"femur_mm": np.full((1, 200, 3), np.nan)}, "femur_mm must be finite, got 600 values"),
+        ({"femur_faces": None}, "must have femur_faces, got none"),
+        ({"femur_faces": np.array([[0, 1, 999]])}, "femur_faces must be vertices 0 to 161, got 0 to 999"),
+        ({"femur_faces": np.zeros((1, 3))}, r"femur_faces must be \(faces, 3\) integers, got \(1, 3\), float64"),
+        ({"femur_mm": None}, "got no bones"),
     ],
 )
 def test_arrays_that_are_no_bones_are_refused(tmp_path, arrays, why):
@@ -240,7 +254,7 @@ def test_arrays_that_are_no_bones_are_refused(tmp_path, arrays, why):
 
 
 def test_a_folder_without_bones_and_damaged_files_are_refused(tmp_path):
-    with pytest.raises(pssf.InputError, match="bones = none"):
+    with pytest.raises(pssf.InputError, match="got no bones"):
         read_bones(tmp_path)
     with pytest.raises(pssf.InputError, match="No such file"):
         read_bones(tmp_path / "none.npz")
@@ -252,16 +266,20 @@ def test_a_folder_without_bones_and_damaged_files_are_refused(tmp_path):
     with pytest.raises(pssf.InputError, match="no arrays"):
         read_bones(tmp_path)
     archive(tmp_path)
-    with pytest.raises(pssf.InputError, match="npz files = 2"):
+    with pytest.raises(pssf.InputError, match="got 2 npz files"):
         read_bones(tmp_path)
 
 
 def test_forms_of_the_same_bones_are_alike_and_a_stretched_one_is_off():
-    built = bones.built_bones(pssf.Knee(), anatomy_tables())
-    pair = [bones.built_bones(pssf.Knee(shape=(score,)), anatomy_tables()) for score in (-1.0, 1.0)]
-    drawn = {name: [one[name] for one in pair] for name in bones.BONES}
-    for row in bones.compare(drawn, built, drawn).forms:
+    built = bone_comparison.build_bones(pssf.Knee(), load_anatomy_tables())
+    pair = [bone_comparison.build_bones(pssf.Knee(shape=(score,)), load_anatomy_tables()) for score in (-1.0, 1.0)]
+    drawn = {name: [one[name] for one in pair] for name in bone_comparison.BONES}
+    for row in bone_comparison.compare_bones(drawn, built, drawn).measure_rows:
         assert abs(row["off_sd"]) < 1e-9 or row["sd"] < 1e-9
     high = {**drawn, "patella": [Mesh(one.vertices * [1.0, 1.0, 1.2], one.faces) for one in drawn["patella"]]}
-    row = next(r for r in bones.compare(drawn, built, high).forms if r["measure"] == "patella's height over width")
+    row = next(
+        r
+        for r in bone_comparison.compare_bones(drawn, built, high).measure_rows
+        if r["measure"] == "patella's height over width"
+    )
     assert row["drawn_mean"] / row["mean"] == pytest.approx(1.2, rel=0.02)

@@ -7,10 +7,10 @@ import pandas as pd
 import pytest
 from command import run as pssf_command
 
-from pssf.data.anatomy import anatomy_tables
+from pssf.data.anatomy.anatomy_tables import load_anatomy_tables
 from pssf.geometry.mesh import Mesh
 from pssf.model.knee import Knee
-from pssf.realism import bones
+from pssf.patient_comparison.bones import bone_comparison
 
 # Of the mean, and of two knees about it: waves along the normals, which no similarity takes out.
 MEAN_MM, ABOUT_MM, WAVE_MM, SIZE = 0.4, 0.3, 12.0, 1.1
@@ -27,7 +27,7 @@ def waved(mesh, heights_mm):
 @pytest.fixture(scope="module")
 def people():
     """Bone -> two bones: the package's own, larger and displaced."""
-    built = bones.built_bones(Knee(), anatomy_tables())
+    built = bone_comparison.build_bones(Knee(), load_anatomy_tables())
     return {name: [waved(mesh, (MEAN_MM, sign * ABOUT_MM)) for sign in (-1, 1)] for name, mesh in built.items()}
 
 
@@ -40,7 +40,7 @@ def archive(path, people):
 
 def measured(folder, out):
     done = pssf_command(
-        "realism", "--bones", folder, "--knees", "6", "--grade-table", "paper", "--workers", "1", "--out", out
+        "compare-patients", "--bones", folder, "--knees", "6", "--grade-table", "paper", "--workers", "1", "--out", out
     )
     assert done.returncode == 0, done.stderr
     return done, pd.read_csv(out / "bones.csv").set_index(["bone", "what"])
@@ -50,14 +50,14 @@ def test_known_displacements_of_bones_come_back_in_tables_and_page(people, tmp_p
     archive(tmp_path / "given" / "knees.npz", people)
     done, table = measured(tmp_path / "given", tmp_path / "out")
     for name in people:
-        mean, about = table.loc[name, "built mean from given mean"], table.loc[name, "given about their mean"]
+        mean, about = table.loc[name, "built mean to patient mean"], table.loc[name, "patient bones to their mean"]
         assert mean["scale"] == pytest.approx(SIZE, rel=0.01)
         assert mean["rms_mm"] == pytest.approx(MEAN_MM / np.sqrt(2), rel=0.15)
         assert about["rms_mm"] == pytest.approx(ABOUT_MM / np.sqrt(2), rel=0.15)
         assert (mean["bones"], about["bones"]) == (2, 2)
     facts = json.loads((tmp_path / "out" / "realism.json").read_text())
     assert [row["rms_mm"] for row in facts["bones"]["rows"]] == pytest.approx(table["rms_mm"].tolist())
-    assert f"femur built mean from given mean {table['rms_mm'].iloc[0]:.2f} mm" in done.stdout
+    assert f"femur built mean to patient mean {table['rms_mm'].iloc[0]:.2f} mm" in done.stdout
     page = (tmp_path / "out" / "realism.html").read_text()
     assert "Built mean bones coloured by distance" in page
     assert (tmp_path / "out" / "pictures" / "bones.png").stat().st_size > 10_000
@@ -107,18 +107,26 @@ def empty_kind(folder, people):
 @pytest.mark.parametrize(
     ("given", "line"),
     [
-        (empty, "bones = none; allowed: one .npz"),
-        (of_something_else, "bones = none; allowed: one .npz"),
-        (other_arrays, "bones = none; allowed: one .npz"),
+        (empty, "must have one .npz with femur_mm"),
+        (of_something_else, "must have one .npz with femur_mm"),
+        (other_arrays, "must have one .npz with femur_mm"),
         (no_archive, "no arrays"),
-        (without_faces, "tibia_faces = none"),
-        (empty_kind, "tibia: meshes = none; allowed: one .npz"),
+        (without_faces, "must have tibia_faces, got none"),
+        (empty_kind, "tibia must have meshes, got none"),
     ],
 )
 def test_what_is_no_folder_of_bones_is_one_line_and_leaves_nothing(given, line, people, tmp_path):
     given(tmp_path / "given", people)
     done = pssf_command(
-        "realism", "--bones", tmp_path / "given", "--knees", "6", "--grade-table", "paper", "--out", tmp_path / "o"
+        "compare-patients",
+        "--bones",
+        tmp_path / "given",
+        "--knees",
+        "6",
+        "--grade-table",
+        "paper",
+        "--out",
+        tmp_path / "o",
     )
     assert done.returncode == 2
     assert done.stderr.startswith("pssf: ")

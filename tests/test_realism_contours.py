@@ -6,15 +6,15 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import pssf
-from pssf.anatomy.joint import defining_protocol
-from pssf.anatomy.landmarks import CONTOUR_LANDMARKS
-from pssf.data.anatomy import anatomy_tables
-from pssf.data.landmarks import landmark_reference
-from pssf.model.draw import draw_knees, draw_laws
-from pssf.realism import contours
-from pssf.realism.cohort_landmarks import cohort_landmarks
+from pssf.anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
+from pssf.anatomy.posture.knee_assembly import load_jsw_protocol
+from pssf.data.analysis.landmark_table import load_landmark_reference
+from pssf.data.anatomy.anatomy_tables import load_anatomy_tables
+from pssf.model.sampling.knee_sampling import load_knee_distributions, sample_knees
+from pssf.patient_comparison.contours import landmark_comparison
+from pssf.patient_comparison.contours.cohort_landmarks import load_cohort_landmarks
 
-REFERENCE = landmark_reference()
+REFERENCE = load_landmark_reference()
 
 
 def made_up(grade=0, count=600, width_mm=77.0, seed=0):
@@ -22,7 +22,7 @@ def made_up(grade=0, count=600, width_mm=77.0, seed=0):
     known = REFERENCE.grade[str(grade)]
     noise = np.random.default_rng(seed).standard_normal((count, 16, 2))
     shares = np.array(known.mean_share) + noise * np.array(known.sd_share)
-    return contours.LandmarkSample(places_mm=shares * width_mm, grades=np.full(count, grade))
+    return landmark_comparison.LandmarkSample(landmarks_mm=shares * width_mm, grades=np.full(count, grade))
 
 
 def turned(places_mm, degrees, scale=1.0, shift=(0.0, 0.0)):
@@ -31,7 +31,7 @@ def turned(places_mm, degrees, scale=1.0, shift=(0.0, 0.0)):
 
 
 def test_landmarks_that_scatter_as_peoples_do_are_inside():
-    found = contours.compare(made_up(), REFERENCE)
+    found = landmark_comparison.compare_contours(made_up(), REFERENCE)
     assert found.outside == [{"grade": 0, "knees": 600, "outside": 0, "of": 24}]
     assert len(found.landmarks) == 28
     assert all(row["mean_inside"] and row["spread_inside"] for row in found.landmarks)
@@ -39,9 +39,9 @@ def test_landmarks_that_scatter_as_peoples_do_are_inside():
 
 def test_a_landmark_that_is_moved_is_found_outside_and_no_other_is():
     sample = made_up()
-    moved = sample.places_mm.copy()
+    moved = sample.landmarks_mm.copy()
     moved[:, CONTOUR_LANDMARKS.index("femur_medial_condyle"), 1] += 77.0 * 0.0135 * 4
-    found = contours.compare(dataclasses.replace(sample, places_mm=moved), REFERENCE)
+    found = landmark_comparison.compare_contours(dataclasses.replace(sample, landmarks_mm=moved), REFERENCE)
     off = [(row["landmark"], row["axis"]) for row in found.landmarks if not row["mean_inside"]]
     assert off == [("femur_medial_condyle", "y")]
     assert found.outside[0]["outside"] == 1
@@ -52,11 +52,11 @@ def test_a_landmark_that_is_moved_is_found_outside_and_no_other_is():
 @pytest.mark.parametrize(("stretch", "inside"), [(0.5, False), (0.8, True), (1.3, True), (1.6, False)])
 def test_a_spread_is_inside_from_0_7_to_1_4_of_peoples(stretch, inside):
     sample = made_up()
-    mean = sample.places_mm.mean(axis=0)
+    mean = sample.landmarks_mm.mean(axis=0)
     place = CONTOUR_LANDMARKS.index("medial_spine")
-    spread = sample.places_mm.copy()
+    spread = sample.landmarks_mm.copy()
     spread[:, place] = mean[place] + stretch * (spread[:, place] - mean[place])
-    found = contours.compare(dataclasses.replace(sample, places_mm=spread), REFERENCE)
+    found = landmark_comparison.compare_contours(dataclasses.replace(sample, landmarks_mm=spread), REFERENCE)
     rows = {(row["landmark"], row["axis"]): row for row in found.landmarks}
     assert rows["medial_spine", "y"]["spread_inside"] is inside
     assert_allclose(rows["medial_spine", "y"]["spread_ratio"], stretch, rtol=0.1)
@@ -64,8 +64,8 @@ def test_a_spread_is_inside_from_0_7_to_1_4_of_peoples(stretch, inside):
 
 def test_turning_moving_and_enlarging_a_knee_leaves_its_shares():
     sample = made_up(count=5)
-    shares, width = contours.plateau_frame(sample.places_mm)
-    after, wide = contours.plateau_frame(turned(sample.places_mm, 12.0, 1.3, (40.0, -7.0)))
+    shares, width = landmark_comparison.normalise_to_plateau(sample.landmarks_mm)
+    after, wide = landmark_comparison.normalise_to_plateau(turned(sample.landmarks_mm, 12.0, 1.3, (40.0, -7.0)))
     assert_allclose(after, shares, atol=1e-12)
     assert_allclose(wide, 1.3 * width)
     edges = [CONTOUR_LANDMARKS.index(f"tibia_{side}_edge") for side in ("lateral", "medial")]
@@ -76,10 +76,10 @@ def test_turning_moving_and_enlarging_a_knee_leaves_its_shares():
 def test_sizes_of_peoples_mean_contour_are_peoples_mean_sizes(grade):
     # A gap between mean lines is near the mean gap, since the lines are nearly straight there; a least one is no less.
     known = REFERENCE.grade[str(grade)]
-    sizes = contours.joint_sizes(np.array(known.mean_share)[None] * known.plateau_width_mm[0])
+    sizes = landmark_comparison.measure_joint_sizes(np.array(known.mean_share)[None] * known.plateau_width_mm[0])
     for at in ("0150", "0200", "0250", "0300"):
         assert_allclose(sizes[f"medial_gap_at_{at}_mm"], getattr(known, f"medial_gap_at_{at}_mm")[0], atol=0.15)
-    assert_allclose(sizes["lines_converge_deg"], known.lines_converge_deg[0], atol=0.1)
+    assert_allclose(sizes["joint_line_convergence_deg"], known.joint_line_convergence_deg[0], atol=0.1)
     for side in ("medial", "lateral"):
         least = getattr(known, f"{side}_gap_least_mm")[0]
         assert least - 0.05 < sizes[f"{side}_gap_least_mm"][0] < least + 0.9
@@ -89,62 +89,69 @@ def test_knees_that_vary_along_peoples_modes_have_these_modes():
     known = REFERENCE.modes
     weights = np.random.default_rng(1).standard_normal((4000, len(known.vectors))) * known.sd[: len(known.vectors)]
     shares = np.array(REFERENCE.grade["0"].mean_share).ravel() + weights @ np.array(known.vectors)
-    sample = contours.LandmarkSample(places_mm=shares.reshape(-1, 16, 2) * 77.0, grades=np.zeros(4000, int))
-    rows = contours.compare(sample, REFERENCE).modes
+    sample = landmark_comparison.LandmarkSample(
+        landmarks_mm=shares.reshape(-1, 16, 2) * 77.0, grades=np.zeros(4000, int)
+    )
+    rows = landmark_comparison.compare_contours(sample, REFERENCE).modes
     assert [row["mode"] for row in rows] == list(range(1, 9))
     for row in rows[:3]:
         assert row["nearest"] == row["mode"]
         assert row["cosine"] > 0.95
         assert_allclose(row["sd_along"], row["reference_sd"], rtol=0.05)
-    still = dataclasses.replace(sample, places_mm=made_up(count=4000).places_mm)
-    assert contours.compare(still, REFERENCE).modes[0]["cosine"] < 0.9
+    still = dataclasses.replace(sample, landmarks_mm=made_up(count=4000).landmarks_mm)
+    assert landmark_comparison.compare_contours(still, REFERENCE).modes[0]["cosine"] < 0.9
 
 
 def test_every_grade_is_held_against_its_own_reference():
     both = [made_up(grade=grade, seed=grade) for grade in (0, 4)]
-    sample = contours.LandmarkSample(
-        places_mm=np.concatenate([one.places_mm for one in both]), grades=np.repeat([0, 4], 600)
+    sample = landmark_comparison.LandmarkSample(
+        landmarks_mm=np.concatenate([one.landmarks_mm for one in both]), grades=np.repeat([0, 4], 600)
     )
-    found = contours.compare(sample, REFERENCE)
+    found = landmark_comparison.compare_contours(sample, REFERENCE)
     assert [row["outside"] for row in found.outside] == [0, 0]
     assert {row["grade"] for row in found.sizes} == {0, 4}
-    swapped = contours.compare(dataclasses.replace(sample, grades=np.repeat([4, 0], 600)), REFERENCE)
+    swapped = landmark_comparison.compare_contours(
+        dataclasses.replace(sample, grades=np.repeat([4, 0], 600)), REFERENCE
+    )
     assert all(row["outside"] > 3 for row in swapped.outside)
 
 
 def test_a_single_knee_or_an_unknown_grade_is_refused():
-    with pytest.raises(pssf.InputError, match="grade 0: knees = 1"):
-        contours.compare(made_up(count=1), REFERENCE)
-    with pytest.raises(pssf.InputError, match="grades = 7; allowed: some of 0, 1, 2, 3, 4"):
-        contours.compare(dataclasses.replace(made_up(count=3), grades=np.full(3, 7)), REFERENCE)
-    with pytest.raises(pssf.InputError, match="plateau width = 0 mm"):
-        contours.plateau_frame(np.zeros((1, 16, 2)))
+    with pytest.raises(pssf.InputError, match="knees of grade 0 must be 2 or more, got 1"):
+        landmark_comparison.compare_contours(made_up(count=1), REFERENCE)
+    with pytest.raises(pssf.InputError, match="some of 0, 1, 2, 3, 4, got 7"):
+        landmark_comparison.compare_contours(dataclasses.replace(made_up(count=3), grades=np.full(3, 7)), REFERENCE)
+    with pytest.raises(pssf.InputError, match="must be above 0 mm, got 0 mm"):
+        landmark_comparison.normalise_to_plateau(np.zeros((1, 16, 2)))
 
 
 def landmarks_of_drawn(count, seed, protocol):
-    knees = draw_knees(draw_laws("population"), count, seed, side="right", jsw_as="read")
+    knees = sample_knees(load_knee_distributions("population"), count, seed, side="right", jsw_definition="read")
     takings = [(knee, protocol) for knee in knees]
-    return contours.drawn_landmarks(takings, anatomy_tables(), defining_protocol(knees[0]))
+    return landmark_comparison.compute_simulated_landmarks(takings, load_anatomy_tables(), load_jsw_protocol(knees[0]))
 
 
 def test_drawn_landmarks_are_the_labels_of_the_knee_that_is_built():
     protocol = pssf.load_protocol("caudal_beam")
     sample = landmarks_of_drawn(1, 3, protocol)
     rng = np.random.default_rng(np.random.SeedSequence(3, spawn_key=(0,)))
-    knee = pssf.draw_knee(grade=0, rng=rng, grade_table="population", side="left")
+    knee = pssf.sample_knee(grade=0, rng=rng, grade_table="population", side="left")
     labels = pssf.build(knee).truth(protocol).landmarks_px
-    of_left = contours.film_mm(labels, "left", protocol.pixel_mm)
-    assert_allclose(*(contours.plateau_frame(one[None])[0] for one in (of_left, sample.places_mm[0])), atol=1e-6)
+    of_left = landmark_comparison.convert_landmarks_to_mm(labels, "left", protocol.pixel_mm)
+    assert_allclose(
+        *(landmark_comparison.normalise_to_plateau(one[None])[0] for one in (of_left, sample.landmarks_mm[0])),
+        atol=1e-6,
+    )
 
 
 def test_a_drawn_knee_is_the_same_in_any_number():
     few, more = (landmarks_of_drawn(count, 5, pssf.load_protocol("reference")) for count in (1, 3))
-    assert_array_equal(few.places_mm[0], more.places_mm[0])
-    assert np.abs(more.places_mm[1] - more.places_mm[0]).max() > 0.1
+    assert_array_equal(few.landmarks_mm[0], more.landmarks_mm[0])
+    assert np.abs(more.landmarks_mm[1] - more.landmarks_mm[0]).max() > 0.1
 
 
 def test_the_picture_is_a_png_and_the_same_again():
-    one, other = (contours.compare(made_up(count=9), REFERENCE).figure for _ in range(2))
+    one, other = (landmark_comparison.compare_contours(made_up(count=9), REFERENCE).figure for _ in range(2))
     assert one == other
     assert one.startswith(b"\x89PNG")
 
@@ -166,17 +173,17 @@ def written(folder, monkeypatch, labels, side):
         protocol = dataclasses.replace(pssf.load_protocol("fixed_flexion"), pixel_mm=pixel_mm)
         return {"knee": pssf.Knee(side=side), "truth": truth, "protocol": protocol}
 
-    monkeypatch.setattr("pssf.realism.cohort_landmarks.load_parameters", parameters)
+    monkeypatch.setattr("pssf.patient_comparison.contours.cohort_landmarks.load_parameters", parameters)
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_landmarks_of_a_cohort_are_its_labels_on_the_film(side, tmp_path, monkeypatch):
-    places = {f"k{k}.tif": (k % 2, made_up(grade=k % 2, count=1, seed=k).places_mm[0]) for k in range(6)}
+    places = {f"k{k}.tif": (k % 2, made_up(grade=k % 2, count=1, seed=k).landmarks_mm[0]) for k in range(6)}
     written(tmp_path, monkeypatch, places, side)
-    sample = cohort_landmarks(tmp_path, "fixed_flexion")
-    assert_allclose(sample.places_mm, [place for _, place in places.values()], atol=1e-9)
+    sample = load_cohort_landmarks(tmp_path, "fixed_flexion")
+    assert_allclose(sample.landmarks_mm, [place for _, place in places.values()], atol=1e-9)
     assert sample.grades.tolist() == [0, 1] * 3
-    sizes = contours.compare(sample, REFERENCE).sizes
+    sizes = landmark_comparison.compare_contours(sample, REFERENCE).sizes
     assert {(row["grade"], row["quantity"]) for row in sizes} >= {
         (0, "medial_gap_least_mm"),
         (1, "lateral_gap_least_mm"),
@@ -184,37 +191,41 @@ def test_landmarks_of_a_cohort_are_its_labels_on_the_film(side, tmp_path, monkey
 
 
 def test_a_folder_without_cohort_and_a_protocol_that_it_has_not_are_refused(tmp_path, monkeypatch):
-    with pytest.raises(pssf.InputError, match=r"no manifest\.csv"):
-        cohort_landmarks(tmp_path, "reference")
-    written(tmp_path, monkeypatch, {"k.tif": (None, made_up(count=1).places_mm[0])}, "right")
-    with pytest.raises(pssf.InputError, match="protocol = 'low_dose'; allowed: fixed_flexion, reference"):
-        cohort_landmarks(tmp_path, "low_dose")
-    with pytest.raises(pssf.InputError, match=r"k\.tif: grade = None"):
-        cohort_landmarks(tmp_path, "fixed_flexion")
+    with pytest.raises(pssf.InputError, match=r"without manifest\.csv"):
+        load_cohort_landmarks(tmp_path, "reference")
+    written(tmp_path, monkeypatch, {"k.tif": (None, made_up(count=1).landmarks_mm[0])}, "right")
+    with pytest.raises(pssf.InputError, match="protocol must be one of fixed_flexion, reference, got 'low_dose'"):
+        load_cohort_landmarks(tmp_path, "low_dose")
+    with pytest.raises(pssf.InputError, match=r"grade of every radiograph must be known, got none in file k\.tif"):
+        load_cohort_landmarks(tmp_path, "fixed_flexion")
 
 
 def test_the_gap_alone_tells_grades_apart_as_it_does_people_and_nothing_is_said_without_grade_zero():
     samples = {grade: made_up(grade=grade, seed=grade) for grade in (0, 2, 4)}
 
     def together(*grades):
-        places, labels = zip(*((samples[g].places_mm, samples[g].grades) for g in grades), strict=True)
-        return contours.LandmarkSample(places_mm=np.concatenate(places), grades=np.concatenate(labels))
+        places, labels = zip(*((samples[g].landmarks_mm, samples[g].grades) for g in grades), strict=True)
+        return landmark_comparison.LandmarkSample(landmarks_mm=np.concatenate(places), grades=np.concatenate(labels))
 
-    rows = {row["grade"]: row for row in contours.compare(together(0, 2, 4), REFERENCE).gap_alone}
+    rows = {row["grade"]: row for row in landmark_comparison.compare_contours(together(0, 2, 4), REFERENCE).gap_auc}
     assert set(rows) == {2, 4}
     assert [rows[4][name] for name in ("people", "people_low", "people_high")] == list(REFERENCE.gap_alone_auc["kl4"])
     assert rows[2]["auc"] < rows[4]["auc"] > 0.9
     assert all(row["low"] < row["auc"] <= row["high"] and row["knees"] == 1200 for row in rows.values())
-    assert contours.compare(together(2, 4), REFERENCE).gap_alone == []
+    assert landmark_comparison.compare_contours(together(2, 4), REFERENCE).gap_auc == []
 
 
 @pytest.mark.slow  # 300 knees are posed: two minutes on two cores
 def test_joint_gaps_of_drawn_knees_are_peoples_grade_by_grade():
-    count, drawn = 60, draw_knees(draw_laws("population"), 300, 0, side="right", jsw_as="read")
+    count, drawn = 60, sample_knees(load_knee_distributions("population"), 300, 0, side="right", jsw_definition="read")
     protocol = pssf.load_protocol("fixed_flexion")
-    takings = contours.takings_of(drawn, partial(pssf.draw_exposure, protocol, side="right"), 0)
-    sample = contours.drawn_landmarks(takings, anatomy_tables(), defining_protocol(drawn[0]), 2)
-    compared = contours.compare(sample, REFERENCE)
+    takings = landmark_comparison.sample_acquisitions(
+        drawn, partial(pssf.sample_acquisition, protocol, side="right"), 0
+    )
+    sample = landmark_comparison.compute_simulated_landmarks(
+        takings, load_anatomy_tables(), load_jsw_protocol(drawn[0]), 2
+    )
+    compared = landmark_comparison.compare_contours(sample, REFERENCE)
     gaps = [row for row in compared.sizes if "gap" in row["quantity"]]
     assert len(gaps) == 5 * 6
     # Beyond 0.25 mm, 25 % and people's intervals by two standard errors of so many knees beside 150 films a grade.
@@ -226,6 +237,6 @@ def test_joint_gaps_of_drawn_knees_are_peoples_grade_by_grade():
     assert max(off_mm.values()) < 0.25, max(off_mm, key=off_mm.get)
     spread = {(row["grade"], row["quantity"]): abs(np.log(row["spread_ratio"])) for row in gaps}
     assert max(spread.values()) < np.log(1.25) + 2 * np.sqrt(1 / (2 * count) + 1 / 300), max(spread, key=spread.get)
-    for row in compared.gap_alone:
+    for row in compared.gap_auc:
         chance = 2 * np.sqrt(1 / (6 * count))
         assert row["people_low"] - chance < row["auc"] < row["people_high"] + chance

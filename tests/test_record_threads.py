@@ -6,7 +6,7 @@ import sys
 # A thread that finds a type half described crashes the process, which is another one for that.
 CODE = """
 import sys, threading
-from pssf.data.records import Record, record
+from pssf.data.table_records import Record, parse_record
 sys.setswitchinterval(1e-6)
 fields = {f"f{k}": "tuple[tuple[float, ...], ...]" for k in range(40)}
 inner = {name: [[1.0]] for name in fields}
@@ -18,7 +18,7 @@ for _ in range(200):
     gate = threading.Barrier(4)
     def ask(kind, table):
         gate.wait()
-        record(kind, table, "t")
+        parse_record(kind, table, "t")
     threads = [threading.Thread(target=ask, args=((A, inner) if k % 2 else (B, outer))) for k in range(4)]
     for thread in threads: thread.start()
     for thread in threads: thread.join()

@@ -5,28 +5,33 @@ import pandas as pd
 import pytest
 from scipy.stats import binom
 
-from pssf.accuracy.refutation import NAMES, SETTINGS, random_cohort, refutation_rows
-from pssf.study.predictions import joined
-from pssf.study.statistics.claims import _between, _stable
-from pssf.study.statistics.reliability import reliability
+from pssf.study.predictions import concatenate_tables
+from pssf.study.statistics.features.reliability import compute_reliability
+from pssf.study.statistics.scores.claims import _evaluate_grade_order, _evaluate_stability
+from pssf.validation.study_methods.random_label_test import (
+    FEATURE_NAMES,
+    SETTINGS,
+    count_false_claims,
+    sample_random_label_cohort,
+)
 
 
 def test_hardly_a_claim_holds_on_random_labels():
     # Each measure holds by chance in 2.5 %, two to four measures a claim, of which most go together.
-    rows = refutation_rows(1, cohorts=3)
+    rows = count_false_claims(1, cohorts=3)
     found = np.array([row["held"] for row in rows])
     assert len(found) == 13
     assert found.sum() <= binom.ppf(0.999, 3 * len(found), 0.05)
     assert (found < 3).all()
     # What does not hold is counted apart from what cannot be decided: a high AUC is refuted here, a trend seldom is.
     refuted = {str(row["claim"]): row["refuted"] for row in rows}
-    assert refuted["Within a protocol, grades 0 and 2 are told apart well"] == 3
+    assert refuted["Models discriminate grades 0 and 2 well within a protocol"] == 3
     assert sum(of for claim, of in refuted.items() if " with grade" in claim) < 3 * 6 / 2
 
 
 @pytest.mark.slow
 def test_every_claim_holds_on_random_labels_in_no_more_than_1_of_20_cohorts():
-    assert all(row["held"] <= 1 for row in refutation_rows(1))
+    assert all(row["held"] <= 1 for row in count_false_claims(1))
 
 
 def test_random_calls_confuse_extreme_grades_no_less_than_chance_in_19_of_20_cohorts():
@@ -40,14 +45,14 @@ def test_random_calls_confuse_extreme_grades_no_less_than_chance_in_19_of_20_coh
             table = pd.DataFrame(p, columns=["p0", "p1", "p2"]).assign(subject=test, truth=truth[test], repeat=repeat)
             parts.append(table)
         arm = {"task": "0/1/2", "scenario": "within", "model": "lr", "selection": "l1"}
-        rows = _between(joined(parts).assign(**arm), SETTINGS, 15 / 70)
+        rows = _evaluate_grade_order(concatenate_tables(parts).assign(**arm), SETTINGS, 15 / 70)
         found += rows[-1]["verdict"] == "holds"
     assert found <= 1
 
 
 def test_no_feature_is_stable_where_knees_have_no_part_in_any():
-    table = random_cohort(0)
+    table = sample_random_label_cohort(0)
     rng = np.random.default_rng(1)
-    noise = table.assign(**{name: rng.normal(size=len(table)) for name in NAMES})
-    (row,) = _stable(reliability(noise, NAMES, "reference", replicates=200))
+    noise = table.assign(**{name: rng.normal(size=len(table)) for name in FEATURE_NAMES})
+    (row,) = _evaluate_stability(compute_reliability(noise, FEATURE_NAMES, "reference", replicates=200))
     assert row["verdict"] == "does not hold"

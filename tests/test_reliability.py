@@ -9,16 +9,21 @@ from hypothesis import strategies as st
 from made_up import features
 from numpy.testing import assert_allclose
 
-from pssf.study.statistics.icc_by_subject import icc_by_weights, icc_interval, icc_intervals_by_weights, knee_weights
-from pssf.study.statistics.metrics import percentiles
-from pssf.study.statistics.reliability import (
-    count_stable,
-    grid,
-    icc,
-    reliability,
-    repeatability,
-    variance_shares,
+from pssf.study.statistics.features.icc_by_subject import (
+    compute_icc_form_intervals,
+    compute_icc_interval,
+    compute_weighted_icc,
+    sample_knee_weights,
 )
+from pssf.study.statistics.features.reliability import (
+    compute_reliability,
+    compute_repeatability,
+    compute_variance_fractions,
+    count_stable_features,
+    icc,
+    pivot_features,
+)
+from pssf.study.statistics.scores.metrics import percentile_interval
 
 
 def draw(knees: int, conditions: int, *, of_condition: float, noise: float, seed: int) -> np.ndarray:
@@ -41,22 +46,25 @@ def test_a_feature_that_is_constant_within_each_condition_has_no_icc_and_no_clas
     values = np.tile([3.0, 3.0 + offset], (12, 1))
     values[4, 1] += 1e-13 * values[4, 1]
     assert np.isnan(icc(values)).all()
-    assert np.isnan(variance_shares(values)).all()
-    row = reliability(table_of(values, ["reference", "other"]), ["a"], "reference").iloc[0]
+    assert np.isnan(compute_variance_fractions(values)).all()
+    row = compute_reliability(table_of(values, ["reference", "other"]), ["a"], "reference").iloc[0]
     assert row["class"] == "undefined"
     assert np.isnan(row[["ICC(2,1) low", "ICC(2,1) high", "ICC(3,1) low", "ICC(3,1) high"]].astype(float)).all()
     assert (
-        count_stable(reliability(table_of(values, ["reference", "other"]), ["a"], "reference"))["ICC(2,1)"].item() == 0
+        count_stable_features(compute_reliability(table_of(values, ["reference", "other"]), ["a"], "reference"))[
+            "ICC(2,1)"
+        ].item()
+        == 0
     )
 
 
 def test_what_never_varies_has_no_interval_and_no_shares():
-    assert np.isnan(variance_shares(np.full((5, 3), 2.0))).all()
+    assert np.isnan(compute_variance_fractions(np.full((5, 3), 2.0))).all()
 
 
 def test_shares_of_variance_are_those_that_were_drawn():
     # Variances 1, 0.5 (40 conditions, so that it is known to sqrt(2/39) = 23 %), 0.25; bound at 4 sd of the second.
-    shares = variance_shares(draw(400, 40, of_condition=np.sqrt(0.5), noise=0.5, seed=1))
+    shares = compute_variance_fractions(draw(400, 40, of_condition=np.sqrt(0.5), noise=0.5, seed=1))
     assert sum(shares) == pytest.approx(1)
     assert_allclose(shares, np.array([1, 0.5, 0.25]) / 1.75, atol=4 * 0.23 * 0.5 / 1.75)
     assert shares[0] / shares[2] == pytest.approx(4, rel=4 * np.sqrt(2 / 399))
@@ -65,7 +73,7 @@ def test_shares_of_variance_are_those_that_were_drawn():
 def test_a_negative_component_is_set_to_zero():
     values = draw(10, 3, of_condition=0.0, noise=1.0, seed=0)
     values -= values.mean(axis=0)  # conditions differ by less than noise would make them
-    assert variance_shares(values)[1] == 0.0
+    assert compute_variance_fractions(values)[1] == 0.0
 
 
 def table_of(values: np.ndarray, conditions: list[str]) -> pd.DataFrame:
@@ -83,15 +91,19 @@ def test_subjects_and_knees_may_be_called_by_texts():
     table["subject"] = table["knee"] // 2
     named = table.assign(**{name: table[name].map("P{:02d}".format) for name in ("subject", "knee")})
     again = [given[given["protocol"] == "other"].assign(kind="noise", turn=1) for given in (table, named)]
-    of_protocols = [reliability(given, ["a"], "reference", replicates=50) for given in (table, named)]
-    of_repeats = [repeatability(*both, ["a"], "reference") for both in zip((table, named), again, strict=True)]
+    of_protocols = [compute_reliability(given, ["a"], "reference", replicates=50) for given in (table, named)]
+    of_repeats = [compute_repeatability(*both, ["a"], "reference") for both in zip((table, named), again, strict=True)]
     pd.testing.assert_frame_equal(*of_protocols)
     pd.testing.assert_frame_equal(*of_repeats)
 
 
 def test_a_class_is_by_the_lower_bound():
     values = draw(12, 2, of_condition=0.0, noise=0.15, seed=4)
-    row = reliability(table_of(values, ["reference", "other"]), ["a", "b"], "reference").set_index("feature").loc["a"]
+    row = (
+        compute_reliability(table_of(values, ["reference", "other"]), ["a", "b"], "reference")
+        .set_index("feature")
+        .loc["a"]
+    )
     assert row["ICC(2,1)"] >= 0.90
     assert row["ICC(2,1) low"] < 0.90
     assert row["class"] == "good"
@@ -99,9 +111,9 @@ def test_a_class_is_by_the_lower_bound():
 
 def test_a_missing_value_costs_its_knee_for_that_feature_alone():
     table = table_of(draw(12, 2, of_condition=0.1, noise=0.2, seed=4), ["reference", "other"])
-    whole = reliability(table.assign(c=table["a"]), ["a", "c"], "reference").set_index("feature")
+    whole = compute_reliability(table.assign(c=table["a"]), ["a", "c"], "reference").set_index("feature")
     table = table.assign(c=table["a"].where(table["radiograph"] != "3_other"))
-    found = reliability(table, ["a", "c"], "reference").set_index("feature")
+    found = compute_reliability(table, ["a", "c"], "reference").set_index("feature")
     assert found.loc["a", "ICC(2,1)"] == whole.loc["a", "ICC(2,1)"]
     assert (found.loc["a", "knees"], found.loc["c", "knees"]) == (12, 11)
     assert np.isfinite(found.loc["c", "ICC(2,1)"])
@@ -109,13 +121,15 @@ def test_a_missing_value_costs_its_knee_for_that_feature_alone():
 
 def test_both_knees_of_a_subject_are_one_subject():
     table = table_of(draw(12, 2, of_condition=0.1, noise=0.2, seed=4), ["reference", "other"])
-    row = reliability(table.assign(subject=table["knee"] // 2), ["a"], "reference").iloc[0]
+    row = compute_reliability(table.assign(subject=table["knee"] // 2), ["a"], "reference").iloc[0]
     assert (row["knees"], row["subjects"]) == (12, 6)
 
 
 def test_a_knee_without_one_protocol_is_left_out():
     table = table_of(draw(5, 2, of_condition=0, noise=0.2, seed=0), ["reference", "other"])
-    values, subjects = grid(table[table["radiograph"] != "2_other"], ["a"], "protocol", ["reference", "other"])
+    values, subjects = pivot_features(
+        table[table["radiograph"] != "2_other"], ["a"], "protocol", ["reference", "other"]
+    )
     assert values.shape == (4, 2, 1)
     assert subjects.tolist() == [0, 1, 3, 4]
 
@@ -129,8 +143,8 @@ def test_repeats_are_paired_with_the_first_radiograph_of_their_knee():
             rng = np.random.default_rng(int(turn))
             moved = of_reference["a"] + noise * rng.normal(size=len(of_reference))
             parts.append(of_reference.assign(kind=kind, turn=turn, a=moved).head(6))
-    found = repeatability(first, pd.concat(parts, ignore_index=True), ["a", "b"], "reference")
-    stable = count_stable(found).set_index("across")
+    found = compute_repeatability(first, pd.concat(parts, ignore_index=True), ["a", "b"], "reference")
+    stable = count_stable_features(found).set_index("conditions")
     assert list(stable.index) == ["repeated noise", "small perturbations"]
     assert (stable["knees"] == 6).all()
     assert stable.loc["repeated noise", "ICC(2,1)"] == 1
@@ -148,8 +162,8 @@ def pairs(subjects: int, seed: int) -> np.ndarray:
 
 def bounds(values: np.ndarray, subjects: np.ndarray, *, replicates: int = 500, seed: int = 0) -> tuple:
     """Intervals of both forms."""
-    weights = knee_weights(subjects, replicates=replicates, seed=seed)
-    return icc_intervals_by_weights(icc(values), values, weights, len(set(subjects)))
+    weights = sample_knee_weights(subjects, replicates=replicates, seed=seed)
+    return compute_icc_form_intervals(icc(values), values, weights, len(set(subjects)))
 
 
 @pytest.mark.parametrize("subjects", [10, 60])
@@ -160,8 +174,8 @@ def test_an_interval_by_subjects_covers_the_true_icc_as_often_as_it_says_and_per
         values = pairs(subjects, seed)
         low, high = bounds(values, owners, replicates=300, seed=seed)[1]
         missed += not low <= 0.8 <= high
-        drawn = icc_by_weights(values, knee_weights(owners, replicates=300, seed=seed))[1]
-        by_percentiles += not percentiles(drawn)[0] <= 0.8 <= percentiles(drawn)[1]
+        drawn = compute_weighted_icc(values, sample_knee_weights(owners, replicates=300, seed=seed))[1]
+        by_percentiles += not percentile_interval(drawn)[0] <= 0.8 <= percentile_interval(drawn)[1]
     # 300 draws miss 15 +- 3.8.
     assert missed <= 15 + 4 * 3.8
     assert missed < by_percentiles
@@ -171,7 +185,7 @@ def test_an_interval_by_subjects_covers_the_true_icc_as_often_as_it_says_and_per
 @pytest.mark.parametrize("conditions", [2, 3, 7])
 def test_an_interval_of_an_icc_holds_it_and_ends_within_what_an_icc_can_be(value, conditions):
     drawn = np.clip(value + 0.3 * np.random.default_rng(0).normal(size=200), -1, 1)
-    low, high = icc_interval(value, drawn, conditions=conditions, subjects=12)
+    low, high = compute_icc_interval(value, drawn, conditions=conditions, subjects=12)
     assert min(value, -1 / (conditions - 1)) <= low <= value <= high <= 1
 
 
@@ -188,17 +202,17 @@ def test_knees_that_say_the_same_twice_do_not_narrow_an_interval():
 
 def test_a_sample_that_is_the_cohort_has_its_icc():
     values = draw(30, 3, of_condition=0.5, noise=0.4, seed=2)
-    found = icc_intervals_by_weights(icc(values), values, np.ones((1, 30)), 30)
+    found = compute_icc_form_intervals(icc(values), values, np.ones((1, 30)), 30)
     for (low, high), known in zip(found, icc(values), strict=True):
         assert low == high == pytest.approx(known, abs=1e-12)
-    assert_allclose(np.ravel(icc_by_weights(values, np.ones((1, 30)))), icc(values), atol=1e-12)
+    assert_allclose(np.ravel(compute_weighted_icc(values, np.ones((1, 30)))), icc(values), atol=1e-12)
 
 
 def test_an_interval_means_the_same_whether_subjects_give_one_knee_or_two():
     # The second protocol is far off: as one of many it would leave the ICC open, as one of these two it does not.
     table = table_of(pairs(20, 5)[:, :2] + np.array([0.0, 2.0]), ["reference", "other"])
-    alone = reliability(table, ["a", "b"], "reference", replicates=300).set_index("feature").loc["a"]
-    two = reliability(table.assign(subject=table["knee"] // 2), ["a", "b"], "reference", replicates=300)
+    alone = compute_reliability(table, ["a", "b"], "reference", replicates=300).set_index("feature").loc["a"]
+    two = compute_reliability(table.assign(subject=table["knee"] // 2), ["a", "b"], "reference", replicates=300)
     paired = two.set_index("feature").loc["a"]
     assert alone["ICC(2,1)"] == paired["ICC(2,1)"]
     for row in (alone, paired):
@@ -236,8 +250,8 @@ def test_a_feature_that_is_the_same_everywhere_has_no_icc_and_is_counted_apart()
     assert np.isnan(icc(np.full((5, 3), 7.0))).all()
     assert np.isnan(icc(1 + 1e-15 * np.arange(15.0).reshape(5, 3))).all()
     table = features(8).assign(constant=1.0)
-    stable = count_stable(reliability(table, ["signal", "constant"], "reference"))
-    assert list(stable["across"]) == [
+    stable = count_stable_features(compute_reliability(table, ["signal", "constant"], "reference"))
+    assert list(stable["conditions"]) == [
         "all protocols",
         "reference and low_dose",
         "reference and geometry_shift",

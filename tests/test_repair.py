@@ -9,29 +9,29 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pssf.core.checks import InputError
-from pssf.geometry.repair import repair, require_sound
-from pssf.geometry.topology import distinct, edge_sum, volumes_mm3
+from pssf.geometry.mesh_repair import repair_mesh, require_usable_solid
+from pssf.geometry.mesh_topology import body_volumes_mm3, find_distinct_rows, hash_edge_balance
 
 BOX = trimesh.creation.box(extents=(10, 20, 30))
 POINTS, FACES = np.array(BOX.vertices), np.array(BOX.faces)
 
 
 def whole(points, faces):
-    return float(volumes_mm3(points, faces, np.zeros(len(points), np.int32), 1)[0])
+    return float(body_volumes_mm3(points, faces, np.zeros(len(points), np.int32), 1)[0])
 
 
 def mended(points, faces, *lines, volume_mm3=6000.0):
-    solid = repair(points, faces, "thing")
+    solid = repair_mesh(points, faces, "thing")
     assert [str(fault) for fault in solid.faults] == list(lines)
-    assert edge_sum(solid.faces) == 0
+    assert hash_edge_balance(solid.faces) == 0
     assert whole(solid.points, solid.faces) == pytest.approx(volume_mm3)
-    require_sound(solid)
+    require_usable_solid(solid)
     return solid
 
 
 def refused(points, faces, match):
     with pytest.raises(InputError, match=match):
-        require_sound(repair(np.asarray(points, float), np.asarray(faces), "thing"))
+        require_usable_solid(repair_mesh(np.asarray(points, float), np.asarray(faces), "thing"))
 
 
 def test_a_closed_mesh_is_taken_as_it_is():
@@ -41,15 +41,15 @@ def test_a_closed_mesh_is_taken_as_it_is():
 def test_triangle_soup_is_welded_where_corners_are_equal():
     soup = POINTS[FACES].reshape(-1, 3)
     soup[soup == 0] *= -1  # -0.0 is the same place
-    mended(soup, np.arange(36).reshape(-1, 3), "thing: corners equal to another: 28, first 4, 5, 6, ...; welded")
+    mended(soup, np.arange(36).reshape(-1, 3), "thing: duplicate vertices: 28, first 4, 5, 6, ...; merged")
 
 
 def test_faces_with_two_equal_corners_and_repeated_faces_are_left_out():
     faces = np.vstack((FACES, [[0, 0, 1]], FACES[4:5, [1, 2, 0]]))
     mended(
         POINTS, faces,
-        "thing: faces with two equal corners: 1, first 12; left out",
-        "thing: faces that stand twice: 1, first 13; left out once",
+        "thing: faces with a repeated vertex: 1, first 12; removed",
+        "thing: duplicate faces: 1, first 13; duplicates removed",
     )  # fmt: skip
 
 
@@ -58,21 +58,21 @@ def test_vertices_without_a_face_do_not_matter_whatever_they_are():
 
 
 def test_a_mesh_that_is_wholly_inside_out_is_turned():
-    mended(POINTS, FACES[:, ::-1], "thing: mesh is inside out; faces: 12; turned outward")
+    mended(POINTS, FACES[:, ::-1], "thing: mesh is inside out; faces: 12; flipped outward")
 
 
 @pytest.mark.parametrize("turn", [1, -1])
 def test_a_cavity_stays_a_cavity_when_the_mesh_is_right_and_when_it_is_inside_out(turn):
     points = np.vstack((POINTS, 0.5 * POINTS))
     faces = np.vstack((FACES, FACES[:, ::-1] + 8))[:, ::turn]
-    lines = [] if turn == 1 else ["thing: mesh is inside out; faces: 24; turned outward"]
+    lines = [] if turn == 1 else ["thing: mesh is inside out; faces: 24; flipped outward"]
     mended(points, faces, *lines, volume_mm3=6000 * (1 - 1 / 8))
 
 
 def test_one_body_of_several_that_is_inside_out_is_turned():
     points = np.vstack((POINTS, 0.5 * POINTS + [40, 0, 0]))
     faces = np.vstack((FACES, FACES[:, ::-1] + 8))
-    line = "thing: a body that is no cavity is inside out; faces: 12; turned outward"
+    line = "thing: a body that is not a cavity is inside out; faces: 12; flipped outward"
     mended(points, faces, line, volume_mm3=6000 * (1 + 1 / 8))
 
 
@@ -120,12 +120,12 @@ def test_a_mesh_that_is_given_more_than_once_counts_once_however_it_is_given(bod
     points, faces = np.array(BODIES[body].vertices), np.array(BODIES[body].faces)
     again, repeated = WAYS[way](points, faces, times)
     repeated = np.vstack((repeated, repeated[:more]))
-    solid = repair(again, np.random.default_rng(seed).permutation(repeated), "thing")
+    solid = repair_mesh(again, np.random.default_rng(seed).permutation(repeated), "thing")
     assert len(solid.faces) == len(faces)
     assert whole(solid.points, solid.faces) == pytest.approx(whole(points, faces))
-    twice = [fault for fault in solid.faults if fault.what == "faces that stand twice"]
+    twice = [fault for fault in solid.faults if fault.problem == "duplicate faces"]
     assert [fault.count for fault in twice] == [(times - 1) * len(faces) + more]
-    require_sound(solid)
+    require_usable_solid(solid)
 
 
 def test_two_bodies_that_share_a_wall_wound_alike_keep_it_both():
@@ -138,28 +138,26 @@ def test_two_bodies_that_share_a_wall_wound_alike_keep_it_both():
 def test_triangle_soup_bounds_what_the_indexed_mesh_bounds(body, seed):
     points, faces = np.array(BODIES[body].vertices), np.array(BODIES[body].faces)
     faces = np.random.default_rng(seed).permutation(faces)
-    indexed, welded = repair(points, faces, "thing"), repair(*soup(points, faces), "thing")
+    indexed, welded = repair_mesh(points, faces, "thing"), repair_mesh(*soup(points, faces), "thing")
     assert (indexed.points[indexed.faces] == welded.points[welded.faces]).all()
 
 
 def test_faces_with_two_equal_corners_are_left_out_of_a_closed_mesh_too_and_nothing_is_welded():
     twice = np.vstack((POINTS, POINTS + np.array((10, 0, 0))))
     faces = np.vstack((FACES, FACES + 8, [[3, 3, 3], [1, 1, 2]]))
-    line = "thing: faces with two equal corners: 2, first 24, 25; left out"
+    line = "thing: faces with a repeated vertex: 2, first 24, 25; removed"
     assert len(mended(twice, faces, line, volume_mm3=12000).points) == 16
 
 
 def test_unused_vertices_of_a_soup_are_dropped_before_equal_corners_are_sought():
     points, faces = soup(POINTS, FACES)
     points = np.vstack((np.full((50_000, 3), np.nan), points))
-    solid = mended(
-        points, faces + 50_000, "thing: corners equal to another: 28, first 50004, 50005, 50006, ...; welded"
-    )
-    assert set(solid.vertices) <= set(range(50_000, 50_036))
+    solid = mended(points, faces + 50_000, "thing: duplicate vertices: 28, first 50004, 50005, 50006, ...; merged")
+    assert set(solid.source_vertices) <= set(range(50_000, 50_036))
 
 
 def test_rows_that_are_no_numbers_are_one_row():
-    first, number = distinct(np.full((20_000, 3), np.nan))
+    first, number = find_distinct_rows(np.full((20_000, 3), np.nan))
     assert (len(first), number.max()) == (1, 0)
 
 
@@ -167,7 +165,7 @@ def test_rows_that_are_no_numbers_are_one_row():
 def test_no_size_is_too_large_or_too_small_to_be_read(size_mm):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert not repair(POINTS / 15 * size_mm, FACES, "thing").faults
+        assert not repair_mesh(POINTS / 15 * size_mm, FACES, "thing").faults
 
 
 def test_a_mesh_that_takes_away_as_much_as_it_bounds_has_no_volume():
@@ -179,17 +177,17 @@ def test_an_empty_mesh_is_refused():
 
 
 def test_a_hole_is_refused_with_the_count_of_edges_and_the_first_of_them():
-    refused(POINTS, FACES[1:], r"thing: edges of a hole .*: 3, first \d-\d, \d-\d, \d-\d; allowed")
+    refused(POINTS, FACES[1:], r"thing: edges of a hole .*: 3, first \d-\d, \d-\d, \d-\d; the mesh must be closed")
 
 
 def test_an_open_sheet_is_refused():
-    refused([[0, 0, 0], [9, 0, 0], [0, 9, 0]], [[0, 1, 2]], "open sheet, on one face only: 3")
+    refused([[0, 0, 0], [9, 0, 0], [0, 9, 0]], [[0, 1, 2]], "open sheet, with one face only: 3")
 
 
 def test_mixed_winding_is_refused_with_the_count_of_edges():
     faces = FACES.copy()
     faces[0] = faces[0, ::-1]
-    refused(POINTS, faces, "edges wound both ways.*: 3, first")
+    refused(POINTS, faces, "edges between two faces of opposite winding: 3, first")
 
 
 def test_a_fin_on_a_closed_mesh_is_refused():
@@ -198,8 +196,8 @@ def test_a_fin_on_a_closed_mesh_is_refused():
 
 def test_edges_of_a_refused_soup_are_named_by_the_vertices_that_the_user_has():
     soup = POINTS[FACES[1:]].reshape(-1, 3)
-    solid = repair(soup, np.arange(33).reshape(-1, 3), "thing")
-    place = {tuple(p) for pair in solid.refused[0].first for p in soup[list(map(int, pair.split("-")))]}
+    solid = repair_mesh(soup, np.arange(33).reshape(-1, 3), "thing")
+    place = {tuple(p) for pair in solid.fatal_faults[0].first_items for p in soup[list(map(int, pair.split("-")))]}
     assert place <= {tuple(p) for p in POINTS[FACES[0]]}
 
 
@@ -211,11 +209,11 @@ def test_a_sheet_of_two_sides_has_no_volume_and_is_refused():
 def test_vertices_that_are_not_finite_are_refused_with_the_first_of_them(value):
     points = POINTS.copy()
     points[[3, 5], 1] = value
-    refused(points, FACES, "thing: vertices that are not finite: 2, first 3, 5; allowed: finite")
+    refused(points, FACES, "thing: vertices that are not finite: 2, first 3, 5; coordinates must be finite")
 
 
 @pytest.mark.parametrize("vertex", [-1, 8])
 def test_faces_with_vertices_that_are_not_there_are_refused(vertex):
     faces = FACES.copy()
     faces[7, 2] = vertex
-    refused(POINTS, faces, "vertices that are not there: 1, first 7; allowed: vertices 0 to 7")
+    refused(POINTS, faces, "faces with missing vertices: 1, first 7; indices must be 0 to 7")

@@ -7,23 +7,23 @@ from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 from scipy.stats import binom, norm
 
-from pssf.core.execution import Execution
+from pssf.core.processes.execution import Execution
 from pssf.study import StudySettings
-from pssf.study.design import AXES
-from pssf.study.learn.responses import respond, split_curves
-from pssf.study.report.sections import curves_section
-from pssf.study.statistics import breaks, responses
-from pssf.study.statistics.intervals import estimate_share
-from pssf.study.statistics.ladder import ratio_of
-from pssf.study.statistics.metrics import auc
+from pssf.study.design.response_curve_design import PROTOCOL_AXES
+from pssf.study.learn.response_curves import evaluate_response_curves, split_curve_subjects
+from pssf.study.report.report_sections import make_response_curves_section
+from pssf.study.statistics.analyses import breakpoints, response_curve_statistics
+from pssf.study.statistics.analyses.incremental_value_scores import average_test_train_ratio
+from pssf.study.statistics.scores.confidence_intervals import estimate_proportion
+from pssf.study.statistics.scores.metrics import auc
 
 NAMES = ["glcm_signal", "glcm_steady", "glcm_other"]
 SETTINGS = StudySettings(repeats=8, selections=("l1",), models=("lr",))
-DOSE = {"dose": AXES["dose"]}
+DOSE = {"dose": PROTOCOL_AXES["dose"]}
 
 
 def step(axis: str, turn: int) -> float:
-    return AXES[axis].steps[turn - 1]
+    return PROTOCOL_AXES[axis].steps[turn - 1]
 
 
 def made(seed: int = 0, subjects: int = 80, curved: int = 32, noise: float = 0.25) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -34,7 +34,7 @@ def made(seed: int = 0, subjects: int = 80, curved: int = 32, noise: float = 0.2
     base["glcm_signal"] = 1.2 * grade + rng.normal(size=subjects)
     base["glcm_steady"], base["glcm_other"] = rng.normal(size=(2, subjects))
     parts = []
-    for turn, dose in enumerate(AXES["dose"].steps, start=1):
+    for turn, dose in enumerate(PROTOCOL_AXES["dose"].steps, start=1):
         part = base.iloc[:curved].copy()
         part["glcm_signal"] += noise / np.sqrt(dose) * rng.normal(size=curved) + 0.3 * np.log2(dose)
         part["glcm_other"] += noise / np.sqrt(dose) * rng.normal(size=curved)
@@ -47,7 +47,7 @@ def test_grades_3_and_4_are_one_class():
     for table in (base, steps):
         table["grade"] = np.where(table["grade"] == 0, 0, np.where(table["knee"] % 4 == 1, 3, 4))
     doubtful = base.assign(knee=base["knee"] + 1000, subject=base["subject"] + 1000, grade=1)
-    splits = respond(pd.concat([base, doubtful]), steps, NAMES, SETTINGS, Execution())
+    splits = evaluate_response_curves(pd.concat([base, doubtful]), steps, NAMES, SETTINGS, Execution())
     own = splits[splits["turn"] == 7]
     # Of 16 tested, 8 are of either class, whichever the grade; 0 against 3 alone would be of 12 of them.
     assert set(own["test_subjects"]) == {16}
@@ -60,8 +60,10 @@ def test_grades_3_and_4_are_one_class():
 @pytest.fixture(scope="module")
 def answered():
     base, steps = made()
-    of_features = responses.curves_of_features(base, steps, NAMES, step, replicates=200, seed=0)
-    of_models = responses.curves_of_models(respond(base, steps, NAMES, SETTINGS, Execution()), step)
+    of_features = response_curve_statistics.compute_feature_curves(base, steps, NAMES, step, replicates=200, seed=0)
+    of_models = response_curve_statistics.compute_model_curves(
+        evaluate_response_curves(base, steps, NAMES, SETTINGS, Execution()), step
+    )
     return of_features, of_models
 
 
@@ -71,16 +73,16 @@ def at(table: pd.DataFrame, measure: str, feature: str = "") -> pd.DataFrame:
 
 def test_a_feature_is_followed_in_value_and_in_icc(answered):
     table = answered[0].table
-    shift = at(table, responses.SHIFT, "glcm_signal")
+    shift = at(table, response_curve_statistics.SHIFT, "glcm_signal")
     spread = made()[0]["glcm_signal"].std(ddof=1)
-    assert_allclose(shift["value"], 0.3 * np.log2(AXES["dose"].steps) / spread, atol=0.4)
+    assert_allclose(shift["value"], 0.3 * np.log2(PROTOCOL_AXES["dose"].steps) / spread, atol=0.4)
     assert (shift["low"] < shift["value"]).all()
-    agreement = at(table, responses.ICC, "glcm_signal")["value"]
+    agreement = at(table, response_curve_statistics.ICC, "glcm_signal")["value"]
     assert agreement[7] > 0.95
     assert agreement[1] < 0.6
-    steady = at(table, responses.ICC, "glcm_steady")
+    steady = at(table, response_curve_statistics.ICC, "glcm_steady")
     assert_allclose(steady["value"], 1.0)
-    assert_allclose(at(table, responses.SHIFT, "glcm_steady")["value"], 0.0, atol=1e-12)
+    assert_allclose(at(table, response_curve_statistics.SHIFT, "glcm_steady")["value"], 0.0, atol=1e-12)
 
 
 def test_a_sample_is_of_the_same_subjects_at_every_step_whoever_lacks_a_region_at_one():
@@ -89,7 +91,9 @@ def test_a_sample_is_of_the_same_subjects_at_every_step_whoever_lacks_a_region_a
     known = ["glcm_other"]
 
     def medians(table):
-        return responses.curves_of_features(base, table, known, step, replicates=400, seed=0).medians
+        return response_curve_statistics.compute_feature_curves(
+            base, table, known, step, replicates=400, seed=0
+        ).median_icc_samples
 
     one, other = (medians(steps[~((steps["turn"] == turn) & (steps["knee"] == 3 * turn))]) for turn in (1, 2))
     every = medians(steps)
@@ -104,22 +108,22 @@ def test_a_sample_is_of_the_same_subjects_at_every_step_whoever_lacks_a_region_a
 
 def test_a_model_loses_by_noise_and_its_threshold_moves_by_the_shift(answered):
     table = answered[1]
-    auc, odds = at(table, responses.AUC)["value"], at(table, responses.ODDS)
+    auc, odds = at(table, response_curve_statistics.AUC)["value"], at(table, response_curve_statistics.ODDS)
     assert auc[7] > 0.9
     assert auc[1] < auc[7] - 0.1
-    assert np.corrcoef(odds["value"], np.log2(AXES["dose"].steps))[0, 1] > 0.95
+    assert np.corrcoef(odds["value"], np.log2(PROTOCOL_AXES["dose"].steps))[0, 1] > 0.95
     assert odds.loc[1, "high"] < 0
     assert abs(odds.loc[7, "value"]) < 0.5
 
 
 def test_the_dose_below_which_a_conclusion_breaks_is_read_off_with_an_interval(answered):
-    places = breaks.breaks(*answered, DOSE, 0.05).set_index("conclusion")
+    places = breakpoints.find_breakpoints(*answered, DOSE, 0.05).set_index("conclusion")
     assert set(places["side"]) == {"below"}
-    stable = places.loc[breaks.STABLE]
+    stable = places.loc[breakpoints.STABILITY_CONCLUSION]
     # The median of three features is the noisy one that has no trend: ICC = 1/(1 + noise variance/2) = 0.9.
     assert stable["low"] <= stable["value"] <= stable["high"]
     assert stable["low"] < 0.25**2 / (2 * (1 / 0.9 - 1)) < stable["high"]
-    auc = places.loc["AUC loses at most 0.05"]
+    auc = places.loc["AUC falls by at most 0.05"]
     assert 1 / 64 < auc["value"] < 1
     assert auc["low"] <= auc["value"] <= auc["high"]
     assert auc["reading"].startswith("below 0.")
@@ -128,9 +132,11 @@ def test_the_dose_below_which_a_conclusion_breaks_is_read_off_with_an_interval(a
 def test_a_conclusion_that_never_breaks_is_not_given_a_place():
     base, steps = made(noise=1e-6)
     steps["glcm_signal"] = np.tile(base["glcm_signal"].iloc[:32], 7)
-    of_features = responses.curves_of_features(base, steps, NAMES, step, replicates=100, seed=0)
-    of_models = responses.curves_of_models(respond(base, steps, NAMES, SETTINGS, Execution()), step)
-    places = breaks.breaks(of_features, of_models, DOSE, 0.05)
+    of_features = response_curve_statistics.compute_feature_curves(base, steps, NAMES, step, replicates=100, seed=0)
+    of_models = response_curve_statistics.compute_model_curves(
+        evaluate_response_curves(base, steps, NAMES, SETTINGS, Execution()), step
+    )
+    places = breakpoints.find_breakpoints(of_features, of_models, DOSE, 0.05)
     assert (places["value"] == 0).all()
     assert places["reading"].str.startswith("holds to 0.0156").all()
 
@@ -139,45 +145,49 @@ def test_an_auc_that_is_not_above_chance_has_nothing_to_lose():
     base, steps = made()
     rng = np.random.default_rng(4)
     base, steps = (table.assign(glcm_signal=rng.normal(size=len(table))) for table in (base, steps))
-    of_models = responses.curves_of_models(respond(base, steps, NAMES, SETTINGS, Execution()), step)
-    of_features = responses.curves_of_features(base, steps, NAMES, step, replicates=100, seed=0)
-    places = breaks.breaks(of_features, of_models, DOSE, 0.05).set_index("conclusion")
-    assert places.loc["AUC loses at most 0.05", "reading"] == "not decidable"
-    assert places.loc[breaks.STABLE, "reading"] != "not decidable"
+    of_models = response_curve_statistics.compute_model_curves(
+        evaluate_response_curves(base, steps, NAMES, SETTINGS, Execution()), step
+    )
+    of_features = response_curve_statistics.compute_feature_curves(base, steps, NAMES, step, replicates=100, seed=0)
+    places = breakpoints.find_breakpoints(of_features, of_models, DOSE, 0.05).set_index("conclusion")
+    assert places.loc["AUC falls by at most 0.05", "reading"] == "not decidable"
+    assert places.loc[breakpoints.STABILITY_CONCLUSION, "reading"] != "not decidable"
 
 
 def test_curves_of_subjects_and_knees_called_by_texts_are_those_of_numbers(answered):
     tables = [
         table.assign(**{name: table[name].map("P{:02d}".format) for name in ("subject", "knee")}) for table in made()
     ]
-    found = responses.curves_of_features(*tables, NAMES, step, replicates=200, seed=0)
+    found = response_curve_statistics.compute_feature_curves(*tables, NAMES, step, replicates=200, seed=0)
     pd.testing.assert_frame_equal(found.table, answered[0].table)
 
 
 def test_few_tested_knees_decide_nothing():
     base, steps = made(curved=4)
-    of_models = responses.curves_of_models(respond(base, steps, NAMES, SETTINGS, Execution()), step)
-    of_features = responses.curves_of_features(base, steps, NAMES, step, replicates=100, seed=0)
-    assert set(breaks.breaks(of_features, of_models, DOSE, 0.05)["reading"]) == {"not decidable"}
+    of_models = response_curve_statistics.compute_model_curves(
+        evaluate_response_curves(base, steps, NAMES, SETTINGS, Execution()), step
+    )
+    of_features = response_curve_statistics.compute_feature_curves(base, steps, NAMES, step, replicates=100, seed=0)
+    assert set(breakpoints.find_breakpoints(of_features, of_models, DOSE, 0.05)["reading"]) == {"not decidable"}
 
 
 def test_a_loss_is_not_decided_where_too_few_of_a_class_are_tested(answered):
     of_features, of_models = answered
     few = of_models.assign(rarest=of_models["rarest"].where(of_models["turn"] > 2, 2))
-    places = breaks.breaks(of_features, few, DOSE, 0.05).set_index("conclusion")
-    assert places.loc["AUC loses at most 0.05", "reading"] == "not decidable"
-    assert places.loc[breaks.STABLE, "reading"] != "not decidable"
+    places = breakpoints.find_breakpoints(of_features, few, DOSE, 0.05).set_index("conclusion")
+    assert places.loc["AUC falls by at most 0.05", "reading"] == "not decidable"
+    assert places.loc[breakpoints.STABILITY_CONCLUSION, "reading"] != "not decidable"
 
 
 def test_no_subject_is_tested_and_learnt_from_and_only_those_with_curves_are_tested():
     base, steps = made()
     curved = sorted(set(steps["subject"]))
-    halves = split_curves(base, curved, 0, 3)
+    halves = split_curve_subjects(base, curved, 0, 3)
     assert not set(halves.test) & {*halves.training, *halves.validation}
     assert set(halves.test) < set(curved)
     assert len(halves.test) == 16
     assert {*halves.test, *halves.training, *halves.validation} == set(base["subject"])
-    assert halves != split_curves(base, curved, 0, 4)
+    assert halves != split_curve_subjects(base, curved, 0, 4)
 
 
 def test_intervals_hold_a_models_auc_though_halves_of_few_knees_are_tested_again_and_again():
@@ -189,7 +199,7 @@ def test_intervals_hold_a_models_auc_though_halves_of_few_knees_are_tested_again
         marker = rng.normal(size=100) + distance * (base["grade"] == 2)
         rows = []
         for repeat in range(20):
-            halves = split_curves(base, list(range(24)), cohort, repeat)
+            halves = split_curve_subjects(base, list(range(24)), cohort, repeat)
             tested = base["subject"].isin(halves.test)
             score = auc((base["grade"] == 2)[tested].to_numpy(), marker[tested].to_numpy())
             rows.append({
@@ -197,9 +207,9 @@ def test_intervals_hold_a_models_auc_though_halves_of_few_knees_are_tested_again
                 "test_subjects": len(halves.test), "test_rarest": 6, "auc": score, "auc_own": score, "shift": 0.0,
             })  # fmt: skip
         splits = pd.DataFrame(rows)
-        found = at(responses.curves_of_models(splits, step), responses.AUC).loc[1]
+        found = at(response_curve_statistics.compute_model_curves(splits, step), response_curve_statistics.AUC).loc[1]
         held += found["low"] <= truth <= found["high"]
-        narrow = estimate_share(splits["auc"].to_numpy(), ratio_of(splits))
+        narrow = estimate_proportion(splits["auc"].to_numpy(), average_test_train_ratio(splits))
         held_by_trained += narrow.low <= truth <= narrow.high
     assert held >= binom.ppf(0.001, cohorts, 0.95)
     assert held_by_trained < binom.ppf(0.001, cohorts, 0.85)
@@ -210,19 +220,19 @@ def broken(cohort: int, curved: int, distance: float, noise: float, difference: 
     rng, positive = np.random.default_rng([1, cohort]), np.arange(100) % 2 == 1
     base = pd.DataFrame({"subject": range(100), "grade": 2 * positive})
     marker = rng.normal(size=100) + distance * positive
-    at_dose = [marker + noise / np.sqrt(dose) * rng.normal(size=100) for dose in AXES["dose"].steps]
+    at_dose = [marker + noise / np.sqrt(dose) * rng.normal(size=100) for dose in PROTOCOL_AXES["dose"].steps]
     rows = []
     for repeat in range(20):
-        halves = split_curves(base, list(range(curved)), cohort, repeat)
+        halves = split_curve_subjects(base, list(range(curved)), cohort, repeat)
         tested = np.array(halves.test)
         counts = {"trained": len(halves.training), "curved": curved, "test_subjects": len(tested), "shift": 0.0}
         counts["test_rarest"] = min(int(positive[tested].sum()), int((~positive[tested]).sum()))
         counts["auc_own"] = auc(positive[tested], marker[tested])
         for turn, values in enumerate(at_dose, start=1):
             rows.append(counts | {"axis": "dose", "turn": turn, "auc": auc(positive[tested], values[tested])})
-    of_models = responses.curves_of_models(pd.DataFrame(rows), step)
-    nothing = responses.Curves(pd.DataFrame(columns=responses.COLUMNS), {})
-    return breaks.breaks(nothing, of_models, DOSE, difference).iloc[0]
+    of_models = response_curve_statistics.compute_model_curves(pd.DataFrame(rows), step)
+    nothing = response_curve_statistics.FeatureCurves(pd.DataFrame(columns=response_curve_statistics.COLUMNS), {})
+    return breakpoints.find_breakpoints(nothing, of_models, DOSE, difference).iloc[0]
 
 
 def share_held(cohorts: int, curved: int, distance: float, noise: float, difference: float) -> tuple[int, int]:
@@ -260,20 +270,20 @@ def test_intervals_of_where_an_auc_breaks_hold_the_place_for_few_and_many_knees(
     [([1, 1, 1], -np.inf), ([1, -1, -1], 1.5), ([1, 1, -3], 0.75), ([-1, 1, 1], 2.0), ([1, np.nan, -1], 2.0)],
 )
 def test_a_crossing_is_the_first_on_the_way(margin, place):
-    assert responses.first_crossing(np.array([2.0, 1.0, 0.0]), np.array(margin, float)) == place
+    assert response_curve_statistics.find_first_crossing(np.array([2.0, 1.0, 0.0]), np.array(margin, float)) == place
 
 
 def test_both_sides_of_the_protocols_own_step_are_followed():
-    assert breaks._ways(AXES["tilt"]) == {"below": [4, 3, 2, 1], "above": [4, 5, 6, 7]}
-    assert list(breaks._ways(AXES["dose"])) == ["below"]
-    assert list(breaks._ways(AXES["scatter"])) == ["above"]
+    assert breakpoints._order_steps(PROTOCOL_AXES["tilt"]) == {"below": [4, 3, 2, 1], "above": [4, 5, 6, 7]}
+    assert list(breakpoints._order_steps(PROTOCOL_AXES["dose"])) == ["below"]
+    assert list(breakpoints._order_steps(PROTOCOL_AXES["scatter"])) == ["above"]
 
 
 def test_the_report_has_a_picture_an_axis_and_a_row_a_conclusion(answered):
     of_features, of_models = answered
-    places = breaks.breaks(*answered, DOSE, 0.05)
+    places = breakpoints.find_breakpoints(*answered, DOSE, 0.05)
     table = pd.concat([of_features.table, of_models], ignore_index=True)
-    section = curves_section({"curve_dose": table}, places, DOSE, NAMES[:2], 32, "0 vs 2")
+    section = make_response_curves_section({"curve_dose": table}, places, DOSE, NAMES[:2], 32, "0 vs 2")
     assert [picture.name for picture in section.pictures] == ["curve_dose"]
     assert section.pictures[0].png.startswith(b"\x89PNG")
     assert len(section.table) == 2

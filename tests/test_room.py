@@ -7,8 +7,8 @@ import pytest
 import pssf
 from pssf import cohort
 from pssf.core.checks import InputError
-from pssf.io.records import read_manifest
-from pssf.raycast.room import require_room, with_room
+from pssf.io.cohort_records import read_manifest
+from pssf.raycast.detector_clearance import move_clear_of_detector, require_detector_clearance
 
 
 @pytest.fixture(scope="module")
@@ -24,20 +24,20 @@ def bent(too_near):
 
 def test_a_leg_stands_off_the_detector_by_no_more_than_it_needs(bent, too_near):
     with pytest.raises(InputError, match=r"the leg reaches \d+\.\d mm behind the detector"):
-        require_room(bent.scene, too_near)
-    stood = with_room(bent.scene, too_near)
+        require_detector_clearance(bent.scene, too_near)
+    stood = move_clear_of_detector(bent.scene, too_near)
     off_mm = too_near.sod_mm - stood.sod_mm
     assert off_mm == round(off_mm) > 0
     assert replace(stood, sod_mm=too_near.sod_mm) == too_near
-    require_room(bent.scene, stood)
+    require_detector_clearance(bent.scene, stood)
     with pytest.raises(InputError):
-        require_room(bent.scene, replace(stood, sod_mm=stood.sod_mm + 1.0))
-    assert with_room(bent.scene, stood) is stood
+        require_detector_clearance(bent.scene, replace(stood, sod_mm=stood.sod_mm + 1.0))
+    assert move_clear_of_detector(bent.scene, stood) is stood
 
 
 def test_what_is_not_in_the_picture_needs_no_room(bent, too_near):
     upwards = replace(too_near, rows=16, cols=16, pixel_mm=0.5)
-    assert with_room(bent.scene, upwards) is upwards
+    assert move_clear_of_detector(bent.scene, upwards) is upwards
 
 
 def test_a_cohort_takes_people_whom_a_detector_is_too_near_and_tells_where_they_stood(too_near, tmp_path):

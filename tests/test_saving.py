@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from made_up import fitted, measured_cohort
 
-from pssf.study.learn.saving import dumps, loads
+from pssf.study.learn.models.model_bytes import dumps, loads
 
 
 @pytest.mark.parametrize("model", ["lr", "rf", "xgb"])

@@ -8,48 +8,56 @@ from matter import limb
 from numpy.testing import assert_allclose
 
 import pssf
-from pssf.accuracy.scatter import CHECKED, CHECKED_PA, FITTED, FITTED_PA, case_of, scatter_rows, slab
-from pssf.core.blocks import block_mean
-from pssf.data.kernels import scatter_kernel
-from pssf.data.tissues import tissues
-from pssf.geometry.view import view_of
-from pssf.scatter.kernel import exit_gaps_mm, middle_gap_mm, scatter_kev
-from pssf.scatter.monte_carlo import count
-from pssf.xray.primary import primary_of, transmit
-from pssf.xray.spectrum import beam_of
-from pssf.xray.technique import technique_of
+from pssf.core.resample import downsample_by_blocks
+from pssf.data.anatomy.tissue_table import load_tissues
+from pssf.data.imaging.scatter_table import load_scatter_kernel
+from pssf.geometry.view import resolve_view
+from pssf.scatter.monte_carlo import simulate_photons
+from pssf.scatter.scatter_kernel import central_air_gap_mm, compute_air_gaps_mm, compute_kernel_scatter_kev
+from pssf.validation.imaging.scatter_phantoms import (
+    CHECK_CASES,
+    CHECK_CASES_PA,
+    FIT_CASES,
+    FIT_CASES_PA,
+    build_case,
+    build_slab,
+    compare_kernel_with_monte_carlo,
+)
+from pssf.xray.primary_beam import compute_primary, transmit
+from pssf.xray.resolved_technique import resolve_technique
+from pssf.xray.spectrum import compute_beam
 
 
 def kernel(scene, protocol, gap_mm=None):
     """Scatter and primary of a scene, and the open beam (keV a pixel)."""
-    technique = technique_of(protocol)
-    beam = beam_of(technique)
+    technique = resolve_technique(protocol)
+    beam = compute_beam(technique)
     paths = pssf.trace(scene, protocol).path_mm
     primary = transmit(paths, beam, technique).kev
-    gap_mm = exit_gaps_mm(scene, technique.view) if gap_mm is None else gap_mm
+    gap_mm = compute_air_gaps_mm(scene, technique.view) if gap_mm is None else gap_mm
     return (
-        scatter_kev(primary, paths, gap_mm, technique),
+        compute_kernel_scatter_kev(primary, paths, gap_mm, technique),
         primary,
         float(transmit({}, beam, technique).kev.max()),
     )
 
 
 def test_the_kernel_agrees_with_the_monte_carlo_within_5_percent():
-    # A quick look at cases that nothing was fitted to; the whole table: pssf.accuracy.scatter.scatter_rows().
+    # Cases that nothing was fitted to; the whole table is in pssf.validation.imaging.scatter_phantoms.
     cases = (("knee", 70, 130, 80), ("limb", 75, 110, 100), ("fixed_flexion", 75, 120, 90))
-    assert not set(cases) & {*FITTED, *FITTED_PA}
-    for row in scatter_rows(photons=1_500_000, cases=cases):
+    assert not set(cases) & {*FIT_CASES, *FIT_CASES_PA}
+    for row in compare_kernel_with_monte_carlo(photons=1_500_000, cases=cases):
         assert row["error_percent"] < 2.5
         assert abs(row["difference_percent"]) < 5 + 2 * row["error_percent"], row
 
 
 def test_cases_that_are_checked_were_not_fitted_to():
-    assert not {*FITTED, *FITTED_PA} & {*CHECKED, *CHECKED_PA}
-    assert {kind for kind, *_ in CHECKED} >= {"knee", "limb", "bent knee"}
+    assert not {*FIT_CASES, *FIT_CASES_PA} & {*CHECK_CASES, *CHECK_CASES_PA}
+    assert {kind for kind, *_ in CHECK_CASES} >= {"knee", "limb", "bent knee"}
 
 
 def test_scatter_is_in_proportion_to_the_tube_current():
-    scene, protocol = case_of(("limb", 70, 120, 60), tissues())
+    scene, protocol = build_case(("limb", 70, 120, 60), load_tissues())
     one, *_ = kernel(scene, protocol)
     two, *_ = kernel(scene, dataclasses.replace(protocol, mas=2 * protocol.mas))
     none, *_ = kernel(scene, dataclasses.replace(protocol, mas=0.0))
@@ -58,7 +66,7 @@ def test_scatter_is_in_proportion_to_the_tube_current():
 
 
 def test_the_size_of_the_pixels_changes_their_share_of_the_scatter_alone():
-    scene, protocol = case_of(("limb", 70, 120, 60), tissues())
+    scene, protocol = build_case(("limb", 70, 120, 60), load_tissues())
     coarse, *_ = kernel(scene, protocol)
     fine, *_ = kernel(scene, dataclasses.replace(protocol, rows=512, cols=512, pixel_mm=0.6))
     assert_allclose(4 * fine[200:312:2, 200:312:2], coarse[100:156, 100:156], rtol=0.01)
@@ -67,7 +75,7 @@ def test_the_size_of_the_pixels_changes_their_share_of_the_scatter_alone():
 def test_scatter_falls_with_the_gap_and_is_flatter_than_the_primary():
     maps = {}
     for gap_mm in (20, 60, 100, 150):
-        scatter, primary, opened = kernel(*case_of(("limb", 70, 120, gap_mm), tissues()))
+        scatter, primary, opened = kernel(*build_case(("limb", 70, 120, gap_mm), load_tissues()))
         maps[gap_mm] = scatter[128, 128] / opened
         across = np.s_[128, 88:168]
         assert np.ptp(scatter[across]) / scatter[across].mean() < 0.5 * np.ptp(primary[across]) / primary[across].mean()
@@ -77,9 +85,14 @@ def test_scatter_falls_with_the_gap_and_is_flatter_than_the_primary():
 
 def test_no_object_makes_no_scatter():
     protocol = dataclasses.replace(pssf.load_protocol("reference"), rows=64, cols=64, pixel_mm=4.8)
-    primary = transmit({}, beam_of(technique_of(protocol)), technique_of(protocol)).kev
-    assert (scatter_kev(primary, {}, 100.0, technique_of(protocol)) == 0).all()
-    assert (scatter_kev(primary, {"muscle": np.zeros((64, 64), np.float32)}, 100.0, technique_of(protocol)) == 0).all()
+    primary = transmit({}, compute_beam(resolve_technique(protocol)), resolve_technique(protocol)).kev
+    assert (compute_kernel_scatter_kev(primary, {}, 100.0, resolve_technique(protocol)) == 0).all()
+    assert (
+        compute_kernel_scatter_kev(
+            primary, {"muscle": np.zeros((64, 64), np.float32)}, 100.0, resolve_technique(protocol)
+        )
+        == 0
+    ).all()
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 500), (2000, 7)])
@@ -87,45 +100,50 @@ def test_no_object_makes_no_scatter():
 def test_scatter_is_finite_and_not_negative_for_any_detector_and_beam(shape, setting):
     protocol = dataclasses.replace(pssf.load_protocol("reference"), rows=shape[0], cols=shape[1], **setting)
     for paths in ({"muscle": np.full(shape, 120, np.float32)}, {"Pb@11.35": np.full(shape, 1000, np.float32)}):
-        primary = transmit(paths, beam_of(technique_of(protocol)), technique_of(protocol)).kev
-        scatter = scatter_kev(primary, paths, 100.0, technique_of(protocol))
+        primary = transmit(paths, compute_beam(resolve_technique(protocol)), resolve_technique(protocol)).kev
+        scatter = compute_kernel_scatter_kev(primary, paths, 100.0, resolve_technique(protocol))
         assert np.isfinite(scatter).all()
         assert (scatter >= 0).all()
-        assert scatter.max() < transmit({}, beam_of(technique_of(protocol)), technique_of(protocol)).kev.max()
+        assert (
+            scatter.max()
+            < transmit({}, compute_beam(resolve_technique(protocol)), resolve_technique(protocol)).kev.max()
+        )
 
 
 def test_a_mirrored_scene_has_mirrored_scatter():
-    scene, protocol = case_of(("limb", 70, 120, 60), tissues())
+    scene, protocol = build_case(("limb", 70, 120, 60), load_tissues())
     paths = pssf.trace(scene, protocol).path_mm
     tilted = {name: lengths * np.linspace(0.8, 1.2, 256, dtype=np.float32) for name, lengths in paths.items()}
     turned = {name: lengths[:, ::-1] for name, lengths in tilted.items()}
-    technique = technique_of(protocol)
-    beam = beam_of(technique)
-    one, other = (scatter_kev(transmit(p, beam, technique).kev, p, 60.0, technique) for p in (tilted, turned))
+    technique = resolve_technique(protocol)
+    beam = compute_beam(technique)
+    one, other = (
+        compute_kernel_scatter_kev(transmit(p, beam, technique).kev, p, 60.0, technique) for p in (tilted, turned)
+    )
     assert_allclose(one, other[:, ::-1], rtol=1e-3)
 
 
 def test_the_gap_is_that_behind_the_middle_of_the_object(scene):
     protocol = pssf.load_protocol("reference")
-    view = view_of(protocol)
-    assert middle_gap_mm(exit_gaps_mm(slab(120.0), view)) == pytest.approx(200 - 60, abs=1e-6)
-    assert 140 < middle_gap_mm(exit_gaps_mm(limb(120.0), view)) < 145
+    view = resolve_view(protocol)
+    assert central_air_gap_mm(compute_air_gaps_mm(build_slab(120.0), view)) == pytest.approx(200 - 60, abs=1e-6)
+    assert 140 < central_air_gap_mm(compute_air_gaps_mm(limb(120.0), view)) < 145
     # Calf and thigh stand out further than the knee, which the box around the scene goes by.
-    assert 3 < middle_gap_mm(exit_gaps_mm(scene, view)) - (200 - scene.bounds_mm[1, 1]) < 60
+    assert 3 < central_air_gap_mm(compute_air_gaps_mm(scene, view)) - (200 - scene.bounds_mm[1, 1]) < 60
 
 
 def test_the_gap_of_a_scene_beside_the_field_is_that_of_its_box():
     away = limb(120.0)
     meshes = [s.mesh.copy().apply_translation((2000.0, 0.0, 0.0)) for s in away.surfaces]
     moved = pssf.Scene([dataclasses.replace(s, mesh=m) for s, m in zip(away.surfaces, meshes, strict=True)])
-    assert_allclose(exit_gaps_mm(moved, view_of(pssf.load_protocol("reference"))), 140, atol=0.1)
+    assert_allclose(compute_air_gaps_mm(moved, resolve_view(pssf.load_protocol("reference"))), 140, atol=0.1)
 
 
 def test_behind_a_slab_that_leans_each_place_has_its_own_gap():
-    plate = slab(40.0).surfaces[0]
+    plate = build_slab(40.0).surfaces[0]
     mesh = plate.mesh.copy().apply_transform(trimesh.transformations.rotation_matrix(0.3, (1.0, 0.0, 0.0)))
-    view = view_of(pssf.load_protocol("reference"))
-    gaps_mm = exit_gaps_mm(pssf.Scene([dataclasses.replace(plate, mesh=mesh)]), view)
+    view = resolve_view(pssf.load_protocol("reference"))
+    gaps_mm = compute_air_gaps_mm(pssf.Scene([dataclasses.replace(plate, mesh=mesh)]), view)
     # From the source to the plane of its back, which a ray to each height of the detector meets once.
     heights = np.linspace(0.5, -0.5, 33)[:-1] - 0.5 / 32
     heights = heights * max(view.rows, view.cols) * view.pixel_mm + view.centre_mm[2]
@@ -136,7 +154,7 @@ def test_behind_a_slab_that_leans_each_place_has_its_own_gap():
 
 
 def test_one_gap_for_all_is_the_same_as_a_map_of_it_and_only_a_leaning_object_is_taken_for_thinner():
-    scene, protocol = case_of(("limb", 70, 120, 60), tissues())
+    scene, protocol = build_case(("limb", 70, 120, 60), load_tissues())
     one, *_ = kernel(scene, protocol, 60.0)
     assert_allclose(kernel(scene, protocol, np.full((32, 32), 60.0))[0], one, rtol=1e-6)
     leaning = 60.0 + np.linspace(-30, 30, 32)[:, None] * np.ones(32)
@@ -144,14 +162,14 @@ def test_one_gap_for_all_is_the_same_as_a_map_of_it_and_only_a_leaning_object_is
 
 
 def test_a_fit_that_starts_from_the_constants_in_use_does_not_make_them_worse():
-    from pssf.accuracy import scatter_fit
+    from pssf.validation.imaging import scatter_kernel_fit
 
-    kernel = scatter_kernel()
-    one = scatter_fit.sample_of(("limb", 70, 120, 60), tissues(), 200_000)
+    kernel = load_scatter_kernel()
+    one = scatter_kernel_fit.make_kernel_sample(("limb", 70, 120, 60), load_tissues(), 200_000)
     for projection in ("AP", "PA"):
         samples = [dataclasses.replace(one, protocol=dataclasses.replace(one.protocol, projection=projection))]
-        fitted = scatter_fit.fit(samples, kernel, projection, rounds=3)
-        costs = [scatter_fit.cost(samples, tried, projection) for tried in (kernel, fitted)]
+        fitted = scatter_kernel_fit.fit_projection(samples, kernel, projection, max_evaluations=3)
+        costs = [scatter_kernel_fit.compute_fit_cost(samples, tried, projection) for tried in (kernel, fitted)]
         assert costs[1] <= costs[0]
         assert [new == old for new, old in zip(fitted.sums, kernel.sums, strict=True)].count(True) == 1
 
@@ -173,11 +191,11 @@ def field_of(side_mm, **fields):
     """Scatter over primary at the joint of an elliptic limb: a detector of so many mm, or a collimated field."""
     protocol = dataclasses.replace(pssf.load_protocol("reference"), pixel_mm=1.2, texture="none", focal_spot_mm=0.0)
     pixels = round(side_mm / 1.2)
-    technique = technique_of(dataclasses.replace(protocol, rows=pixels, cols=pixels, **fields))
+    technique = resolve_technique(dataclasses.replace(protocol, rows=pixels, cols=pixels, **fields))
     scene = limb(120)
     paths = pssf.trace(scene, technique.protocol, engine="scanline").path_mm
-    primary = primary_of(paths, technique).kev
-    scattered = scatter_kev(primary, paths, exit_gaps_mm(scene, technique.view), technique)
+    primary = compute_primary(paths, technique).kev
+    scattered = compute_kernel_scatter_kev(primary, paths, compute_air_gaps_mm(scene, technique.view), technique)
     middle = (slice(pixels // 2 - 4, pixels // 2 + 4),) * 2
     return float(scattered[middle].mean() / primary[middle].mean()), scene, technique, middle
 
@@ -193,22 +211,22 @@ def test_a_small_detector_has_the_scatter_of_as_small_a_field(cells):
 @pytest.mark.parametrize(("side_mm", "photons"), [(20.0, 300_000), (40.0, 300_000), (80.0, 600_000), (150.0, 600_000)])
 def test_small_fields_are_off_by_what_the_notice_says(side_mm, photons):
     kernel_ratio, scene, technique, _ = field_of(307.2, field_width_mm=side_mm, field_height_mm=side_mm)
-    counts = count(scene, technique, photons=photons, seed=1, cell_mm=9.6)
+    counts = simulate_photons(scene, technique, photons=photons, seed=1, cell_mm=9.6)
     paths = pssf.trace(scene, technique.protocol, engine="scanline").path_mm
-    primary = block_mean(primary_of(paths, technique).kev, counts.step)
+    primary = downsample_by_blocks(compute_primary(paths, technique).kev, counts.pixels_per_cell)
     cells = (slice(15, 17),) * 2
     parts = (counts.scatter_kev / counts.pixels)[:, *cells].mean(axis=(1, 2)) / primary[cells].mean()
     off, error = kernel_ratio / parts.mean(), parts.std(ddof=1) / np.sqrt(len(parts)) / parts.mean()
-    said = technique.kernel.small_field(side_mm, side_mm)
+    said = technique.kernel.find_small_field_bias(side_mm, side_mm)
     assert said.low - 3 * error * off <= off <= said.high + 3 * error * off
 
 
 def test_the_notice_of_small_fields_begins_below_those_of_acquisitions(small):
-    known = scatter_kernel()
-    assert known.small_field(180.0, 240.0) is None
-    assert known.small_field(307.2, 307.2) is None
+    known = load_scatter_kernel()
+    assert known.find_small_field_bias(180.0, 240.0) is None
+    assert known.find_small_field_bias(307.2, 307.2) is None
     for width_mm, height_mm, side_mm in ((179.0, 300.0, 240.0), (300.0, 239.0, 240.0), (20.0, 300.0, 30.0)):
-        assert known.small_field(width_mm, height_mm).side_mm == side_mm
+        assert known.find_small_field_bias(width_mm, height_mm).side_mm == side_mm
     crop = dataclasses.replace(small, rows=64, cols=64)
     scene = pssf.Scene([pssf.Surface(trimesh.creation.box((60, 60, 60)), "muscle", "air")])
     with pytest.warns(pssf.KernelNotice, match=r"a field of 77 x 77 mm.* is 0\.36 to 0\.97 times that"):

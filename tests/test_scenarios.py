@@ -5,9 +5,9 @@ import pandas as pd
 from made_up import NAMES, features
 
 from pssf.study import StudySettings
-from pssf.study.learn.scenarios import _one_each, one_split
-from pssf.study.learn.split import split_subjects
-from pssf.study.statistics.scores import score_splits
+from pssf.study.learn.protocol_scenarios import _assign_one_protocol, evaluate_split
+from pssf.study.learn.subject_split import split_subjects
+from pssf.study.statistics.scores.split_scores import score_splits
 
 FAST = StudySettings(selections=("l1",), models=("lr", "rf"), repeats=4)
 
@@ -19,7 +19,7 @@ def test_test_rows_change_nothing_that_is_learnt():
     held_out = changed["subject"].isin(split.test)
     changed.loc[held_out, NAMES] = 1e3 * np.random.default_rng(1).normal(size=(held_out.sum(), len(NAMES)))
     both = StudySettings(selections=("l1", "mrmr"), models=("lr", "rf", "xgb"))
-    one, other = (one_split(0, table=t, names=NAMES, settings=both) for t in (table, changed))
+    one, other = (evaluate_split(0, table=t, names=NAMES, settings=both) for t in (table, changed))
     pd.testing.assert_frame_equal(one.importances, other.importances)
     assert not np.allclose(one.predictions["p0"], other.predictions["p0"])
     assert set(one.predictions["subject"]) <= set(split.test)
@@ -27,33 +27,37 @@ def test_test_rows_change_nothing_that_is_learnt():
 
 def test_signal_is_found_in_every_scenario_and_the_same_twice():
     table = features(10, noise=0.2)
-    outcome = one_split(0, table=table, names=NAMES, settings=FAST)
+    outcome = evaluate_split(0, table=table, names=NAMES, settings=FAST)
     scores = score_splits(outcome.predictions)
     assert set(scores["scenario"]) == {"within", "cross", "cross_stable", "cross_harmonised", "multi", "mixed"}
     models = scores[scores["selection"] != "none"]
     assert (models.loc[models["task"] == "0 vs 2", "auc"] > 0.9).all()
     pd.testing.assert_frame_equal(
-        outcome.predictions, one_split(0, table=table, names=NAMES, settings=FAST).predictions
+        outcome.predictions, evaluate_split(0, table=table, names=NAMES, settings=FAST).predictions
     )
 
 
 def test_mixed_takes_every_knee_once_and_spreads_each_grade_over_the_protocols():
     table = features(10)
     protocols = sorted(table["protocol"].unique())
-    taken = table[_one_each(table, protocols, seed=0, repeat=0)]
+    taken = table[_assign_one_protocol(table, protocols, seed=0, repeat=0)]
     assert sorted(taken["knee"]) == sorted(table["knee"].unique())
     counts = taken.groupby(["grade", "protocol"]).size().unstack()
     assert counts.shape == (table["grade"].nunique(), len(protocols))
     assert (counts.max(axis=1) - counts.min(axis=1)).max() <= 1
     # By chance, another way in another split, and whatever the order of rows.
-    assert set(taken["radiograph"]) != set(table[_one_each(table, protocols, seed=0, repeat=1)]["radiograph"])
+    assert set(taken["radiograph"]) != set(
+        table[_assign_one_protocol(table, protocols, seed=0, repeat=1)]["radiograph"]
+    )
     turned = table[::-1]
-    assert set(taken["radiograph"]) == set(turned[_one_each(turned, protocols, seed=0, repeat=0)]["radiograph"])
+    assert set(taken["radiograph"]) == set(
+        turned[_assign_one_protocol(turned, protocols, seed=0, repeat=0)]["radiograph"]
+    )
 
 
 def mean_auc(table: pd.DataFrame, names: list[str], model: str, repeats: int = 6) -> float:
     quick = StudySettings(selections=("l1",), models=(model,))
-    outcomes = [one_split(r, table=table, names=names, settings=quick).predictions for r in range(repeats)]
+    outcomes = [evaluate_split(r, table=table, names=names, settings=quick).predictions for r in range(repeats)]
     scores = score_splits(pd.concat(outcomes, ignore_index=True))
     of_model = (scores["task"] == "0 vs 2") & (scores["scenario"] == "multi") & (scores["model"] == model)
     return float(scores[of_model]["auc"].mean())

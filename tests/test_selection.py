@@ -9,10 +9,10 @@ from made_up import NAMES, features
 from numpy.testing import assert_allclose
 from test_radiomics import texture
 
-from pssf.data.ibsi import ibsi_tags
-from pssf.radiomics.features import extract
-from pssf.study.learn.selection import DropRedundant, preparation
-from pssf.study.settings import SELECTIONS
+from pssf.data.analysis.ibsi_table import load_ibsi_tags
+from pssf.radiomics.features.feature_extraction import extract_features
+from pssf.study.design.study_settings import SELECTIONS
+from pssf.study.learn.models.feature_selection import DropRedundant, build_feature_pipeline
 
 
 def test_pruning_drops_constants_and_keeps_one_of_a_group():
@@ -42,7 +42,9 @@ def test_what_pruning_keeps_does_not_turn_with_the_order_of_the_columns(order, s
 
 
 def test_features_that_are_others_in_disguise_are_left_out_before_a_model_sees_them():
-    table = pd.DataFrame([extract(texture(32, seed, 0.5 + 0.1 * seed), 0.15, ibsi_tags()) for seed in range(14)])
+    table = pd.DataFrame(
+        [extract_features(texture(32, seed, 0.5 + 0.1 * seed), 0.15, load_ibsi_tags()) for seed in range(14)]
+    )
     twice = (
         ("glcm_SumAverage", 2 * table["glcm_JointAverage"]),
         ("gldm_GrayLevelNonUniformity", 32 * 32 * table["firstorder_linear_Uniformity"]),
@@ -62,7 +64,9 @@ def test_features_that_are_others_in_disguise_are_left_out_before_a_model_sees_t
 @pytest.mark.parametrize("selection", list(SELECTIONS))
 def test_a_selection_keeps_what_follows_the_grade(selection):
     table = features(20, noise=0.3)
-    fitted = preparation(selection, rho=0.9, most=4, seed=0).fit(table[NAMES], table["grade"].to_numpy())
+    fitted = build_feature_pipeline(selection, rho=0.9, max_features=4, seed=0).fit(
+        table[NAMES], table["grade"].to_numpy()
+    )
     kept = fitted.named_steps["select"].kept_
     assert {"signal", "copy"} & set(kept)
     assert 1 <= len(kept) <= 4

@@ -3,7 +3,7 @@
 import pytest
 
 from pssf.core.checks import InputError
-from pssf.study.settings import StudySettings
+from pssf.study.design.study_settings import StudySettings
 
 
 @pytest.mark.parametrize(

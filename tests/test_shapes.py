@@ -7,35 +7,45 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose
 
-from pssf.anatomy.shape import knee_form
+from pssf.anatomy.template.bone_form import build_shape_model
 from pssf.core.checks import InputError
-from pssf.data.anatomy import anatomy_tables
-from pssf.data.records import record
-from pssf.data.shapes import ShapeTable, read_displacements, shape_table, write_displacements
-from pssf.geometry.freeform import displaced, least_jacobian, with_displacements
-from pssf.geometry.mesh import Mesh
-from pssf.realism.bones import BONES
-from pssf.realism.freeform_fit import deformable, fit_lattice, lattice_around
-from pssf.realism.shape_fit import table_text
-from pssf.realism.shape_frames import mean_bones, mean_man, stand, unstand
-from pssf.realism.shape_measures import femur_measures, patella_measures, tibia_measures
-from pssf.realism.shape_modes import (
-    MeanFit,
-    displacements,
-    fit_mean,
-    modes_of,
-    scores_of,
-    surface_change,
+from pssf.data.anatomy.anatomy_tables import load_anatomy_tables
+from pssf.data.anatomy.shape_table import (
+    ShapeModel,
+    format_displacements,
+    load_shape_model,
+    parse_displacements,
 )
-from pssf.realism.shape_names import ModeName, name_modes
-from pssf.realism.surfaces import measured, surface_distance
+from pssf.data.table_records import parse_record
+from pssf.geometry.freeform_deformation import displace_points, min_jacobian_determinant, replace_displacements
+from pssf.geometry.mesh import Mesh
+from pssf.patient_comparison.bones.bone_comparison import BONES
+from pssf.patient_comparison.bones.shape_measures import measure_femur, measure_patella, measure_tibia
+from pssf.patient_comparison.bones.surface_distance import measure_surface_distance, sample_surface
+from pssf.patient_comparison.shape_model.bone_frames import (
+    apply_standing_pose,
+    build_template_anatomy,
+    build_template_bones,
+    undo_standing_pose,
+)
+from pssf.patient_comparison.shape_model.lattice_fit import fit_lattice, make_deformable_bone, make_lattice_around
+from pssf.patient_comparison.shape_model.mode_names import ModeName, name_modes
+from pssf.patient_comparison.shape_model.shape_modes import (
+    MeanFit,
+    compute_displacements,
+    compute_modes,
+    fit_mean,
+    fit_scores,
+    surface_change_mm,
+)
+from pssf.patient_comparison.shape_model.shape_table_fit import format_shape_table
 
 EVERYWHERE = (-np.inf, np.inf)
 
 
 @pytest.fixture(scope="module")
 def form():
-    return knee_form(shape_table())
+    return build_shape_model(load_shape_model())
 
 
 def pebble(detail=4):
@@ -50,16 +60,20 @@ def known(lattice, amount_mm, seed=0):
     """A lattice with smooth displacements of its own."""
     places = np.stack(np.meshgrid(*(np.linspace(-1, 1, n) for n in lattice.counts), indexing="ij"), axis=-1)
     waves = np.random.default_rng(seed).normal(0, 1.2, (3, 3))
-    return with_displacements(lattice, amount_mm * np.sin(places @ waves + [0.3, 1.0, -0.5]))
+    return replace_displacements(lattice, amount_mm * np.sin(places @ waves + [0.3, 1.0, -0.5]))
 
 
 def pebbles():
     """A mean fit of three pebbles, in the place of a knee's bones."""
-    bone = deformable(pebble(3), EVERYWHERE)
-    lattice = lattice_around(bone, 20.0, 0)
-    man = mean_man(anatomy_tables())
+    bone = make_deformable_bone(pebble(3), EVERYWHERE)
+    lattice = make_lattice_around(bone, 20.0, 0)
+    man = build_template_anatomy(load_anatomy_tables())
     return MeanFit(
-        bones=dict.fromkeys(BONES, bone), lattices=dict.fromkeys(BONES, lattice), frames={}, people={}, man=man
+        bones=dict.fromkeys(BONES, bone),
+        lattices=dict.fromkeys(BONES, lattice),
+        frames={},
+        patient_means={},
+        template=man,
     )
 
 
@@ -77,70 +91,70 @@ def of_two_modes(mean, knees=12):
 
 def test_a_bone_deformed_by_a_known_lattice_is_reached_within_what_the_sampling_allows():
     bone = pebble()
-    ready = deformable(bone, EVERYWHERE)
-    still = lattice_around(ready, 18.0, 0)
-    target = measured(Mesh(displaced(bone.vertices, known(still, 2.5)), bone.faces))
-    before = surface_distance(ready.deformed(still), target)
+    ready = make_deformable_bone(bone, EVERYWHERE)
+    still = make_lattice_around(ready, 18.0, 0)
+    target = sample_surface(Mesh(displace_points(bone.vertices, known(still, 2.5)), bone.faces))
+    before = measure_surface_distance(ready.apply_lattice(still), target)
     found = fit_lattice(ready, target, still)
-    after = surface_distance(ready.deformed(found), target)
+    after = measure_surface_distance(ready.apply_lattice(found), target)
     assert before.rms_mm > 1.0
     # Triangles of 3 mm on radii of some 15 mm stand off the surface by 3^2 / (8 x 15) = 0.08 mm.
     assert after.rms_mm < 0.08
-    assert least_jacobian(found) > 0.3
+    assert min_jacobian_determinant(found) > 0.3
 
 
 def test_a_bone_that_is_there_already_is_not_moved():
-    ready = deformable(pebble(), EVERYWHERE)
-    found = fit_lattice(ready, measured(pebble()), lattice_around(ready, 18.0, 0), (0.1, 0.01))
-    assert np.abs(displaced(ready.vertices, found) - ready.vertices).max() < 0.01
+    ready = make_deformable_bone(pebble(), EVERYWHERE)
+    found = fit_lattice(ready, sample_surface(pebble()), make_lattice_around(ready, 18.0, 0), (0.1, 0.01))
+    assert np.abs(displace_points(ready.vertices, found) - ready.vertices).max() < 0.01
 
 
 def test_stiffer_fits_bend_less():
-    ready = deformable(pebble(3), EVERYWHERE)
-    still = lattice_around(ready, 18.0, 0)
-    target = measured(Mesh(displaced(pebble().vertices, known(still, 2.5)), pebble().faces))
+    ready = make_deformable_bone(pebble(3), EVERYWHERE)
+    still = make_lattice_around(ready, 18.0, 0)
+    target = sample_surface(Mesh(displace_points(pebble().vertices, known(still, 2.5)), pebble().faces))
     stiff, soft = (fit_lattice(ready, target, still, (weight,)) for weight in (1.0, 0.003))
     bent = [np.abs(np.diff(one.displacements_mm, 2, axis=0)).mean() for one in (stiff, soft)]
     assert bent[0] < bent[1]
-    distances = [surface_distance(ready.deformed(one), target).rms_mm for one in (stiff, soft)]
+    distances = [measure_surface_distance(ready.apply_lattice(one), target).rms_mm for one in (stiff, soft)]
     assert distances[0] > distances[1]
 
 
 def test_bones_that_stand_are_taken_back_to_their_own_frames():
-    man = mean_man(anatomy_tables())
+    man = build_template_anatomy(load_anatomy_tables())
     points = np.random.default_rng(0).uniform([-40, -35, -100], [40, 35, 100], (300, 3))
     for name in BONES:
-        assert_allclose(stand(unstand(points, name, man), name, man), points, atol=1e-9)
+        assert_allclose(apply_standing_pose(undo_standing_pose(points, name, man), name, man), points, atol=1e-9)
 
 
 def test_modes_are_found_again_with_the_scores_that_made_them():
     mean = pebbles()
     fitted, scores = of_two_modes(mean)
-    modes = modes_of(fitted, mean)
-    assert len(modes.share) == 2
-    assert_allclose(modes.share.sum(), 1.0, atol=1e-9)
+    modes = compute_modes(fitted, mean)
+    assert len(modes.variance_fraction) == 2
+    assert_allclose(modes.variance_fraction.sum(), 1.0, atol=1e-9)
     assert_allclose(modes.scores.mean(axis=0), 0.0, atol=1e-9)
     assert_allclose(modes.scores.std(axis=0, ddof=1), 1.0, rtol=1e-9)
     # The same plane of scores, turned and scaled.
     off = scores - scores.mean(axis=0)
     assert_allclose(modes.scores @ np.linalg.lstsq(modes.scores, off, rcond=None)[0], off, atol=1e-9)
     for name in BONES:
-        again = [displacements(modes, name, one) for one in modes.scores]
+        again = [compute_displacements(modes, name, one) for one in modes.scores]
         assert_allclose(again, fitted[name], atol=1e-9)
-    assert_allclose(scores_of(fitted, modes, mean), modes.scores, atol=1e-6)
+    assert_allclose(fit_scores(fitted, modes, mean), modes.scores, atol=1e-6)
 
 
 def test_what_a_mode_moves_is_what_it_says():
     mean = pebbles()
-    modes = modes_of(of_two_modes(mean)[0], mean)
+    modes = compute_modes(of_two_modes(mean)[0], mean)
     for name in BONES:
-        change = surface_change(modes.directions[name], mean, name)
+        change = surface_change_mm(modes.directions[name], mean, name)
         assert_allclose(np.sqrt((change**2).mean(axis=1)), modes.rms_mm[name])
 
 
 def test_a_mode_is_turned_so_that_its_measure_grows_and_no_name_comes_twice():
     mean = pebbles()
-    modes = modes_of(of_two_modes(mean)[0], mean)
+    modes = compute_modes(of_two_modes(mean)[0], mean)
     values = np.column_stack((-2.0 * modes.scores[:, 0], modes.scores[:, 0] + 3.0 * modes.scores[:, 1]))
     turned, called = name_modes(modes, ("height", "width"), values)
     assert [one.name for one in called] == ["height", "width"]
@@ -148,45 +162,45 @@ def test_a_mode_is_turned_so_that_its_measure_grows_and_no_name_comes_twice():
     assert_allclose(turned.directions["femur"][0], -modes.directions["femur"][0])
     assert_allclose(turned.scores[:, 1], modes.scores[:, 1])
     assert called[0].correlation > 0.999
-    assert called[1].also == ""
+    assert called[1].other_measures == ""
 
 
 def test_the_table_that_is_written_is_read_back():
     mean = pebbles()
-    modes = modes_of(of_two_modes(mean)[0], mean)
-    names = [ModeName(name=name, correlation=0.5, also="") for name in ("one", "two")]
-    text = table_text(mean, modes, names, 'a "source"', "free")
-    table = record(ShapeTable, tomllib.loads(text), "shapes")
+    modes = compute_modes(of_two_modes(mean)[0], mean)
+    names = [ModeName(name=name, correlation=0.5, other_measures="") for name in ("one", "two")]
+    text = format_shape_table(mean, modes, names, 'a "source"', "free")
+    table = parse_record(ShapeModel, tomllib.loads(text), "shapes")
     assert table.source == 'a "source"'
-    found = knee_form(table).bones["tibia"]
+    found = build_shape_model(table).bones["tibia"]
     shape = found.mean.displacements_mm.shape
     assert_allclose(found.mean.displacements_mm, modes.means["tibia"].reshape(shape), atol=0.005 + 1e-9)
     assert_allclose(found.modes_mm, modes.directions["tibia"].reshape(2, *shape), atol=0.0005 + 1e-9)
-    assert text == table_text(mean, modes, names, 'a "source"', "free")
+    assert text == format_shape_table(mean, modes, names, 'a "source"', "free")
 
 
 def test_displacements_are_text_and_back_with_the_digits_that_are_kept():
     values = np.random.default_rng(0).normal(0, 3, (3, 4, 5, 3))
-    text = write_displacements(values, 2)
+    text = format_displacements(values, 2)
     assert len(text.splitlines()) == 12
-    assert_allclose(read_displacements(text, (3, 4, 5), "t"), values, atol=0.005 + 1e-12)
-    with pytest.raises(ValueError, match="finite numbers = 180; allowed: 189"):
-        read_displacements(text, (3, 7, 3), "t")
-    with pytest.raises(ValueError, match="allowed: numbers"):
-        read_displacements(text.replace("\n", " x\n"), (3, 4, 5), "t")
+    assert_allclose(parse_displacements(text, (3, 4, 5), "t"), values, atol=0.005 + 1e-12)
+    with pytest.raises(ValueError, match="must hold 189 finite numbers, got 180"):
+        parse_displacements(text, (3, 7, 3), "t")
+    with pytest.raises(ValueError, match="must hold numbers, got"):
+        parse_displacements(text.replace("\n", " x\n"), (3, 4, 5), "t")
 
 
 def test_the_mean_is_what_scores_of_0_give_and_scores_add_up(form):
     count = len(form.modes)
     for bone in form.bones.values():
-        rest = bone.lattice(np.zeros(count))
+        rest = bone.build_lattice(np.zeros(count))
         assert_allclose(rest.displacements_mm, bone.mean.displacements_mm)
         scores = np.arange(count) - 3.0
-        added = bone.lattice(scores).displacements_mm - rest.displacements_mm
+        added = bone.build_lattice(scores).displacements_mm - rest.displacements_mm
         each = sum(score * mode for score, mode in zip(scores, bone.modes_mm, strict=True))
         assert_allclose(added, each, atol=1e-12)
-        with pytest.raises(InputError, match="scores: shape"):
-            bone.lattice(np.zeros(count + 1))
+        with pytest.raises(InputError, match="scores must have shape"):
+            bone.build_lattice(np.zeros(count + 1))
 
 
 def test_no_bone_folds_at_3_sd_of_any_mode_nor_in_drawn_knees(form):
@@ -194,7 +208,7 @@ def test_no_bone_folds_at_3_sd_of_any_mode_nor_in_drawn_knees(form):
     drawn = np.clip(np.random.default_rng(1).standard_normal((60, count)), -3, 3)
     for bone in form.bones.values():
         for scores in (*(3 * np.eye(count)), *(-3 * np.eye(count)), *drawn):
-            assert least_jacobian(bone.lattice(scores)) > 0.1
+            assert min_jacobian_determinant(bone.build_lattice(scores)) > 0.1
 
 
 def test_modes_are_in_order_named_once_and_hold_99_percent(form):
@@ -207,45 +221,47 @@ def test_modes_are_in_order_named_once_and_hold_99_percent(form):
 
 
 def test_the_mean_forms_bones_of_the_width_that_the_package_has(form):
-    built = mean_bones(mean_man(anatomy_tables()))["tibia"].vertices
-    formed = displaced(built, form.bones["tibia"].mean)
+    built = build_template_bones(build_template_anatomy(load_anatomy_tables()))["tibia"].vertices
+    formed = displace_points(built, form.bones["tibia"].mean)
     widths = [np.ptp(points[points[:, 2] > points[:, 2].max() - 25][:, 0]) for points in (built, formed)]
     assert_allclose(widths[1], widths[0], atol=0.5)
 
 
 def test_measures_of_form_follow_what_is_done_to_a_bone(form):
     bones = {
-        name: displaced(bone.vertices, form.bones[name].mean)
-        for name, bone in mean_bones(mean_man(anatomy_tables())).items()
+        name: displace_points(bone.vertices, form.bones[name].mean)
+        for name, bone in build_template_bones(build_template_anatomy(load_anatomy_tables())).items()
     }
-    deeper = femur_measures(bones["femur"] * [1.0, 1.05, 1.0])["femoral condyles' depth over width"]
-    assert_allclose(deeper, 1.05 * femur_measures(bones["femur"])["femoral condyles' depth over width"], rtol=1e-9)
+    deeper = measure_femur(bones["femur"] * [1.0, 1.05, 1.0])["femoral condyles' depth over width"]
+    assert_allclose(deeper, 1.05 * measure_femur(bones["femur"])["femoral condyles' depth over width"], rtol=1e-9)
     tilted = bones["tibia"].copy()
     tilted[:, 2] -= np.tan(np.deg2rad(3.0)) * tilted[:, 1]
     for what in ("medial plateau's fall backwards", "lateral plateau's fall backwards"):
         # The vertices that count as the plateau change a little with it.
-        assert_allclose(tibia_measures(tilted)[what] - tibia_measures(bones["tibia"])[what], 3.0, atol=1.0)
-    taller = patella_measures(bones["patella"] * [1.0, 1.0, 1.1])["patella's height over width"]
-    assert_allclose(taller, 1.1 * patella_measures(bones["patella"])["patella's height over width"], rtol=1e-9)
+        assert_allclose(measure_tibia(tilted)[what] - measure_tibia(bones["tibia"])[what], 3.0, atol=1.0)
+    taller = measure_patella(bones["patella"] * [1.0, 1.0, 1.1])["patella's height over width"]
+    assert_allclose(taller, 1.1 * measure_patella(bones["patella"])["patella's height over width"], rtol=1e-9)
 
 
 def test_a_table_with_a_mode_too_few_or_an_unknown_entry_is_refused():
-    table = shape_table()
+    table = load_shape_model()
     short = msgspec.structs.replace(table, modes=table.modes[:-1])
-    with pytest.raises(ValueError, match=f"femur modes = {len(table.modes)}; allowed: {len(table.modes) - 1}"):
-        knee_form(short)
+    with pytest.raises(ValueError, match=f"femur must have {len(table.modes) - 1} modes, got {len(table.modes)}"):
+        build_shape_model(short)
     with pytest.raises(ValueError, match="table shapes"):
-        record(ShapeTable, msgspec.to_builtins(table) | {"more": 1}, "shapes")
+        parse_record(ShapeModel, msgspec.to_builtins(table) | {"more": 1}, "shapes")
 
 
 def test_bones_without_a_patella_are_refused():
-    with pytest.raises(InputError, match="bones: without = patella"):
-        fit_mean({"femur": [pebble(2)], "tibia": [pebble(2)]}, anatomy_tables())
+    with pytest.raises(InputError, match="every knee, got no patella"):
+        fit_mean({"femur": [pebble(2)], "tibia": [pebble(2)]}, load_anatomy_tables())
 
 
 def test_a_lattice_around_a_bone_holds_every_place_of_it_in_full():
-    bone = deformable(pebble(), EVERYWHERE)
-    lattice = lattice_around(bone, 18.0, 0)
-    alike = with_displacements(lattice, np.broadcast_to([1.0, 2.0, 3.0], lattice.displacements_mm.shape))
-    assert_allclose(displaced(bone.vertices, alike) - bone.vertices, np.tile([1.0, 2.0, 3.0], (len(bone.vertices), 1)))
+    bone = make_deformable_bone(pebble(), EVERYWHERE)
+    lattice = make_lattice_around(bone, 18.0, 0)
+    alike = replace_displacements(lattice, np.broadcast_to([1.0, 2.0, 3.0], lattice.displacements_mm.shape))
+    assert_allclose(
+        displace_points(bone.vertices, alike) - bone.vertices, np.tile([1.0, 2.0, 3.0], (len(bone.vertices), 1))
+    )
     assert dataclasses.asdict(lattice)["pitch_mm"] == 18.0

@@ -5,11 +5,11 @@ import pytest
 from manifold3d import Manifold
 from numpy.testing import assert_allclose
 
-from pssf.anatomy.bones import Bone
-from pssf.anatomy.shells import check_nesting, drawn_in, is_nested
-from pssf.anatomy.solids import mesh_of
+from pssf.anatomy.bones.bone_shells import Bone
+from pssf.anatomy.bones.shell_checks import check_nesting, is_nested, repair_nesting
+from pssf.anatomy.meshing.solids import extract_mesh
 from pssf.core.checks import InputError
-from pssf.geometry.within import lies_within
+from pssf.geometry.mesh_containment import is_mesh_within
 
 OUTER = Manifold.sphere(20.0, 96)
 INNER = Manifold.sphere(19.0, 96)
@@ -28,34 +28,34 @@ def with_folds(*places: tuple[float, float, float], size_mm: float = 0.4) -> Bon
 def test_a_fold_is_drawn_in_where_it_is(places):
     bone = with_folds(*places)
     assert not is_nested(bone)
-    inner = drawn_in("tibia", bone).inner
-    assert lies_within(mesh_of(inner), mesh_of(bone.outer))
+    inner = repair_nesting("tibia", bone).inner
+    assert is_mesh_within(extract_mesh(inner), extract_mesh(bone.outer))
     assert (inner - bone.outer).volume() == 0.0
     # No deeper than the pins stand out of the inner shell, and by nothing elsewhere.
     assert_allclose((INNER - inner).volume(), 0.0, atol=1e-9)
     # It keeps clear of the outer surface by what it is drawn in by, along each axis.
-    assert_allclose(np.abs(mesh_of(inner).vertices).max(), 20.0 - 0.1, atol=0.02)
+    assert_allclose(np.abs(extract_mesh(inner).vertices).max(), 20.0 - 0.1, atol=0.02)
 
 
 def test_shells_that_nest_are_left_as_they_are():
     bone = Bone(outer=OUTER, inner=INNER)
     assert is_nested(bone)
-    assert drawn_in("tibia", bone) is bone
+    assert repair_nesting("tibia", bone) is bone
 
 
 def test_what_is_no_fold_is_refused():
-    with pytest.raises(InputError, match=r"tibia: its trabecular bone leaves its host by .* mm3; allowed: 0"):
-        drawn_in("tibia", with_folds(LATERAL, size_mm=4.0))
+    with pytest.raises(InputError, match=r"trabecular bone of the tibia must be inside the solid around it, got"):
+        repair_nesting("tibia", with_folds(LATERAL, size_mm=4.0))
 
 
 def test_bones_that_meet_and_shells_that_leave_are_refused():
     bone, muscle = Bone(outer=OUTER, inner=INNER), Manifold.sphere(60.0, 48)
     check_nesting({"femur": bone}, muscle)
     near = Bone(outer=OUTER.translate((39.0, 0.0, 0.0)), inner=INNER.translate((39.0, 0.0, 0.0)))
-    with pytest.raises(InputError, match=r"femur and tibia overlap by .* mm3 .*; allowed: 0 mm3"):
+    with pytest.raises(InputError, match=r"femur and tibia must not overlap, got .* mm3 of overlap: "):
         check_nesting({"femur": bone, "tibia": near}, muscle)
-    with pytest.raises(InputError, match=r"femur: its cortex leaves its host by"):
+    with pytest.raises(InputError, match=r"cortex of the femur must be inside the solid around it"):
         check_nesting({"femur": bone}, Manifold.sphere(19.5, 48))
     outside = Bone(outer=OUTER, inner=INNER, canal=Manifold.sphere(19.5, 48))
-    with pytest.raises(InputError, match=r"femur: its marrow leaves its host by"):
+    with pytest.raises(InputError, match=r"marrow of the femur must be inside the solid around it"):
         check_nesting({"femur": outside}, muscle)

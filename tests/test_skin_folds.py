@@ -7,20 +7,26 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pssf import InputError, Knee, build, draw_knee, load_protocol
-from pssf.anatomy.skin_folds import folded
-from pssf.anatomy.solids import column_rings
-from pssf.data.anatomy import anatomy_tables
+from pssf import (
+    InputError,
+    Knee,
+    build,
+    load_protocol,
+    sample_knee,
+)
+from pssf.anatomy.meshing.solids import make_column_rings
+from pssf.anatomy.soft_tissue.skin_folds import add_skin_folds
+from pssf.data.anatomy.anatomy_tables import load_anatomy_tables
 from pssf.raycast import trace
 
-FOLDS = anatomy_tables().shape.soft.folds
+FOLDS = load_anatomy_tables().template.soft.folds
 HEIGHTS_MM = np.linspace(-200.0, 200.0, 38)
 FAT_MM, SKIN_MM = 12.0, 1.6
 
 
 def rings(wider_mm):
     sections = np.array([[-206.0, 50.0, 55.0, 10.0, 0.0], [0.0, 48.0, 58.0, 6.0, 2.0], [206.0, 70.0, 74.0, 2.0, 3.0]])
-    return column_rings(sections + np.array([0.0, wider_mm, wider_mm, 0.0, 0.0]), HEIGHTS_MM, 2.25, 64)
+    return make_column_rings(sections + np.array([0.0, wider_mm, wider_mm, 0.0, 0.0]), HEIGHTS_MM, 2.25, 64)
 
 
 def surface(built, name):
@@ -30,7 +36,7 @@ def surface(built, name):
 @settings(max_examples=25, deadline=None)
 @given(depth=st.floats(0.01, 0.85), seed=st.integers(0, 2**32), scale=st.floats(0.85, 1.15))
 def test_skin_and_fat_go_in_alike_and_stay_about_the_fascia(depth, seed, scale):
-    skin, fat = folded(rings(FAT_MM + SKIN_MM), rings(FAT_MM), rings(0.0), FOLDS, depth, scale, seed)
+    skin, fat = add_skin_folds(rings(FAT_MM + SKIN_MM), rings(FAT_MM), rings(0.0), FOLDS, depth, scale, seed)
     heights_mm = skin[:, 0, 2]
     assert (np.diff(heights_mm) > 0).all()
     assert np.isin(HEIGHTS_MM, heights_mm).all()
@@ -65,7 +71,7 @@ def test_no_folds_are_the_limb_as_it_was_and_folds_move_skin_and_fat_alone():
 def test_paths_through_folds_add_up_and_none_is_negative():
     protocol = replace(load_protocol("fixed_flexion"), rows=256, cols=256, pixel_mm=1.2)
     traced = [
-        trace(built.scene, built.aimed(protocol))
+        trace(built.scene, built.aim_beam(protocol))
         for built in (build(Knee(bmi=38.0, fat_mm=24.0, skin_folds=depth)) for depth in (0.0, 0.85))
     ]
     assert min(path.min() for one in traced for path in one.path_mm.values()) >= 0.0
@@ -77,7 +83,7 @@ def test_paths_through_folds_add_up_and_none_is_negative():
 def test_people_have_them_by_their_weight_and_the_paper_none():
     def drawn(bmi, grade_table="population"):
         streams = (np.random.default_rng(seed) for seed in range(40))
-        return np.array([draw_knee(grade=1, rng=rng, grade_table=grade_table, bmi=bmi).skin_folds for rng in streams])
+        return np.array([sample_knee(grade=1, rng=rng, grade_table=grade_table, bmi=bmi).skin_folds for rng in streams])
 
     assert not drawn(21.0).any()
     assert not drawn(38.0, "paper").any()
@@ -87,5 +93,5 @@ def test_people_have_them_by_their_weight_and_the_paper_none():
 
 
 def test_a_depth_through_the_fascia_is_refused():
-    with pytest.raises(InputError, match=r"skin_folds = 1"):
+    with pytest.raises(InputError, match=r"skin_folds must be .*, got 1"):
         Knee(skin_folds=1.0)

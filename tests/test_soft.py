@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 import pssf
-from pssf.accuracy.builds import wide_knee
-from pssf.anatomy.envelope import envelope
-from pssf.anatomy.solids import solid_of
+from pssf.anatomy.meshing.bounding_solid import build_envelope
+from pssf.anatomy.meshing.solids import build_solid
 from pssf.geometry.mesh import Mesh
-from pssf.geometry.view import project, view_of
+from pssf.geometry.view import project_points, resolve_view
+from pssf.validation.knees.build_success import sample_wide_range_knee
 
 SMALL = dict(rows=192, cols=192, pixel_mm=1.6, texture="none")
 REFERENCE = dataclasses.replace(pssf.load_protocol("reference"), **SMALL)
@@ -22,11 +22,11 @@ FIXED_FLEXION = dataclasses.replace(pssf.load_protocol("fixed_flexion"), **SMALL
 
 
 def solids_of(scene: pssf.Scene) -> dict:
-    return {s.name: solid_of(*s.arrays, s.name) for s in scene.surfaces}
+    return {s.name: build_solid(*s.mesh_arrays, s.name) for s in scene.surfaces}
 
 
 def path_at(paths: pssf.Paths, material: str, place_mm: tuple[float, float, float]) -> float:
-    row, col = np.rint(project(np.array([place_mm]), view_of(REFERENCE))[0]).astype(int)
+    row, col = np.rint(project_points(np.array([place_mm]), resolve_view(REFERENCE))[0]).astype(int)
     return float(paths.path_mm[material][row, col])
 
 
@@ -41,7 +41,9 @@ def path_at(paths: pssf.Paths, material: str, place_mm: tuple[float, float, floa
 )
 def test_fat_between_muscles_keeps_off_all_else_and_takes_no_way_from_any(side, bmi, flexion_deg, score):
     scores = tuple(score * sign for sign in (1, -1, 1, 1, -1, 1, -1, -1, 1, 1, -1, 1, -1))
-    knee = pssf.draw_knee(grade=0, rng=np.random.default_rng(4), side=side, bmi=bmi, shape=scores, grade_table="paper")
+    knee = pssf.sample_knee(
+        grade=0, rng=np.random.default_rng(4), side=side, bmi=bmi, shape=scores, grade_table="paper"
+    )
     protocol = dataclasses.replace(FIXED_FLEXION, flexion_deg=flexion_deg)
     scene = pssf.build(knee, protocol).scene
     solids = solids_of(scene)
@@ -62,7 +64,7 @@ def test_fat_between_muscles_keeps_off_all_else_and_takes_no_way_from_any(side, 
 
 def test_soft_tissue_beside_the_tibia_is_mostly_fat_and_in_the_thigh_mostly_muscle(built, scene):
     paths = pssf.trace(scene, REFERENCE, engine="scanline")
-    edge = built.assembly.build.half_ml_mm
+    edge = built.assembly.bone_parameters.half_ml_mm
     beside, thigh = (edge + 4.0, 0.0, -20.0), (edge - 6.0, 0.0, 110.0)
     assert path_at(paths, "adipose", beside) > 1.2 * path_at(paths, "muscle", beside)
     assert path_at(paths, "muscle", thigh) > 2.0 * path_at(paths, "adipose", thigh)
@@ -72,7 +74,7 @@ def test_fat_fills_the_popliteal_fossa_and_lies_behind_the_quadriceps_tendon(sce
     solids = solids_of(scene)
     fat = solids["intermuscular_fat"]
     fossa = trimesh.creation.box((16.0, 10.0, 10.0)).apply_translation((-12.0, 40.0, 60.0))
-    block = solid_of(fossa.vertices, fossa.faces, "fossa")
+    block = build_solid(fossa.vertices, fossa.faces, "fossa")
     assert (fat ^ block).volume() > 0.6 * block.volume()
     tendon = solids["quadriceps_tendon"]
     behind = tendon.translate((0.0, 9.0, 0.0)) - solids["femur"]
@@ -82,7 +84,7 @@ def test_fat_fills_the_popliteal_fossa_and_lies_behind_the_quadriceps_tendon(sce
 
 def test_a_thigh_reaches_as_far_as_a_femur_that_a_shape_makes_long():
     rng = np.random.default_rng(np.random.SeedSequence(1936, spawn_key=(1,)))
-    solids = solids_of(pssf.build(wide_knee(rng, 13)).scene)
+    solids = solids_of(pssf.build(sample_wide_range_knee(rng, 13)).scene)
     assert (solids["femur"] - solids["muscle"]).volume() < 1e-6
 
 
@@ -96,9 +98,9 @@ def test_an_envelope_holds_its_solids_with_a_margin(seed):
         points = ball.vertices * (1 + 0.3 * np.sin(ball.vertices @ rng.normal(0, 2, (3, 3))).sum(axis=1, keepdims=True))
         points = points * rng.uniform(5, 40, 3) + rng.normal(0, 10, 3)
         meshes.append(Mesh(points, np.asarray(ball.faces, dtype=np.int64)))
-    around = envelope(meshes, ((-50.0, 1.0), (50.0, 2.0)), "around", 200.0)
+    around = build_envelope(meshes, ((-50.0, 1.0), (50.0, 2.0)), "around", 200.0)
     for mesh in meshes:
-        solid = solid_of(mesh.vertices, mesh.faces, "held")
+        solid = build_solid(mesh.vertices, mesh.faces, "held")
         assert (solid - around).volume() < 1e-9
         for x, y in ((0.9, 0.0), (0.0, -0.9), (0.6, 0.6)):
             assert (solid.translate((x, y, 0.0)) - around).volume() < 1e-9
@@ -108,5 +110,5 @@ def test_a_heavier_person_has_a_thicker_limb_and_more_fat():
     light, mean, heavy = (pssf.Knee(bmi=bmi) for bmi in (18.0, 28.6, 45.0))
     assert light.limb_ap_mm < mean.limb_ap_mm == 122.0 < heavy.limb_ap_mm
     assert light.fat_mm < mean.fat_mm == 10.0 < heavy.fat_mm
-    widths = [np.ptp(pssf.build(knee).scene.surfaces[0].arrays.vertices, axis=0) for knee in (light, heavy)]
+    widths = [np.ptp(pssf.build(knee).scene.surfaces[0].mesh_arrays.vertices, axis=0) for knee in (light, heavy)]
     assert (widths[1][:2] - widths[0][:2] > 20.0).all()

@@ -9,23 +9,23 @@ from numpy.testing import assert_allclose
 
 from pssf import InputError, Knee
 from pssf.cohort import plan_cohort
-from pssf.study import space
-from pssf.study.report.sections import meaning_section
-from pssf.study.statistics import space as statistics
+from pssf.study.design import sensitivity_plan
+from pssf.study.report.report_sections import make_sensitivity_section
+from pssf.study.statistics.analyses import sensitivity_analysis as statistics
 
 PLAN = plan_cohort("population", seed=3, overrides={"knees": [3, 3, 3]})
 REFERENCE = "fixed_flexion"
-BOUNDS = space.bounds_of(PLAN, REFERENCE)
+BOUNDS = sensitivity_plan.compute_bounds(PLAN, REFERENCE)
 
 
 def taken(plan) -> dict[int, tuple]:
-    return {e.turn: (case.knee, e.protocol, e.seed) for case in plan.cases for e in case.exposures}
+    return {e.repeat_index: (case.knee, e.protocol, e.seed) for case in plan.cases for e in case.exposures}
 
 
 def test_a_sample_spans_the_cohorts_knees_and_has_a_row_a_group_and_two():
-    groups = {space.SPACE[name].group for name in BOUNDS}
-    assert set(BOUNDS) == set(space.SPACE)
-    points = space.sample(BOUNDS, 40, 0)
+    groups = {sensitivity_plan.PARAMETER_SPACE[name].group for name in BOUNDS}
+    assert set(BOUNDS) == set(sensitivity_plan.PARAMETER_SPACE)
+    points = sensitivity_plan.sample_parameters(BOUNDS, 40, 0)
     assert points.shape == (40 * (len(groups) + 2), len(BOUNDS))
     low, high = np.array(list(BOUNDS.values())).T
     assert ((low <= points) & (points <= high)).all()
@@ -34,9 +34,9 @@ def test_a_sample_spans_the_cohorts_knees_and_has_a_row_a_group_and_two():
 
 
 def test_a_group_after_the_other_comes_from_the_second_of_two_samples_that_are_even_and_do_not_correlate():
-    blocks = space.sample(BOUNDS, 64, 3).reshape(64, -1, len(BOUNDS))
+    blocks = sensitivity_plan.sample_parameters(BOUNDS, 64, 3).reshape(64, -1, len(BOUNDS))
     one, other = blocks[:, 0], blocks[:, -1]
-    of = np.array([space.SPACE[name].group for name in BOUNDS])
+    of = np.array([sensitivity_plan.PARAMETER_SPACE[name].group for name in BOUNDS])
     for place, group in enumerate(dict.fromkeys(of), start=1):
         assert (blocks[:, place] == np.where(of == group, other, one)).all()
     low, high = np.array(list(BOUNDS.values())).T
@@ -44,55 +44,62 @@ def test_a_group_after_the_other_comes_from_the_second_of_two_samples_that_are_e
     layers = np.sort((columns - np.tile(low, 2)) / np.tile(high - low, 2) * 64, axis=0)
     assert (layers.astype(int) == np.arange(64)[:, None]).all()
     assert np.abs(np.corrcoef(columns.T) - np.eye(2 * len(BOUNDS))).max() < 0.15
-    assert not np.array_equal(blocks, space.sample(BOUNDS, 64, 4).reshape(blocks.shape))
+    assert not np.array_equal(blocks, sensitivity_plan.sample_parameters(BOUNDS, 64, 4).reshape(blocks.shape))
 
 
 def test_a_plan_has_every_point_and_the_values_that_it_asks_for():
-    plan = space.plan_shares(PLAN, samples=64, reference=REFERENCE)
-    points, rows = space.sample(BOUNDS, 64, PLAN.seed), taken(plan)
+    plan = sensitivity_plan.plan_sobol_samples(PLAN, samples=64, reference=REFERENCE)
+    points, rows = sensitivity_plan.sample_parameters(BOUNDS, 64, PLAN.seed), taken(plan)
     assert sorted(rows) == list(range(1, len(points) + 1))
     for row, (knee, protocol, seed) in rows.items():
-        one = space.Taken(knee, protocol, seed)
+        one = sensitivity_plan.KneeAcquisition(knee, protocol, seed)
         for name, value in zip(BOUNDS, points[row - 1], strict=True):
             if name not in ("chance", "largest_osteophyte_mm"):
-                assert space.SPACE[name].value(one) == pytest.approx(value, abs=1e-4)
+                assert sensitivity_plan.PARAMETER_SPACE[name].read_value(one) == pytest.approx(value, abs=1e-4)
         grown = points[row - 1][list(BOUNDS).index("largest_osteophyte_mm")]
-        assert space.SPACE["largest_osteophyte_mm"].value(one) == pytest.approx(grown if grown >= 0.2 else 0, abs=1e-4)
+        assert sensitivity_plan.PARAMETER_SPACE["largest_osteophyte_mm"].read_value(one) == pytest.approx(
+            grown if grown >= 0.2 else 0, abs=1e-4
+        )
     assert len({seed for _, _, seed in rows.values()}) == 2 * 64
     assert all(case.index == place for place, case in enumerate(plan.cases))
 
 
 def test_a_pair_differs_in_one_parameter_and_has_the_same_noise():
-    plan = space.plan_pairs(PLAN, knees=3, reference=REFERENCE)
+    plan = sensitivity_plan.plan_sensitivity_pairs(PLAN, knees=3, reference=REFERENCE)
     known = {case.index: case for case in PLAN.cases}
-    assert sorted(known[e.of_knee].knee.grade for c in plan.cases for e in c.exposures if e.kind == "mas") == [0, 1, 2]
+    assert sorted(
+        known[e.source_knee].knee.grade for c in plan.cases for e in c.exposures if e.retest_kind == "mas"
+    ) == [0, 1, 2]
     for case in plan.cases:
         for exposure in case.exposures:
-            own = known[exposure.of_knee]
-            before = space.Taken(own.knee, own.exposures[0].protocol, own.exposures[0].seed)
-            after = space.Taken(case.knee, exposure.protocol, exposure.seed)
+            own = known[exposure.source_knee]
+            before = sensitivity_plan.KneeAcquisition(own.knee, own.exposures[0].protocol, own.exposures[0].seed)
+            after = sensitivity_plan.KneeAcquisition(case.knee, exposure.protocol, exposure.seed)
             assert after.seed == before.seed
             changed = {
-                name for name in space.SLOPES if space.SPACE[name].value(before) != space.SPACE[name].value(after)
+                name
+                for name in sensitivity_plan.SLOPE_PARAMETERS
+                if sensitivity_plan.PARAMETER_SPACE[name].read_value(before)
+                != sensitivity_plan.PARAMETER_SPACE[name].read_value(after)
             }
-            assert changed == {exposure.kind}
+            assert changed == {exposure.retest_kind}
             assert before.knee.texture_seed == after.knee.texture_seed
 
 
 def test_osteophytes_grow_alike_and_a_knee_without_gets_two():
-    bare = space.Taken(Knee(), PLAN.cases[0].exposures[0].protocol, 0)
-    grown = space.SPACE["largest_osteophyte_mm"].changed(bare, 2.0)
+    bare = sensitivity_plan.KneeAcquisition(Knee(), PLAN.cases[0].exposures[0].protocol, 0)
+    grown = sensitivity_plan.PARAMETER_SPACE["largest_osteophyte_mm"].set_value(bare, 2.0)
     assert [one.size_mm for one in grown.knee.osteophytes] == [2.0, 2.0]
-    assert not space.SPACE["largest_osteophyte_mm"].changed(grown, 0.1).knee.osteophytes
+    assert not sensitivity_plan.PARAMETER_SPACE["largest_osteophyte_mm"].set_value(grown, 0.1).knee.osteophytes
     first = dataclasses.replace(grown.knee.osteophytes[0], size_mm=1.0)
     uneven = grown._replace(knee=dataclasses.replace(grown.knee, osteophytes=(first, grown.knee.osteophytes[1])))
-    twice = space.SPACE["largest_osteophyte_mm"].changed(uneven, 4.0)
+    twice = sensitivity_plan.PARAMETER_SPACE["largest_osteophyte_mm"].set_value(uneven, 4.0)
     assert [one.size_mm for one in twice.knee.osteophytes] == [2.0, 4.0]
 
 
 def sampled(samples: int, lost: tuple[int, ...] = ()) -> pd.DataFrame:
     """A feature of the joint space and, half as much, of the tilt; one of both together; one of nothing."""
-    points = space.sample(BOUNDS, samples, 5)
+    points = sensitivity_plan.sample_parameters(BOUNDS, samples, 5)
     low, high = np.array(list(BOUNDS.values())).T
     unit = pd.DataFrame((points - low) / (high - low) - 0.5, columns=list(BOUNDS))
     table = pd.DataFrame({"turn": np.arange(1, len(points) + 1)})
@@ -104,7 +111,9 @@ def sampled(samples: int, lost: tuple[int, ...] = ()) -> pd.DataFrame:
 
 def test_shares_are_those_of_known_functions():
     names = ["sum", "product", "constant"]
-    table = statistics.shares(sampled(512, lost=(7,)), names, BOUNDS, 512, 5).set_index(["feature", "group"])
+    table = statistics.compute_sobol_indices(sampled(512, lost=(7,)), names, BOUNDS, 512, 5).set_index(
+        ["feature", "group"]
+    )
     assert set(table.index.get_level_values(0)) == {"sum", "product"}
     assert (table["samples"] == 511).all()
     # Variances are as 4 to 1; of a product neither does anything alone.
@@ -120,7 +129,7 @@ def analytic(points: np.ndarray) -> tuple[pd.DataFrame, dict[tuple[str, str], tu
     """Functions of a plan's points, one a column, and (function, group) -> its first-order and total share."""
     low, high = np.array(list(BOUNDS.values())).T
     unit = pd.DataFrame((points - low) / (high - low), columns=list(BOUNDS))
-    of = {name: space.SPACE[name].group for name in BOUNDS}
+    of = {name: sensitivity_plan.PARAMETER_SPACE[name].group for name in BOUNDS}
     pairs = [
         ("nominal_jsw_medial_mm", "mas"), ("mas", "bone_density"), ("bone_density", "limb_ap_mm"),
         ("beam_angle_deg", "mas"),
@@ -138,7 +147,7 @@ def analytic(points: np.ndarray) -> tuple[pd.DataFrame, dict[tuple[str, str], tu
             table[f"{name} {one} {other}"] = values
             known[f"{name} {one} {other}", of[one]], known[f"{name} {one} {other}", of[other]] = of_one, of_other
         table[f"noisy {one}"] = np.sqrt(12) * x + chance
-        known[f"noisy {one}", of[one]] = known[f"noisy {one}", space.CHANCE] = (0.5, 0.5)
+        known[f"noisy {one}", of[one]] = known[f"noisy {one}", sensitivity_plan.NOISE_GROUP] = (0.5, 0.5)
     return table, known
 
 
@@ -147,14 +156,16 @@ def test_intervals_of_shares_hold_what_is_known_with_the_fewest_samples_and_no_p
     monkeypatch, refused, held, worst
 ):
     """With points of Sobol's sequence, 89 % and on some plans 72; half of the samples may be refused."""
-    monkeypatch.setattr(statistics, "_RESAMPLES", 100)
+    monkeypatch.setattr(statistics, "_BOOTSTRAP_RESAMPLES", 100)
     of_plans = []
     for seed in range(12):
-        table, known = analytic(space.sample(BOUNDS, space.LEAST_SAMPLES, seed))
-        lost = np.random.default_rng(seed).permutation(space.LEAST_SAMPLES)[:refused]
-        table = table[~((table["turn"] - 1) * space.LEAST_SAMPLES // len(table)).isin(lost)]
+        table, known = analytic(sensitivity_plan.sample_parameters(BOUNDS, sensitivity_plan.MIN_SAMPLES, seed))
+        lost = np.random.default_rng(seed).permutation(sensitivity_plan.MIN_SAMPLES)[:refused]
+        table = table[~((table["turn"] - 1) * sensitivity_plan.MIN_SAMPLES // len(table)).isin(lost)]
         names = list(dict.fromkeys(name for name, _ in known))
-        found = statistics.shares(table, names, BOUNDS, space.LEAST_SAMPLES, seed).set_index(["feature", "group"])
+        found = statistics.compute_sobol_indices(table, names, BOUNDS, sensitivity_plan.MIN_SAMPLES, seed).set_index(
+            ["feature", "group"]
+        )
         for form, place in (("first", 0), ("total", 1)):
             rows = found.loc[list(known)]
             truth = np.array([pair[place] for pair in known.values()])
@@ -178,13 +189,13 @@ def paired() -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
 
 def test_a_feature_of_too_few_whole_samples_has_no_shares():
     blocks = {1 + block * len(sampled(64)) // 64 for block in range(33)}
-    assert statistics.shares(sampled(64, lost=tuple(blocks)), ["sum"], BOUNDS, 64, 5).empty
-    assert len(statistics.shares(sampled(64, lost=tuple(sorted(blocks)[:32])), ["sum"], BOUNDS, 64, 5))
+    assert statistics.compute_sobol_indices(sampled(64, lost=tuple(blocks)), ["sum"], BOUNDS, 64, 5).empty
+    assert len(statistics.compute_sobol_indices(sampled(64, lost=tuple(sorted(blocks)[:32])), ["sum"], BOUNDS, 64, 5))
 
 
 def test_slopes_are_of_one_parameter_in_spreads_of_both():
     base, pairs, manifest = paired()
-    table = statistics.slopes(base, pairs, manifest, ["feature"], BOUNDS).set_index("parameter")
+    table = statistics.compute_slopes(base, pairs, manifest, ["feature"], BOUNDS).set_index("parameter")
     span = np.ptp(BOUNDS["nominal_jsw_medial_mm"]) / np.sqrt(12)
     row = table.loc["nominal JSW medial, mm"]
     assert row["slope"] == pytest.approx(2 * span / base["feature"].std())
@@ -197,21 +208,23 @@ def test_correlations_have_slopes_and_shares_beside_them_and_the_report_shows_bo
     follows = pd.DataFrame(
         {"feature": ["feature"], "parameter": ["nominal JSW medial, mm"], "rho": [0.9], "rho_within": [0.5]}
     )
-    of_shares = statistics.shares(sampled(64).rename(columns={"sum": "feature"}), ["feature"], BOUNDS, 64, 5)
-    of_slopes = statistics.slopes(base, pairs, manifest, ["feature"], BOUNDS)
-    both = statistics.beside(follows, of_slopes, of_shares).set_index("parameter")
+    of_shares = statistics.compute_sobol_indices(
+        sampled(64).rename(columns={"sum": "feature"}), ["feature"], BOUNDS, 64, 5
+    )
+    of_slopes = statistics.compute_slopes(base, pairs, manifest, ["feature"], BOUNDS)
+    both = statistics.merge_sensitivity_tables(follows, of_slopes, of_shares).set_index("parameter")
     assert both.loc["nominal JSW medial, mm", "rho"] == 0.9
     assert both.loc["nominal JSW medial, mm", "total"] > both.loc["mAs", "total"]
     assert np.isnan(both.loc["mAs", "rho"])
-    section = meaning_section(of_shares, both.reset_index(), ["feature"], BOUNDS)
+    section = make_sensitivity_section(of_shares, both.reset_index(), ["feature"], BOUNDS)
     assert section.pictures[0].png.startswith(b"\x89PNG")
     assert section.table["Parameter"].tolist()[0] == "nominal JSW medial, mm"
 
 
 def test_what_cannot_be_sampled_is_refused():
-    with pytest.raises(InputError, match="shares = 63"):
-        space.plan_shares(PLAN, samples=63, reference=REFERENCE)
-    with pytest.raises(InputError, match="pairs = 1"):
-        space.plan_pairs(PLAN, knees=1, reference=REFERENCE)
-    with pytest.raises(InputError, match="protocol = 'other'"):
-        space.plan_pairs(PLAN, knees=3, reference="other")
+    with pytest.raises(InputError, match=r"must be a whole number from .*, got 63 samples"):
+        sensitivity_plan.plan_sobol_samples(PLAN, samples=63, reference=REFERENCE)
+    with pytest.raises(InputError, match=r"must be a whole number from .*, got 1 knees"):
+        sensitivity_plan.plan_sensitivity_pairs(PLAN, knees=1, reference=REFERENCE)
+    with pytest.raises(InputError, match=r"protocol must be one of .*, got 'other'"):
+        sensitivity_plan.plan_sensitivity_pairs(PLAN, knees=3, reference="other")

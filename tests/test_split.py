@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 from pssf.core.checks import InputError
-from pssf.study.learn.split import of_grades_to_split, split_subjects
+from pssf.study.learn.subject_split import select_splittable_grades, split_subjects
 
 
 @settings(max_examples=50)
@@ -44,7 +44,7 @@ def test_a_split_of_two_hundred_subjects_is_seventy_fifteen_fifteen():
 
 
 def test_too_few_subjects_of_a_grade_are_refused():
-    with pytest.raises(InputError, match="grade 1 has 2 subjects"):
+    with pytest.raises(InputError, match=r"grade 1 must have at least 3 subjects .*got 2"):
         split_subjects([0, 1, 2, 3, 4], [0, 0, 0, 1, 1], seed=0)
 
 
@@ -53,8 +53,8 @@ def test_subjects_may_be_called_by_texts():
     texts = [f"P-{subject:02d}" for subject in numbers]
     grades = [subject % 2 for subject in numbers]
     by_number, by_text = (split_subjects(names, grades, seed=3) for names in (numbers, texts))
-    assert by_text.table()["subject"].tolist() == [f"P-{subject:02d}" for subject in by_number.table()["subject"]]
-    assert by_text.table()["part"].tolist() == by_number.table()["part"].tolist()
+    assert by_text.to_table()["subject"].tolist() == [f"P-{subject:02d}" for subject in by_number.to_table()["subject"]]
+    assert by_text.to_table()["part"].tolist() == by_number.to_table()["part"].tolist()
 
 
 def test_grades_of_too_few_subjects_are_left_out_where_that_is_asked_for():
@@ -62,12 +62,12 @@ def test_grades_of_too_few_subjects_are_left_out_where_that_is_asked_for():
     table = pd.DataFrame(
         {"subject": [0, 1, 2, 3, 3, 4, 4, 5, 6, 7, 8, 8], "grade": [0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 1, 2]}
     )
-    with pytest.raises(InputError, match="grade 1 has 2 subjects"):
+    with pytest.raises(InputError, match=r"grade 1 must have at least 3 subjects .*got 2"):
         split_subjects(table["subject"], table["grade"], seed=0)
-    left = of_grades_to_split(table)
+    left = select_splittable_grades(table)
     assert sorted(set(left["subject"])) == [0, 1, 2, 5, 6, 7, 8]
     assert len(left) == 8
     split = split_subjects(left["subject"], left["grade"], seed=0)
     assert sum(len(part) for part in (split.training, split.validation, split.test)) == 7
-    assert of_grades_to_split(left).equals(left)
-    assert of_grades_to_split(table[:2]).empty
+    assert select_splittable_grades(left).equals(left)
+    assert select_splittable_grades(table[:2]).empty

@@ -10,15 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import structs
 
-from pssf.anatomy.femur import mean_femur
-from pssf.anatomy.mean_bone import SOURCES, Plates
-from pssf.anatomy.solids import mesh_of
-from pssf.anatomy.tibia import mean_tibia
-from pssf.data import code, store
-from pssf.data.anatomy import anatomy_tables
+from pssf.anatomy.meshing.solids import extract_mesh
+from pssf.anatomy.template.template_bone import SOURCES, SubchondralPlates
+from pssf.anatomy.template.template_femur import make_template_femur
+from pssf.anatomy.template.template_tibia import make_template_tibia
+from pssf.data import array_cache, code_hash
+from pssf.data.anatomy.anatomy_tables import load_anatomy_tables
 from pssf.xray.spectrum import tube_spectrum
 
-ORIGIN = store.Origin(sources=("core",), libraries=("numpy",))
+ORIGIN = array_cache.CacheKey(sources=("core",), libraries=("numpy",))
 
 
 @pytest.fixture
@@ -28,8 +28,8 @@ def folder(tmp_path, monkeypatch):
 
 
 def forget():
-    store.digest_of.cache_clear()
-    code.code_digest.cache_clear()
+    array_cache.compute_cache_digest.cache_clear()
+    code_hash.compute_code_hashes.cache_clear()
 
 
 def counted():
@@ -45,23 +45,25 @@ def counted():
 def test_arrays_are_made_once_and_come_back_bit_for_bit(folder):
     make, calls = counted()
     for _ in range(2):
-        np.testing.assert_array_equal(store.kept("thing", ORIGIN, make)["a"], np.arange(3.0))
+        np.testing.assert_array_equal(array_cache.load_or_make_arrays("thing", ORIGIN, make)["a"], np.arange(3.0))
     assert len(calls) == 1
     assert len(list(folder.iterdir())) == 1
 
 
 def test_a_change_of_code_or_library_makes_them_anew_and_few_versions_are_kept(folder, tmp_path, monkeypatch):
     make, calls = counted()
-    store.kept("thing", ORIGIN, make)
+    array_cache.load_or_make_arrays("thing", ORIGIN, make)
     package = tmp_path / "package"
     (package / "core").mkdir(parents=True)
-    monkeypatch.setattr(code, "ROOT", package)
+    monkeypatch.setattr(code_hash, "PACKAGE_ROOT", package)
     for version in range(7):
         (package / "core" / "checks.py").write_text(f"version = {version}\n")
         forget()
-        store.kept("thing", ORIGIN, make)
-        store.kept("thing", ORIGIN, make)
-    store.kept("thing", store.Origin(sources=("core",), libraries=("numpy", "scipy")), make)
+        array_cache.load_or_make_arrays("thing", ORIGIN, make)
+        array_cache.load_or_make_arrays("thing", ORIGIN, make)
+    array_cache.load_or_make_arrays(
+        "thing", array_cache.CacheKey(sources=("core",), libraries=("numpy", "scipy")), make
+    )
     forget()
     assert len(calls) == 9
     assert len(list(folder.glob("thing-*"))) == 4
@@ -69,12 +71,12 @@ def test_a_change_of_code_or_library_makes_them_anew_and_few_versions_are_kept(f
 
 def test_a_damaged_file_a_folder_that_cannot_be_written_and_off_cost_time_alone(folder, monkeypatch):
     make, calls = counted()
-    store.kept("thing", ORIGIN, make)
+    array_cache.load_or_make_arrays("thing", ORIGIN, make)
     next(folder.iterdir()).write_bytes(b"PK nothing of the kind")
-    assert store.kept("thing", ORIGIN, make)["a"][2] == 2.0
+    assert array_cache.load_or_make_arrays("thing", ORIGIN, make)["a"][2] == 2.0
     for named in ("off", "/proc/nowhere"):
         monkeypatch.setenv("PSSF_CACHE_DIR", named)
-        assert store.kept("thing", ORIGIN, make)["a"][2] == 2.0
+        assert array_cache.load_or_make_arrays("thing", ORIGIN, make)["a"][2] == 2.0
     assert len(calls) == 4
 
 
@@ -83,12 +85,14 @@ def test_a_file_altered_anywhere_gives_the_arrays_or_is_made_again(place, value,
     whole = np.arange(300.0) ** 0.5
     with TemporaryDirectory() as name, pytest.MonkeyPatch.context() as patch:
         patch.setenv("PSSF_CACHE_DIR", name)
-        store.kept("thing", ORIGIN, lambda: {"a": whole})
+        array_cache.load_or_make_arrays("thing", ORIGIN, lambda: {"a": whole})
         (path,) = Path(name).iterdir()
         content = path.read_bytes()
         place %= len(content)
         path.write_bytes(content[:place] + bytes([value] * length) + content[place + length :])
-        np.testing.assert_array_equal(store.kept("thing", ORIGIN, lambda: {"a": whole})["a"], whole)
+        np.testing.assert_array_equal(
+            array_cache.load_or_make_arrays("thing", ORIGIN, lambda: {"a": whole})["a"], whole
+        )
 
 
 def test_a_spectrum_from_the_folder_is_the_one_that_is_computed(folder):
@@ -106,21 +110,31 @@ def test_what_comes_with_the_package_is_taken_before_the_folder_and_not_by_other
     package = tmp_path / "package"
     (package / "core").mkdir(parents=True)
     (package / "core" / "checks.py").write_text("version = 1\n")
-    for module in (code, store):
-        monkeypatch.setattr(module, "ROOT", package)
+    for module in (code_hash, array_cache):
+        monkeypatch.setattr(module, "PACKAGE_ROOT", package)
     forget()
     for value in (1.0, 2.0):  # the second instead of the first
-        store.ship("thing", ORIGIN, {"a": np.array([value])})
-    shipped = list((package / store.SHIPPED).iterdir())
-    assert store.kept("thing", ORIGIN, make)["a"] == 2.0
+        array_cache.save_to_package("thing", ORIGIN, {"a": np.array([value])})
+    shipped = list((package / array_cache.PACKAGED_FOLDER).iterdir())
+    assert array_cache.load_or_make_arrays("thing", ORIGIN, make)["a"] == 2.0
     # Whatever versions of libraries there are.
-    assert store.kept("thing", store.Origin(sources=("core",), libraries=("scipy",)), make)["a"] == 2.0
+    assert (
+        array_cache.load_or_make_arrays("thing", array_cache.CacheKey(sources=("core",), libraries=("scipy",)), make)[
+            "a"
+        ]
+        == 2.0
+    )
     assert len(shipped) == 1
     assert not calls
-    assert len(store.kept("thing", store.Origin(sources=("core",), facts=b"other"), make)["a"]) == 3
+    assert (
+        len(
+            array_cache.load_or_make_arrays("thing", array_cache.CacheKey(sources=("core",), facts=b"other"), make)["a"]
+        )
+        == 3
+    )
     (package / "core" / "checks.py").write_text("version = 2\n")
     forget()
-    assert len(store.kept("thing", ORIGIN, make)["a"]) == 3
+    assert len(array_cache.load_or_make_arrays("thing", ORIGIN, make)["a"]) == 3
     assert len(calls) == 2
     forget()
 
@@ -128,15 +142,15 @@ def test_what_comes_with_the_package_is_taken_before_the_folder_and_not_by_other
 def imports(module):
     """Modules of pssf that one of them imports, as they are called below the package."""
     names = set()
-    for node in ast.walk(ast.parse((code.ROOT / module).read_text())):
+    for node in ast.walk(ast.parse((code_hash.PACKAGE_ROOT / module).read_text())):
         if isinstance(node, ast.ImportFrom) and node.level:
-            start = (code.ROOT / module).parents[node.level - 1]
+            start = (code_hash.PACKAGE_ROOT / module).parents[node.level - 1]
             names |= {start.joinpath(*(node.module or "").split(".")).with_suffix(".py")}
-    return {path.relative_to(code.ROOT).as_posix() for path in names if path.exists()}
+    return {path.relative_to(code_hash.PACKAGE_ROOT).as_posix() for path in names if path.exists()}
 
 
 def test_mean_bones_hang_on_all_modules_that_they_are_made_by():
-    needed, new = set(), {"anatomy/femur.py", "anatomy/tibia.py"}
+    needed, new = set(), {"anatomy/template/template_femur.py", "anatomy/template/template_tibia.py"}
     while new:
         needed |= new
         new = {name for module in new for name in imports(module)} - needed
@@ -144,14 +158,18 @@ def test_mean_bones_hang_on_all_modules_that_they_are_made_by():
     assert {name for name in needed if name.startswith(("anatomy/", "geometry/"))} == set(SOURCES)
 
 
-@pytest.mark.parametrize("mean", [mean_femur, mean_tibia])
+@pytest.mark.parametrize("mean", [make_template_femur, make_template_tibia])
 def test_the_mean_bones_of_the_package_are_those_that_its_code_makes(folder, mean):
-    name = mean.__name__.removeprefix("mean_")
+    name = mean.__name__.removeprefix("make_template_")
     mean.cache_clear()
-    bone = mean(getattr(anatomy_tables().shape, name), anatomy_tables().forms)
-    assert bone.outer.num_tri() > len(bone.inner(bone.depth_mm(1.0, Plates(1.0, 1.0, 10.0))).faces) > 1000
+    bone = mean(getattr(load_anatomy_tables().template, name), load_anatomy_tables().shape_model)
+    assert (
+        bone.outer.num_tri()
+        > len(bone.build_inner_mesh(bone.compute_depth_mm(1.0, SubchondralPlates(1.0, 1.0, 10.0))).faces)
+        > 1000
+    )
     assert not list(folder.iterdir()), "made by other code: CONTRIBUTING.md says how they are made anew"
-    made, kept = bone.made(), store.kept(name, bone.origin, dict)
+    made, kept = bone.make_arrays(), array_cache.load_or_make_arrays(name, bone.origin, dict)
     assert made.keys() == kept.keys()
     for key, values in made.items():
         # Other machines round in other ways.
@@ -159,16 +177,21 @@ def test_the_mean_bones_of_the_package_are_those_that_its_code_makes(folder, mea
 
 
 def test_a_mean_bone_of_other_tables_is_made_and_kept_bit_for_bit(folder, monkeypatch):
-    shape = structs.replace(anatomy_tables().shape.femur, edge_mm=4.0, tolerance_mm=0.3)
+    shape = structs.replace(load_anatomy_tables().template.femur, edge_mm=4.0, tolerance_mm=0.3)
     solids = []
     for named in ("off", str(folder), str(folder)):
         monkeypatch.setenv("PSSF_CACHE_DIR", named)
-        mean_femur.cache_clear()
-        bone = mean_femur(shape, anatomy_tables().forms)
-        solids.append([mesh_of(bone.outer), bone.inner(bone.depth_mm(1.0, Plates(1.0, 1.0, 10.0)))])
+        make_template_femur.cache_clear()
+        bone = make_template_femur(shape, load_anatomy_tables().shape_model)
+        solids.append(
+            [
+                extract_mesh(bone.outer),
+                bone.build_inner_mesh(bone.compute_depth_mm(1.0, SubchondralPlates(1.0, 1.0, 10.0))),
+            ]
+        )
     for other in solids[1:]:
         for one, two in zip(solids[0], other, strict=True):
             np.testing.assert_array_equal(one.vertices, two.vertices)
             np.testing.assert_array_equal(one.faces, two.faces)
     assert [path.name.split("-")[0] for path in folder.iterdir()] == ["femur"]
-    mean_femur.cache_clear()
+    make_template_femur.cache_clear()

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import pssf
-from pssf.raycast import trace_strips
-from pssf.raycast.sheets import BAND_ROWS
-from pssf.raycast.strips import Strips
-from pssf.stages import Chain, LatentImage, expose
-from pssf.xray.technique import technique_of
+from pssf.raycast import trace_sparse
+from pssf.raycast.engines.projected_surface import BAND_ROWS
+from pssf.raycast.engines.sparse_map import SparseMap
+from pssf.stages import LatentImage, StageContext, run_stages
+from pssf.xray.resolved_technique import resolve_technique
 
 SMALL = {"rows": 75, "cols": 90, "pixel_mm": 3.4}
 
@@ -28,7 +28,7 @@ def built():
 @pytest.mark.parametrize("engine", ["embree", "scanline"])
 def test_strips_hold_what_trace_gives(built, engine):
     paths = pssf.trace(built.scene, protocol(), engine=engine)
-    strips, audit = trace_strips(built.scene, protocol(), engine=engine)
+    strips, audit = trace_sparse(built.scene, protocol(), engine=engine)
     assert audit == paths.audit
     assert list(strips) == list(paths.path_mm)
     for name, lengths in paths.path_mm.items():
@@ -62,7 +62,7 @@ def test_a_map_in_strips_reads_as_the_array_that_was_written():
     values = rng.random((2 * BAND_ROWS + 5, 40), np.float32)
     values[:, :7] = 0
     values[BAND_ROWS : 2 * BAND_ROWS] = 0
-    strips = Strips(values.shape)
+    strips = SparseMap(values.shape)
     for first in range(0, len(values), BAND_ROWS):
         strips[first : min(first + BAND_ROWS, len(values))] = values[first : first + BAND_ROWS]
     for start, stop in ((0, len(values)), (3, 50), (BAND_ROWS, BAND_ROWS), (2 * BAND_ROWS + 1, len(values))):
@@ -75,17 +75,17 @@ def test_a_map_in_strips_reads_as_the_array_that_was_written():
 
 
 def test_the_shortest_path_of_a_full_map_is_not_taken_for_nothing():
-    strips = Strips((BAND_ROWS, 4))
+    strips = SparseMap((BAND_ROWS, 4))
     strips[0:BAND_ROWS] = np.full((BAND_ROWS, 4), 2.0)
     assert (strips.min(), strips.max()) == (2.0, 2.0)
 
 
 @pytest.mark.parametrize("keep", [(), ("primary", "scatter")])
 def test_an_exposed_image_holds_what_is_kept_alone(built, keep):
-    technique = technique_of(protocol(grid_ratio=8.0))
-    path_mm, _ = trace_strips(built.scene, technique.protocol)
+    technique = resolve_technique(protocol(grid_ratio=8.0))
+    path_mm, _ = trace_sparse(built.scene, technique.protocol)
     image = LatentImage(path_mm=path_mm, scene=built.scene)
-    expose(image, Chain(technique=technique, keep=frozenset(keep)))
+    run_stages(image, StageContext(technique=technique, keep=frozenset(keep)))
     assert (image.path_mm, image.primary, image.scatter, image.frequencies) == ({}, None, None, None)
     assert set(image.kept) == set(keep)
 

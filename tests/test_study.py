@@ -14,7 +14,7 @@ from pssf.core.checks import InputError
 def test_without_the_extra_the_refusal_names_the_command(monkeypatch):
     there = importlib.util.find_spec
     monkeypatch.setattr(study, "find_spec", lambda name: None if name == "sklearn" else there(name))
-    with pytest.raises(InputError, match=r"needs scikit-learn; bring them, .*pip install '.\[study\]'"):
+    with pytest.raises(InputError, match=r"not installed: scikit-learn; .*pip install '.\[study\]'"):
         study.require_extra()
 
 

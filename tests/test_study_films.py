@@ -12,18 +12,18 @@ from sklearn.metrics import cohen_kappa_score
 
 from pssf import study
 from pssf.core.checks import InputError
-from pssf.data.localisation import localisation
-from pssf.experiment import OwnFilms, _film_set
-from pssf.io.films import Film, FilmImage
-from pssf.radiomics.compact import compact
-from pssf.radiomics.display import as_signal, cut_display, find_in_display
-from pssf.radiomics.locate import locate
-from pssf.radiomics.patches import density_of
+from pssf.data.analysis.localisation_table import load_localisation_settings
+from pssf.experiment import PatientFilms, _make_film_set
+from pssf.io.patients.patient_radiographs import Film, FilmImage
+from pssf.radiomics.displayed_radiograph import cut_resampled_region, locate_joint_in_display, match_template_histogram
+from pssf.radiomics.localisation.crop_template import crop_template
+from pssf.radiomics.localisation.joint_localisation import locate_joint
+from pssf.radiomics.localisation.templates import compute_density
 from pssf.study import FilmSet, StudySettings
-from pssf.study.external import _pitch_and_region_mm
-from pssf.study.finished import key_of
-from pssf.study.learn.modelfile import unpack
-from pssf.study.statistics.external import counted, score_films, score_grades
+from pssf.study.learn.models.model_file import unpack_model
+from pssf.study.prediction.patient_test import _resolve_pitch_and_region_mm
+from pssf.study.resume import compute_run_key
+from pssf.study.statistics.scores.patient_scores import count_films_by_grade, score_films, score_grades
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def test_what_cannot_be_read_is_counted_by_its_reason_and_has_no_probability(fil
     reasons = listed.loc[["0/n000R.png", "0/air1R.png", "2/torn2R.png"], "status"]
     assert list(reasons) == ["leaves image", "no knee", "unreadable"]
     assert listed.loc[reasons.index, "lr_l1_0v2_films grade 2"].isna().all()
-    of_all = counted(listed).set_index("grade").loc["all"]
+    of_all = count_films_by_grade(listed).set_index("grade").loc["all"]
     assert (of_all["films"], of_all["found"]) == (10, 7)
     assert (of_all["leaves image"], of_all["no knee"], of_all["unreadable"]) == (1, 1, 1)
     page = film_study.report.read_text(encoding="utf-8")
@@ -94,7 +94,7 @@ def test_a_second_run_reads_no_film_again_and_writes_the_same_bytes(film_study, 
 
 
 def _pitch(result) -> float:
-    return unpack(result.models["lr_l1_0v2_films"].read_bytes(), "").card.pixel_mm
+    return unpack_model(result.models["lr_l1_0v2_films"].read_bytes(), "").card.pixel_mm
 
 
 def test_cohort_and_films_are_read_at_the_films_pitch_where_it_is_coarser(film_study, listed):
@@ -103,25 +103,25 @@ def test_cohort_and_films_are_read_at_the_films_pitch_where_it_is_coarser(film_s
 
 def test_the_region_is_what_the_films_hold_where_that_is_less_than_the_studys():
     image = drawn.cohort().display(drawn.text_subjects()["file"].iloc[0])
-    found = find_in_display(image.pixels, [drawn.TEMPLATE], localisation(), image.side, 0.6)
+    found = locate_joint_in_display(image.pixels, [drawn.TEMPLATE], load_localisation_settings(), image.side, 0.6)
     above = 30
     cut = dataclasses.replace(image, pixels=image.pixels[round(found.row) - above :])
     how = {"load": lambda file: cut, "load_cohort": read_nothing, "protocol": "reference"}
     own = Film(file="f.png", grade=0, subject="f", side=None, pixel_mm=None, sha256="")
     films = FilmSet(films=(own,), **how)
-    pixel_mm, region_mm = _pitch_and_region_mm(films, [drawn.TEMPLATE], localisation(), 0.3, 76.8)
+    pixel_mm, region_mm = _resolve_pitch_and_region_mm(films, [drawn.TEMPLATE], load_localisation_settings(), 0.3, 76.8)
     assert pixel_mm == 0.6
     assert_allclose(region_mm, 2 * above * 0.6, atol=1.5)
-    assert _pitch_and_region_mm(films, [drawn.TEMPLATE], localisation(), 0.9, 30.0) == (0.9, 30.0)
+    assert _resolve_pitch_and_region_mm(films, [drawn.TEMPLATE], load_localisation_settings(), 0.9, 30.0) == (0.9, 30.0)
     mine = dataclasses.replace(films, region_mm=25.0)
-    assert _pitch_and_region_mm(mine, [drawn.TEMPLATE], localisation(), 0.3, 76.8) == (0.6, 25.0)
+    assert _resolve_pitch_and_region_mm(mine, [drawn.TEMPLATE], load_localisation_settings(), 0.3, 76.8) == (0.6, 25.0)
 
 
 @pytest.mark.parametrize(
     ("films", "settings", "template", "why"),
     [
-        ({"protocol": "refrence"}, {}, {}, "films-protocol = 'refrence'"),
-        ({}, {"families": ("firstorder",)}, {}, "families = firstorder; allowed with films"),
+        ({"protocol": "refrence"}, {}, {}, "films-protocol must be one of .*, got 'refrence'"),
+        ({}, {"families": ("firstorder",)}, {}, "with films, got firstorder"),
         ({}, {}, {"plateau_mm": None}, "plateau_mm = None"),
     ],
 )
@@ -138,10 +138,10 @@ def test_films_that_a_cohort_cannot_be_tested_on_are_refused_before_work(
 
 def test_a_set_without_films_or_with_an_impossible_pitch_is_refused():
     how = {"load": read_nothing, "load_cohort": read_nothing, "protocol": "reference"}
-    with pytest.raises(InputError, match="films = none"):
+    with pytest.raises(InputError, match="films must hold at least one patient radiograph, got 0"):
         FilmSet(films=(), **how)
     for name, value in (("pixel_mm", 0.0001), ("region_mm", 5.0)):
-        with pytest.raises(InputError, match=f"{name} = {value}"):
+        with pytest.raises(InputError, match=f"{name} must be .*, got {value}"):
             FilmSet(films=("a film",), **{name: value}, **how)
 
 
@@ -152,18 +152,18 @@ def read_nothing(file: str) -> FilmImage:
 def test_films_of_a_folder_learn_from_the_reference_if_no_protocol_is_named(tmp_path):
     drawn.film(tmp_path / "0" / "p1R.png", 0, "right", 0)
     settings = StudySettings(reference="a")
-    assert _film_set(OwnFilms(folder=tmp_path), tmp_path, ["a", "b"], settings).protocol == "a"
-    assert _film_set(OwnFilms(folder=tmp_path, protocol="b"), tmp_path, ["a", "b"], settings).protocol == "b"
-    with pytest.raises(InputError, match="films-protocol = 'c'; allowed: a, b"):
-        _film_set(OwnFilms(folder=tmp_path, protocol="c"), tmp_path, ["a", "b"], settings)
-    with pytest.raises(InputError, match="films = none"):
-        _film_set(OwnFilms(folder=tmp_path / "nowhere"), tmp_path, ["a", "b"], settings)
+    assert _make_film_set(PatientFilms(folder=tmp_path), tmp_path, ["a", "b"], settings).protocol == "a"
+    assert _make_film_set(PatientFilms(folder=tmp_path, protocol="b"), tmp_path, ["a", "b"], settings).protocol == "b"
+    with pytest.raises(InputError, match="films-protocol must be one of a, b, got 'c'"):
+        _make_film_set(PatientFilms(folder=tmp_path, protocol="c"), tmp_path, ["a", "b"], settings)
+    with pytest.raises(InputError, match="must have subfolders 0 to 4"):
+        _make_film_set(PatientFilms(folder=tmp_path / "nowhere"), tmp_path, ["a", "b"], settings)
 
 
 def test_the_key_of_a_finished_run_changes_with_the_films(film_study):
     folder = film_study.report.parents[1] / "films"
     keys = {
-        key_of([], StudySettings(), "scanline", films)
+        compute_run_key([], StudySettings(), "scanline", films)
         for films in (None, drawn.film_set(folder), drawn.film_set(folder, pixel_mm=0.5))
     }
     assert len(keys) == 3
@@ -172,12 +172,15 @@ def test_the_key_of_a_finished_run_changes_with_the_films(film_study):
 @pytest.mark.parametrize("tone", [np.sqrt, np.square, lambda shown: 0.2 + 0.5 * np.tanh(3 * shown)])
 def test_no_tone_curve_of_a_display_changes_the_signal(tone):
     region = np.random.default_rng(0).random((40, 40))
-    np.testing.assert_array_equal(as_signal(tone(region), drawn.TEMPLATE, 0.6), as_signal(region, drawn.TEMPLATE, 0.6))
+    np.testing.assert_array_equal(
+        match_template_histogram(tone(region), drawn.TEMPLATE, 0.6),
+        match_template_histogram(region, drawn.TEMPLATE, 0.6),
+    )
 
 
 def test_the_signal_of_a_display_is_dark_where_that_is_bright_and_as_frequent_as_in_the_template():
     region = np.random.default_rng(0).random((40, 40))
-    signal = as_signal(region, drawn.TEMPLATE, 0.6)
+    signal = match_template_histogram(region, drawn.TEMPLATE, 0.6)
     order = np.argsort(region.ravel())
     assert (np.diff(signal.ravel()[order].astype(int)) <= 0).all()
     own = drawn.TEMPLATE.pixels[108:148, 120:160]
@@ -186,34 +189,34 @@ def test_the_signal_of_a_display_is_dark_where_that_is_bright_and_as_frequent_as
 
 def test_a_region_is_brought_to_another_pitch_about_the_joint_line_and_leaves_no_film():
     pixels = drawn.cohort().display(drawn.text_subjects()["file"].iloc[0]).pixels
-    found = find_in_display(pixels, [drawn.TEMPLATE], localisation(), None, 0.6)
-    same = cut_display(pixels, found, 0.6, 60)
-    coarse = cut_display(pixels, found, 1.2, 30)
+    found = locate_joint_in_display(pixels, [drawn.TEMPLATE], load_localisation_settings(), None, 0.6)
+    same = cut_resampled_region(pixels, found, 0.6, 60)
+    coarse = cut_resampled_region(pixels, found, 1.2, 30)
     means = same.reshape(30, 2, 30, 2).mean(axis=(1, 3))
     # The coarse pixel is centred on the joint line, the mean of four half a fine pixel beside it.
     assert np.corrcoef(means.ravel(), coarse.ravel())[0, 1] > 0.97
-    assert cut_display(pixels, found, 0.6, 240) is None
+    assert cut_resampled_region(pixels, found, 0.6, 240) is None
 
 
 def test_noise_finer_than_the_new_pitch_is_taken_away():
     noise = np.random.default_rng(1).random((200, 200))
-    found = find_in_display(
+    found = locate_joint_in_display(
         drawn.cohort().display(drawn.text_subjects()["file"].iloc[0]).pixels,
         [drawn.TEMPLATE],
-        localisation(),
+        load_localisation_settings(),
         None,
         0.6,
     )
     centred = type(found)(**vars(found) | {"row": 100.0, "col": 100.0})
-    assert cut_display(noise, centred, 2.4, 40).std() < 0.25 * noise.std()
+    assert cut_resampled_region(noise, centred, 2.4, 40).std() < 0.25 * noise.std()
 
 
 @pytest.mark.parametrize("pitch", [0.15, 0.6])
 def test_a_fine_display_is_looked_at_coarsely_and_told_in_its_own_pixels(pitch):
     film = drawn.cohort().display(drawn.text_subjects()["file"].iloc[0])
     fine = np.kron(film.pixels, np.ones((round(0.6 / pitch),) * 2))
-    found = find_in_display(fine, [drawn.TEMPLATE], localisation(), film.side, pitch)
-    coarse = find_in_display(film.pixels, [drawn.TEMPLATE], localisation(), film.side, 0.6)
+    found = locate_joint_in_display(fine, [drawn.TEMPLATE], load_localisation_settings(), film.side, pitch)
+    coarse = locate_joint_in_display(film.pixels, [drawn.TEMPLATE], load_localisation_settings(), film.side, 0.6)
     step = round(0.6 / pitch)
     assert found.status == "found"
     assert_allclose([found.row, found.col], [at * step + (step - 1) / 2 for at in (coarse.row, coarse.col)], atol=step)
@@ -221,11 +224,14 @@ def test_a_fine_display_is_looked_at_coarsely_and_told_in_its_own_pixels(pitch):
 
 def test_a_compact_template_finds_the_same_joint():
     whole = drawn.TEMPLATE
-    small = compact(whole, 48.0, localisation())
+    small = crop_template(whole, 48.0, load_localisation_settings())
     assert small.pixels.size <= whole.pixels.size
     pixels = drawn.cohort().load(drawn.text_subjects()["file"].iloc[1])
     side = drawn.text_subjects()["side"].iloc[1]
-    one, other = (locate(density_of(pixels), [t], localisation(), side=side, pixel_mm=0.6) for t in (whole, small))
+    one, other = (
+        locate_joint(compute_density(pixels), [t], load_localisation_settings(), side=side, pixel_mm=0.6)
+        for t in (whole, small)
+    )
     assert_allclose([one.row, one.col, one.score], [other.row, other.col, other.score], rtol=1e-4)
 
 

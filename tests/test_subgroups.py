@@ -5,8 +5,8 @@ import pandas as pd
 import pytest
 
 from pssf.study import StudySettings
-from pssf.study.statistics.metrics import auc
-from pssf.study.statistics.subgroups import COLUMNS, subgroups
+from pssf.study.statistics.scores.metrics import auc
+from pssf.study.statistics.scores.subgroups import COLUMNS, score_subgroups
 
 SETTINGS = StudySettings(replicates=200, models=("lr",), selections=("l1",))
 
@@ -33,7 +33,7 @@ def people(subjects: int) -> pd.DataFrame:
 
 def test_a_group_is_scored_by_itself():
     told = predictions(40)
-    found = subgroups(told, people(40), SETTINGS, 15 / 70).set_index("group")
+    found = score_subgroups(told, people(40), SETTINGS, 15 / 70).set_index("group")
     assert found.loc["women", "auc"] == found.loc["women", "auc_low"] == 1.0
     men = told[told["subject"] % 2 == 1]
     by_split = [auc(part["truth"].to_numpy() == 1, part["p1"].to_numpy()) for _, part in men.groupby("repeat")]
@@ -46,20 +46,20 @@ def test_a_group_is_scored_by_itself():
 def test_a_group_without_a_grade_has_no_score():
     told = predictions(40)
     told = told[(told["subject"] % 2 == 0) | (told["truth"] == 0)]
-    found = subgroups(told, people(40), SETTINGS, 15 / 70).set_index("group")
+    found = score_subgroups(told, people(40), SETTINGS, 15 / 70).set_index("group")
     assert np.isnan(found.loc["men", ["auc", "auc_low", "auc_high"]].astype(float)).all()
     assert found.loc["women", "auc"] == 1.0
 
 
 def test_without_sex_and_age_there_are_no_groups():
-    found = subgroups(predictions(8), people(8)[["knee", "subject"]], SETTINGS, 15 / 70)
+    found = score_subgroups(predictions(8), people(8)[["knee", "subject"]], SETTINGS, 15 / 70)
     assert found.empty
     assert list(found.columns) == COLUMNS
 
 
 @pytest.mark.parametrize(("subjects", "told"), [(10, False), (12, True)])
 def test_a_group_of_which_splits_test_fewer_than_six_has_no_interval(subjects, told):
-    found = subgroups(predictions(subjects), people(subjects), SETTINGS, 15 / 70).set_index("group").loc["men"]
+    found = score_subgroups(predictions(subjects), people(subjects), SETTINGS, 15 / 70).set_index("group").loc["men"]
     assert np.isfinite(found["auc"])
     assert np.isfinite(found["auc_low"]) == told
 
@@ -73,7 +73,7 @@ def test_what_splits_test_of_a_group_is_their_median_and_none_counts(tested, dec
     # Of each split as many of either grade, the first ones.
     place = men.groupby(["repeat", "truth"]).cumcount()
     men = men[place < men["repeat"].map(dict(enumerate(tested))) // 2]
-    found = subgroups(pd.concat([told[told["subject"] % 2 == 0], men]), people(40), SETTINGS, 15 / 70)
+    found = score_subgroups(pd.concat([told[told["subject"] % 2 == 0], men]), people(40), SETTINGS, 15 / 70)
     assert np.isfinite(found.set_index("group").loc["men", "auc_low"]) == decided
 
 
@@ -82,6 +82,6 @@ def test_a_group_of_which_splits_test_fewer_than_three_of_a_grade_has_no_interva
     men = told["subject"] % 2 == 1
     for kept, expected in ((3, True), (2, False)):
         few = told[~(men & (told["truth"] == 1)) | (told["subject"] < 4 * kept)]
-        found = subgroups(few, people(40), SETTINGS, 15 / 70).set_index("group").loc["men"]
+        found = score_subgroups(few, people(40), SETTINGS, 15 / 70).set_index("group").loc["men"]
         assert np.isfinite(found["auc"])
         assert np.isfinite(found["auc_low"]) == expected

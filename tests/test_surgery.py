@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from manifold3d import Manifold
 
 import pssf
-from pssf.anatomy.solids import mesh_of, solid_of
-from pssf.anatomy.uncut_faces import with_uncut_faces
+from pssf.anatomy.meshing.solids import build_solid, extract_mesh
+from pssf.anatomy.meshing.uncut_faces import restore_uncut_faces
 
 LEFT = pssf.Knee(
     side="left",
@@ -48,8 +48,8 @@ def box(*bounds):
 
 
 def outer(built, name):
-    vertices, faces = next(s for s in built.scene.surfaces if s.name == name).arrays
-    return solid_of(vertices, faces, name)
+    vertices, faces = next(s for s in built.scene.surfaces if s.name == name).mesh_arrays
+    return build_solid(vertices, faces, name)
 
 
 def femoral_component(built):
@@ -87,7 +87,7 @@ def pins_within_bone(built):
 
 
 def knee_replacement(built):
-    component = mesh_of(femoral_component(built))
+    component = extract_mesh(femoral_component(built))
     return [
         (box((-60, -50, -9), (60, 50, 2.6)), None),
         (component, "cobalt_chromium"),
@@ -160,9 +160,9 @@ def test_any_rod_takes_as_much_of_the_tissues_as_it_brings_of_metal(start, way, 
 
 
 def test_a_cut_moves_nothing_of_a_mesh_away_from_it():
-    whole = next(s for s in knee("right").scene.surfaces if s.name == "intermuscular_fat").arrays
-    solid = solid_of(whole.vertices, whole.faces, "fat")
-    cut = with_uncut_faces(mesh_of(solid - Manifold.sphere(6.0, 32).translate((30, -18, 110))), whole)
+    whole = next(s for s in knee("right").scene.surfaces if s.name == "intermuscular_fat").mesh_arrays
+    solid = build_solid(whole.vertices, whole.faces, "fat")
+    cut = restore_uncut_faces(extract_mesh(solid - Manifold.sphere(6.0, 32).translate((30, -18, 110))), whole)
     # Faces that have all their corners away from the ball are those of the whole mesh, and none of them has gone.
     kept, were = (
         {
@@ -183,11 +183,11 @@ def test_an_implant_within_bone_changes_no_label():
         built = whole if name == "reference" else pssf.build(pssf.Knee(), protocol)
         after = drilled if name == "reference" else operated(built, screw(built))
         assert after.truth(protocol) == built.truth(protocol)
-        assert after.measured_jsw_mm(protocol) == built.measured_jsw_mm(protocol)
+        assert after.measure_jsw_mm(protocol) == built.measure_jsw_mm(protocol)
 
 
 def test_a_replaced_joint_has_no_joint_space_and_no_grade():
-    graded = dataclasses.replace(pssf.draw_knee(grade=2, rng=4, grade_table="paper"), side="left")
+    graded = dataclasses.replace(pssf.sample_knee(grade=2, rng=4, grade_table="paper"), side="left")
     whole = pssf.build(graded)
     after = operated(whole, knee_replacement(whole))
     protocol = protocol_of()
@@ -195,7 +195,7 @@ def test_a_replaced_joint_has_no_joint_space_and_no_grade():
     with pytest.warns(pssf.SurgeryNotice, match="medial and lateral"):
         truth = after.truth(protocol)
     assert before.grade == 2
-    assert (truth.grade, truth.grade_read) == (None, None)
+    assert (truth.grade, truth.reader_grade) == (None, None)
     assert (truth.jsw_medial_mm, truth.jsw_lateral_mm) == (None, None)
     assert not truth.jsw_at_mm
     assert not truth.attrition_mm
@@ -205,9 +205,9 @@ def test_a_replaced_joint_has_no_joint_space_and_no_grade():
     for gone in ("joint_centre", "medial_joint_line", "tibia_medial_1", "medial_spine", "medial_plateau_edge"):
         assert gone not in truth.landmarks_px
     assert truth.landmarks_px["medial_epicondyle"] == before.landmarks_px["medial_epicondyle"]
-    with pytest.raises(pssf.InputError, match="joint space must be of bones that are seen"):
-        after.measured_jsw_mm(protocol)
-    with pytest.raises(pssf.InputError, match="plateau must be of bones"):
+    with pytest.raises(pssf.InputError, match="joint space must be visible and unchanged by surgery"):
+        after.measure_jsw_mm(protocol)
+    with pytest.raises(pssf.InputError, match="plateau must be visible"):
         after.inter_margin_mm(protocol)
 
 
@@ -258,7 +258,7 @@ def test_labels_from_the_side_are_those_of_the_bone_that_is_left():
 
 def test_an_osteophyte_that_is_taken_away_has_neither_mask_nor_grade():
     whole = knee("left")
-    places = whole.osteophytes()["medial_tibia"].vertices
+    places = whole.osteophyte_meshes()["medial_tibia"].vertices
     low, high = places.min(axis=0) - 0.5, places.max(axis=0) + 0.5
     assert "medial_tibia_osteophyte" in whole.solids()
     assert "medial_tibia_osteophyte" not in whole.resect(box(low, high), name="trim").solids()
@@ -266,7 +266,7 @@ def test_an_osteophyte_that_is_taken_away_has_neither_mask_nor_grade():
 
 def test_an_osteophyte_that_is_cut_has_a_smaller_mask_and_no_grade():
     whole = knee("left")
-    mesh = whole.osteophytes()["medial_tibia"]
+    mesh = whole.osteophyte_meshes()["medial_tibia"]
     tip = mesh.vertices[mesh.vertices[:, 0].argmin()]  # medial of a left knee
     after = whole.resect(box(tip - 1.5, tip + 1.5), name="trim")
     left = after.solids()["medial_tibia_osteophyte"]
@@ -281,7 +281,7 @@ def test_masks_have_the_implant_and_the_bone_that_is_left(tmp_path):
     steps = knee_replacement(whole)
     after = operated(whole, steps)
     protocol = protocol_of(pixels=128)
-    with pytest.warns(pssf.SurgeryNotice, match="replaces the medial and lateral joint contours; truth has no grade"):
+    with pytest.warns(pssf.SurgeryNotice, match="replaces the medial and lateral joint contours; "):
         radiograph = pssf.simulate(after, protocol, keep=("masks", "path_mm"), engine="scanline")
     masks, paths = radiograph.truth.masks, radiograph.kept["path_mm"]
     assert (masks["step_1"] == (paths["cobalt_chromium"] > 0)).mean() > 0.9999
@@ -329,20 +329,20 @@ def test_a_radiograph_says_which_implants_it_was_made_with(tmp_path):
 
 def test_a_saved_radiograph_is_not_written_over_by_one_with_an_implant(tmp_path):
     built, protocol = knee("right"), protocol_of()
-    from pssf.io.images import save_kinds
+    from pssf.io.radiograph_files import save_formats
 
-    save_kinds(pssf.simulate(built, protocol, engine="scanline"), tmp_path / "one", ("tif",))
+    save_formats(pssf.simulate(built, protocol, engine="scanline"), tmp_path / "one", ("tif",))
     after = pssf.simulate(operated(built, screw(built)), protocol, engine="scanline")
     with pytest.raises(pssf.InputError, match="another surgery"):
-        save_kinds(after, tmp_path / "one", ("tif",))
+        save_formats(after, tmp_path / "one", ("tif",))
 
 
 def test_a_knee_without_surgery_says_nothing_of_it(tmp_path):
     radiograph = pssf.simulate(knee("right"), protocol_of(), engine="scanline")
     assert radiograph.surgery == ()
-    from pssf.io.description import as_json
+    from pssf.io.metadata import encode_metadata
 
-    assert "surgery" not in as_json(radiograph)
+    assert "surgery" not in encode_metadata(radiograph)
 
 
 def test_of_two_knees_each_keeps_its_implants():
@@ -377,7 +377,7 @@ def test_an_inverted_implant_is_mended_with_a_notice():
     [
         (trimesh.Trimesh(*(lambda m: (m.vertices, m.faces[1:]))(box((0, 0, 0), (5, 5, 5)))), {}, "edges of a hole"),
         (trimesh.util.concatenate([box((0, 0, 0), (5, 5, 5)), box((3, 3, 3), (8, 8, 8))]), {}, "do not overlap"),
-        (box((0, 0, 0), (5, 5, 5)), {"name": "femur"}, "name must be new to the knee"),
+        (box((0, 0, 0), (5, 5, 5)), {"name": "femur"}, "name must be unused in the knee"),
         (box((0, 0, 0), (5, 5, 5)), {"name": "medial_tibia_osteophyte"}, "name must be 1 to 50"),
         (box((0, 0, 0), (5, 5, 5)), {"name": "a screw"}, "name must be 1 to 50"),
         (box((0, 0, 0), (5, 5, 5)), {"material": ""}, "material must be the name"),
@@ -391,7 +391,7 @@ def test_what_is_no_implant_is_refused(mesh, changes, text):
 
 
 def test_a_resection_that_meets_no_bone_is_refused():
-    with pytest.raises(pssf.InputError, match="must meet bone"):
+    with pytest.raises(pssf.InputError, match="must intersect bone"):
         knee("right").resect(box((500, 0, 0), (505, 5, 5)))
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pssf.core.timer import Stage, Timer
+from pssf.core.stage_timer import Stage, Timer
 
 
 class Clock:
@@ -16,12 +16,12 @@ def test_what_stood_before_counts_as_done_and_not_for_the_rate():
     clock = Clock()
     stage = Stage("radiographs", 100, clock)
     clock.seconds = 5.0
-    stage.keep(70)
-    assert (stage.per_minute(), stage.seconds_left()) == (None, None)
+    stage.add_already_done(70)
+    assert (stage.rate_per_minute(), stage.seconds_left()) == (None, None)
     clock.seconds = 35.0
     stage.advance(10)
-    assert (stage.kept, stage.made, stage.done) == (70, 10, 80)
-    assert stage.per_minute() == pytest.approx(20.0)
+    assert (stage.already_done, stage.newly_done, stage.done) == (70, 10, 80)
+    assert stage.rate_per_minute() == pytest.approx(20.0)
     assert stage.seconds_left() == pytest.approx(60.0)
     clock.seconds = 45.0
     assert stage.seconds_left() == pytest.approx(50.0)
@@ -38,8 +38,8 @@ def test_time_left_does_not_fall_below_nothing():
 
 def test_whatever_shows_a_stage_is_told_all_that_is_done():
     shown, stage = [], Stage(total=5)
-    stage.shown = shown.append
-    stage.keep(2)
+    stage.on_change = shown.append
+    stage.add_already_done(2)
     stage.advance()
     stage.advance(2)
     assert shown == [2, 3, 5]
@@ -54,7 +54,7 @@ def test_a_timer_gives_the_seconds_of_each_stage_and_marks_of_all_that_is_made_i
         clock.seconds = 4.0
     with timer.stage("claims"):
         clock.seconds = 4.5
-    assert stage.marks == [1.0, 3.0, 3.0, 3.0]
+    assert stage.completion_times_s == [1.0, 3.0, 3.0, 3.0]
     assert timer.seconds == {"cohort": 4.0, "claims": 0.5}
 
 

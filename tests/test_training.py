@@ -7,32 +7,30 @@ import pytest
 from test_evidence import LIGHT, NAMES, table
 
 from pssf.core.checks import InputError
-from pssf.core.execution import Execution
-from pssf.study.learn.scenarios import one_split
-from pssf.study.learn.split import PARTS
-from pssf.study.learn.training import one_job, train
+from pssf.core.processes.execution import Execution
+from pssf.study.learn.protocol_scenarios import evaluate_split
+from pssf.study.learn.subject_split import PARTS
+from pssf.study.learn.training import train_all_splits, train_split
 
 
 def test_splits_are_those_of_one_split_in_order_on_any_number_of_workers():
     cohort, alone, together = table(13), Execution(), Execution(workers=2)
-    one, two = (train(cohort, NAMES, LIGHT, execution) for execution in (alone, together))
+    one, two = (train_all_splits(cohort, NAMES, LIGHT, execution) for execution in (alone, together))
     for execution in (alone, together):
-        assert execution.timer.stages["training and testing"].made == LIGHT.repeats
+        assert execution.timer.stages["training and testing"].newly_done == LIGHT.repeats
     for repeat, (first, second) in enumerate(zip(one, two, strict=True)):
-        expected = one_split(repeat, table=cohort, names=NAMES, settings=LIGHT).predictions
+        expected = evaluate_split(repeat, table=cohort, names=NAMES, settings=LIGHT).predictions
         for outcome in (first, second):
             pd.testing.assert_frame_equal(outcome.predictions[list(expected)], expected, check_exact=True)
 
 
 def test_a_worker_with_other_code_trains_nothing():
-    with pytest.raises(
-        InputError, match=r"on .*: other code of pssf \(study\); allowed: the code where the run started"
-    ):
-        one_job(0, table=table(6), names=NAMES, settings=LIGHT, code={"study": "0"})
+    with pytest.raises(InputError, match=r"code of pssf on .* must be .*, got other code \(study\)"):
+        train_split(0, table=table(6), names=NAMES, settings=LIGHT, code={"study": "0"})
 
 
 def test_every_subject_is_in_one_part_of_each_split():
-    outcomes = train(table(6), NAMES, dataclasses.replace(LIGHT, repeats=3), Execution())
+    outcomes = train_all_splits(table(6), NAMES, dataclasses.replace(LIGHT, repeats=3), Execution())
     parts = pd.concat([outcome.subjects for outcome in outcomes])
     assert (parts.groupby(["repeat", "subject"]).size() == 1).all()
     assert set(parts["part"]) == set(PARTS)

@@ -9,10 +9,10 @@ from numpy.testing import assert_allclose
 
 import pssf
 from pssf import anatomy, raycast
-from pssf.anatomy.contours import COMPARTMENT
-from pssf.anatomy.landmarks import TIBIAL
-from pssf.anatomy.truth import _by_site
-from pssf.geometry.view import magnification, project, view_of
+from pssf.anatomy.labels.radiograph_labels import _split_by_site
+from pssf.anatomy.outlines.contour_landmarks import TIBIAL_LANDMARKS
+from pssf.anatomy.outlines.projected_contours import COMPARTMENT_RANGE
+from pssf.geometry.view import magnification, project_points, resolve_view
 
 REFERENCE = pssf.load_protocol("reference")
 BEAKS = tuple(pssf.Osteophyte(site=site, size_mm=2.0) for site in ("medial_femur", "medial_tibia", "lateral_spine"))
@@ -30,13 +30,13 @@ FRONTAL = ("reference", "ap_standing", "caudal_beam", "fixed_flexion", "geometry
 
 def gap_on_contours(built, protocol, truth, side):
     """Measure the minimum joint space from the triangles as they are projected, or from the landmarks of the tibia."""
-    view = view_of(protocol)
-    middle = project(np.zeros((1, 3)), view)[0]
+    view = resolve_view(protocol)
+    middle = project_points(np.zeros((1, 3)), view)[0]
     lean = np.deg2rad(built.assembly.pose.lean_deg * (1 if built.knee.side == "right" else -1))
     upright = np.array([[np.cos(lean), -np.sin(lean)], [np.sin(lean), np.cos(lean)]])
-    half, medial = built.assembly.build.half_ml_mm, 1 if built.knee.side == "right" else -1
+    half, medial = built.assembly.bone_parameters.half_ml_mm, 1 if built.knee.side == "right" else -1
     sign = medial if side == "medial" else -medial
-    ends = [project(np.array([[sign * part * half, 0.0, 0.0]]), view)[0, 1] for part in COMPARTMENT]
+    ends = [project_points(np.array([[sign * part * half, 0.0, 0.0]]), view)[0, 1] for part in COMPARTMENT_RANGE]
     columns = np.arange(np.ceil(min(ends)), np.floor(max(ends)) + 1)
 
     def turned(places):
@@ -44,7 +44,7 @@ def gap_on_contours(built, protocol, truth, side):
 
     def outline(name, lowest):
         surface = next(one for one in built.scene.surfaces if one.name == name)
-        seen = turned(project(surface.arrays.vertices, view))[surface.arrays.faces]
+        seen = turned(project_points(surface.mesh_arrays.vertices, view))[surface.mesh_arrays.faces]
         found = []
         for column in columns:
             part = seen[(seen[:, :, 1].min(axis=1) <= column) & (seen[:, :, 1].max(axis=1) >= column)]
@@ -56,10 +56,10 @@ def gap_on_contours(built, protocol, truth, side):
             found.append(rows.max() if lowest else rows.min())
         return np.array(found)
 
-    if built.knee.jsw_as == "projected":
+    if built.knee.jsw_definition == "projected":
         tibia = outline("tibia", False)
     else:
-        points = turned([truth.landmarks_px[name] for name in TIBIAL])
+        points = turned([truth.landmarks_px[name] for name in TIBIAL_LANDMARKS])
         points = points[points[:, 1].argsort()]
         tibia = np.interp(columns, points[:, 1], points[:, 0])
     return float((tibia - outline("femur", True)).min() * protocol.pixel_mm / magnification(view))
@@ -75,20 +75,20 @@ def gap_on_contours(built, protocol, truth, side):
 )
 def test_joint_space_labels_are_the_gaps_of_this_radiograph(view, table, grade, seed, varied):
     rng = np.random.default_rng(seed)
-    knee = pssf.draw_knee(grade=min(grade, table[1]), rng=rng, grade_table=table[0])
+    knee = pssf.sample_knee(grade=min(grade, table[1]), rng=rng, grade_table=table[0])
     protocol = pssf.load_protocol(view)
     built = pssf.build(knee, protocol)
     if varied:
-        protocol = pssf.draw_exposure(protocol, rng=rng)
+        protocol = pssf.sample_acquisition(protocol, rng=rng)
         built = pssf.build(knee, protocol)
-    protocol = built.aimed(protocol)
+    protocol = built.aim_beam(protocol)
     truth = built.truth(protocol)
     for side in ("medial", "lateral"):
         label = getattr(truth, f"jsw_{side}_mm")
         assert label == pytest.approx(gap_on_contours(built, protocol, truth, side), abs=0.05)
         (top, _), (bottom, _) = (truth.landmarks_px[f"{side}_jsw_{bone}"] for bone in ("femur", "tibia"))
         lean = np.deg2rad(built.assembly.pose.lean_deg)
-        drawn_mm = (bottom - top) * protocol.pixel_mm / magnification(view_of(protocol)) / np.cos(lean)
+        drawn_mm = (bottom - top) * protocol.pixel_mm / magnification(resolve_view(protocol)) / np.cos(lean)
         assert label == pytest.approx(drawn_mm, abs=0.01)
 
 
@@ -105,8 +105,8 @@ def test_joint_space_along_the_width_is_of_the_same_radiograph_as_its_minimum():
     protocol = pssf.load_protocol("fixed_flexion")
     off = {"medial": [], "lateral": []}
     for seed in range(3):
-        knee = pssf.draw_knee(grade=seed % 4, rng=seed, grade_table="population", subluxation_mm=0.0)
-        varied = pssf.draw_exposure(protocol, rng=seed)
+        knee = pssf.sample_knee(grade=seed % 4, rng=seed, grade_table="population", subluxation_mm=0.0)
+        varied = pssf.sample_acquisition(protocol, rng=seed)
         truth = pssf.build(knee, varied).truth(varied)
         for side, of_side in (("medial", slice(0, 7)), ("lateral", slice(7, 16))):
             least = getattr(truth, f"jsw_{side}_mm")
@@ -137,7 +137,7 @@ def test_labels_of_another_view_in_an_older_file_are_left_out_with_a_warning(gro
 
 def test_landmarks_lie_as_in_a_knee(grown):
     spots = grown.truth.landmarks_px
-    mm = grown.protocol.pixel_mm / magnification(view_of(grown.protocol))
+    mm = grown.protocol.pixel_mm / magnification(resolve_view(grown.protocol))
     row, col = ({name: place[k] for name, place in spots.items()} for k in (0, 1))
     for name in ("condyle_edge", "plateau_edge", "epicondyle", "spine", "joint_line"):
         assert col[f"medial_{name}"] > col["joint_centre"] > col[f"lateral_{name}"]
@@ -160,7 +160,7 @@ def test_masks_are_the_shadows_of_the_bones(grown):
 
 def test_the_mask_of_an_osteophyte_reaches_beyond_the_edge_by_its_size(grown):
     spots, masks = grown.truth.landmarks_px, grown.truth.masks
-    mm = grown.protocol.pixel_mm / magnification(view_of(grown.protocol))
+    mm = grown.protocol.pixel_mm / magnification(resolve_view(grown.protocol))
     cols = np.flatnonzero(masks["medial_tibia_osteophyte"].any(axis=0))
     assert_allclose((cols.max() - spots["medial_plateau_edge"][1]) * mm, 2.0, atol=0.4)
     bone = masks["tibia"] | masks["femur"]
@@ -175,22 +175,22 @@ def test_what_grew_together_of_two_sites_is_parted_between_their_tips_and_of_one
     box, far = Manifold.cube((10.0, 2.0, 2.0)), Manifold.cube((3.0, 2.0, 2.0)).translate((30.0, 0.0, 0.0))
     tips = np.array([[1.0, 1.0, 1.0], [4.0, 1.0, 1.0], [8.0, 1.0, 1.0], [40.0, 1.0, 1.0]])
     sites = ["medial_spine", "medial_spine", "lateral_spine", "medial_tibia"]
-    volumes = {site: part.volume() for site, part in _by_site(box + far, sites, tips).items()}
+    volumes = {site: part.volume() for site, part in _split_by_site(box + far, sites, tips).items()}
     assert volumes == pytest.approx({"medial_spine": 4 * 6.0, "lateral_spine": 4 * 4.0, "medial_tibia": 12.0})
 
 
 def test_masks_of_a_left_knee_mirror_those_of_a_right_one(grown):
     left = dataclasses.replace(grown.knee, side="left")
-    for site, mesh in pssf.build(left).osteophytes().items():
+    for site, mesh in pssf.build(left).osteophyte_meshes().items():
         assert mesh.as_trimesh().volume > 0
-        seen = raycast.shadow(mesh, grown.protocol)
+        seen = raycast.compute_silhouette(mesh, grown.protocol)
         assert (seen[:, ::-1] == grown.truth.masks[f"{site}_osteophyte"]).mean() > 0.9999
 
 
 def test_masks_cost_nothing_unless_asked_for_and_are_refused_for_a_scene(built, scene):
     small = dataclasses.replace(REFERENCE, rows=32, cols=32, pixel_mm=5.0)
     assert not pssf.simulate(built, small).truth.masks
-    with pytest.raises(pssf.InputError, match="keep = masks of a scene"):
+    with pytest.raises(pssf.InputError, match="keep must not contain masks for a Scene"):
         pssf.simulate(scene, small, keep=("masks",))
 
 

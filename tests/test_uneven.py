@@ -3,10 +3,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pssf.anatomy.uneven import MOST_SD, uneven_share
-from pssf.data.bones import mean_shape
+from pssf.anatomy.template.cortical_unevenness import MAX_SD, compute_thickness_factor
+from pssf.data.anatomy.bone_tables import load_template_anatomy
 
-TABLE = mean_shape().unevenness
+TABLE = load_template_anatomy().unevenness
 
 
 def places(count=4000, seed=0):
@@ -15,7 +15,7 @@ def places(count=4000, seed=0):
 
 def share(thickness_mm, seed=5, bone="tibia", at=None):
     at = places() if at is None else at
-    return uneven_share(at, np.full(len(at), thickness_mm), TABLE, seed, bone)
+    return compute_thickness_factor(at, np.full(len(at), thickness_mm), TABLE, seed, bone)
 
 
 def test_a_thin_cortex_is_as_uneven_as_the_table_says():
@@ -29,7 +29,7 @@ def test_a_thin_cortex_is_as_uneven_as_the_table_says():
 def test_a_cortex_never_vanishes_and_a_thick_one_is_uneven_by_the_same_millimetres(thickness_mm, seed):
     thick = thickness_mm * share(thickness_mm, seed)
     assert thick.min() >= min(thickness_mm, TABLE.least_mm) * (1 - 1e-12)
-    assert abs(thick - thickness_mm).max() <= MOST_SD * TABLE.sd * min(thickness_mm, TABLE.thin_mm) * (1 + 1e-9)
+    assert abs(thick - thickness_mm).max() <= MAX_SD * TABLE.sd * min(thickness_mm, TABLE.thin_mm) * (1 + 1e-9)
 
 
 def test_it_is_smooth_and_another_in_each_bone_and_knee():

@@ -4,9 +4,9 @@ from pathlib import Path
 import pytest
 
 import pssf
-from pssf.data import tables, userfiles
-from pssf.io.films import read_film
-from pssf.io.mesh_reader import read_mesh
+from pssf.data import data_files, user_files
+from pssf.io.meshes.mesh_reader import read_mesh
+from pssf.io.patients.patient_radiographs import read_film
 
 READERS = {
     "p.toml": pssf.load_protocol,
@@ -33,7 +33,7 @@ def test_a_pipe_and_a_device_are_refused_and_not_waited_for(name, tmp_path):
 
 def test_a_file_above_the_size_is_refused_before_it_is_read(tmp_path):
     (tmp_path / "p.toml").write_bytes(b" " * (2**20 + 1))
-    with pytest.raises(pssf.InputError, match="size = 1048577 bytes; allowed: up to 1048576"):
+    with pytest.raises(pssf.InputError, match="must have at most 1048576 bytes, got 1048577 bytes"):
         pssf.load_protocol(tmp_path / "p.toml")
 
 
@@ -45,7 +45,7 @@ def test_a_file_above_the_size_is_refused_before_it_is_read(tmp_path):
         ("base = 'a\nb'", "not TOML"),
         ('base = "a\\u0000b.toml"', "null byte"),
         ('base = "loop.toml"', "symbolic links"),
-        ('base = "a\\nb.toml"', r"a\\nb.toml: No such file"),
+        ('base = "a\\nb.toml"', r"a\\nb.toml must be .*No such file"),
         (f'base = "{"a" * 300}.toml"', "name too long"),
         (b"\xff\xfe", "not UTF-8"),
     ],
@@ -63,31 +63,31 @@ def test_a_byte_order_mark_is_no_fault(tmp_path):
     path = tmp_path / "p.toml"
     path.write_bytes(b"\xef\xbb\xbfbase = 'reference'\n")
     assert pssf.load_protocol(path) == pssf.load_protocol("reference")
-    assert tables.read_toml(path) == {"base": "reference"}
+    assert data_files.read_toml(path) == {"base": "reference"}
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, "[1, 2", '{"a": "x"}', "9" * 5000, "[]"])
 def test_json_of_another_form_is_refused_in_one_line(text, tmp_path):
     path = tmp_path / "a.json"
     path.write_text(text)
-    with pytest.raises(pssf.InputError, match=r"a\.json: damaged") as refused:
-        userfiles.read_json(path, dict[str, int])
+    with pytest.raises(pssf.InputError, match=r"a\.json must be .*damaged") as refused:
+        user_files.read_json(path, dict[str, int])
     assert "\n" not in str(refused.value)
 
 
 def test_json_of_the_form_that_is_wanted_is_read(tmp_path):
     path = tmp_path / "a.json"
     path.write_text('{"a": 1}')
-    assert userfiles.read_json(path, dict[str, int]) == {"a": 1}
+    assert user_files.read_json(path, dict[str, int]) == {"a": 1}
 
 
 @pytest.mark.parametrize("path", [None, b"x.tif", "a\0b.tif", 3])
 @pytest.mark.parametrize("read", [pssf.load, pssf.load_parameters, pssf.load_masks, pssf.load_protocol, read_mesh])
 def test_what_is_no_path_is_refused(read, path):
-    with pytest.raises(pssf.InputError, match="allowed: text or a Path, without a null byte"):
+    with pytest.raises(pssf.InputError, match="must be text or a Path, without a null byte"):
         read(path)
 
 
 def test_a_directory_is_refused(tmp_path):
     with pytest.raises(pssf.InputError, match="Is a directory"):
-        userfiles.read_bytes(Path(tmp_path))
+        user_files.read_bytes(Path(tmp_path))

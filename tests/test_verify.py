@@ -7,7 +7,7 @@ from command import in_a_process
 
 import pssf
 from pssf import cohort
-from pssf.io import records
+from pssf.io import cohort_records
 
 
 @pytest.fixture
@@ -72,7 +72,10 @@ def test_a_whole_cohort_has_no_fault_and_is_counted(folder):
         (lambda f: (f / "cohort.json").write_text("{}"), ["cohort.json: damaged ("]),
         (lambda f: (f / "cohort.json").write_text("[" * 100_000), ["cohort.json: damaged ("]),
         (lambda f: change(f, "cohort.json", '"seed": 5', '"seed": 6'), ["cohort.json: changed ("]),
-        (lambda f: change(f, "cohort.json", '"jsw_as": "projected"', '"jsw_as": "read"'), ["cohort.json: changed ("]),
+        (
+            lambda f: change(f, "cohort.json", '"jsw_definition": "projected"', '"jsw_definition": "read"'),
+            ["cohort.json: changed ("],
+        ),
         (lambda f: change(f, "cohort.json", '"seed": 5', '"seed": "5"'), ["cohort.json: damaged ("]),
         (lambda f: change(f, "records/k0000.json", "{", "[{"), ["records/k0000.json: damaged ("]),
         (lambda f: (f / "records" / "k0000.json").write_text('{"rows": [1]}'), ["records/k0000.json: damaged ("]),
@@ -81,7 +84,7 @@ def test_a_whole_cohort_has_no_fault_and_is_counted(folder):
         (
             lambda f: cut(f / "manifest.csv"),
             [
-                "manifest.csv: 5 radiographs, not the 6 that were asked for",
+                "manifest.csv: has 5 radiographs, not the 6 that cohort.json requests",
                 "manifest.csv: changed (",
                 "images/s0002_k0002_low_dose.tif: extra (",
             ],
@@ -102,7 +105,7 @@ def test_an_image_changed_together_with_its_hash_in_the_manifest_is_found(folder
     with open(folder / "manifest.csv") as handle:
         row = next(row for row in csv.DictReader(handle) if row["file"].endswith(image.name))
     path = folder / "manifest.csv"
-    path.write_text(path.read_text().replace(row["sha256"], pssf.io.records.sha256(image)))
+    path.write_text(path.read_text().replace(row["sha256"], pssf.io.cohort_records.hash_file(image)))
     assert [fault.split(" (")[0] for fault in cohort.verify_cohort(folder).faults] == ["manifest.csv: changed"]
 
 
@@ -113,7 +116,7 @@ def test_a_folder_of_no_cohort_is_refused(tmp_path):
 
 def test_the_command_prints_a_line_a_fault_and_ends_with_2_or_one_line_and_ends_with_0(folder):
     whole = in_a_process("cohort", "verify", folder)
-    assert (whole.returncode, whole.stdout) == (0, "whole     6 radiographs, 11 files, as they were written\n")
+    assert (whole.returncode, whole.stdout) == (0, "intact    6 radiographs, 11 files, as they were written\n")
     for image in list((folder / "images").iterdir())[:2]:
         append(image)
     broken = in_a_process("cohort", "verify", folder)
@@ -124,10 +127,10 @@ def test_the_command_prints_a_line_a_fault_and_ends_with_2_or_one_line_and_ends_
 
 def test_a_record_of_another_cohort_is_told_apart(folder):
     path = first(folder, "records")
-    record = records.knee_record(path)
-    records.write_rows(folder, 0, record.rows, "0" * 64)
+    record = cohort_records.read_knee_record(path)
+    cohort_records.write_knee_record(folder, 0, record.rows, "0" * 64)
     assert [fault.split(" (")[0] for fault in cohort.verify_cohort(folder).faults] == [
-        "records/k0000.json: of another cohort.json"
+        "records/k0000.json: made for another cohort.json"
     ]
 
 
@@ -140,9 +143,9 @@ def test_a_whole_folder_of_repeats_has_no_fault(small_protocols, tmp_path):
 
 def test_a_record_that_leads_out_of_its_folder_is_refused_and_nobody_is_told_to_delete_what_it_names(folder):
     path = first(folder, "records")
-    record = records.knee_record(path)
+    record = cohort_records.read_knee_record(path)
     rows = [{**row, "file": "/etc/passwd"} for row in record.rows]
-    records.write_rows(folder, 0, rows, record.claim)
-    with pytest.raises(pssf.InputError, match=r"file .*k0000\.json: damaged") as refused:
-        records.read_rows(folder, 0, [row["radiograph"] for row in rows], record.claim)
+    cohort_records.write_knee_record(folder, 0, rows, record.cohort_sha256)
+    with pytest.raises(pssf.InputError, match=r"file .*k0000\.json must be undamaged") as refused:
+        cohort_records.read_verified_rows(folder, 0, [row["radiograph"] for row in rows], record.cohort_sha256)
     assert "/etc/passwd" not in str(refused.value)

@@ -14,8 +14,8 @@ import trimesh
 from PIL import Image
 
 import pssf
-from pssf.io.meshes import colour_of
-from pssf.io.viewer import shaded, write_viewer
+from pssf.io.meshes.knee_viewer import split_creases, write_viewer
+from pssf.io.meshes.mesh_export import material_colour
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 FLAGS = [
@@ -103,7 +103,7 @@ def test_the_same_knee_gives_the_same_page(scene, radiograph, page, tmp_path):
 def test_the_radiograph_on_the_page_is_the_one_for_eyes(radiograph, page):
     shown = content_of(page)["radiograph"]
     with Image.open(io.BytesIO(base64.b64decode(shown["png"].split(",")[1]))) as image:
-        assert (np.asarray(image) == pssf.present(radiograph.pixels)).all()
+        assert (np.asarray(image) == pssf.render_for_display(radiograph.pixels)).all()
     assert (shown["height"], shown["width"]) == radiograph.pixels.shape
 
 
@@ -119,7 +119,7 @@ def test_shells_of_a_bone_are_listed_under_it_and_by_their_material(page):
     layers = content_of(page)["layers"]
     femur = {layer["label"]: layer["colour"] for layer in layers if layer["group"] == "femur"}
     assert {"cortical bone", "trabecular bone", "marrow"} <= set(femur)
-    assert tuple(femur["marrow"]) == colour_of("marrow")
+    assert tuple(femur["marrow"]) == material_colour("marrow")
     assert {"skin", "adipose", "muscle"} <= {layer["label"] for layer in layers if layer["group"] == ""}
 
 
@@ -143,12 +143,12 @@ def test_what_a_name_says_cannot_leave_its_place_on_the_page(radiograph, tmp_pat
 
 
 def test_edges_of_a_box_stay_sharp_and_a_sphere_stays_smooth():
-    points, normals, faces = shaded(trimesh.creation.box())
+    points, normals, faces = split_creases(trimesh.creation.box())
     assert len(points) == 24
     assert sorted(map(tuple, np.abs(normals))) == sorted(map(tuple, np.repeat(np.eye(3), 8, axis=0)))
     assert trimesh.Trimesh(points, faces, process=False).volume == pytest.approx(1)
     ball = trimesh.creation.icosphere(subdivisions=3)
-    points, normals, _ = shaded(ball)
+    points, normals, _ = split_creases(ball)
     assert len(points) == len(ball.vertices)
     assert (points * normals).sum(axis=1).min() > 0.98
 
@@ -197,12 +197,12 @@ def test_a_browser_draws_the_solids_switches_layers_and_cuts_without_an_error(ra
     # Twice the radius, four times the area; perspective adds a little.
     assert found["both"][0] / found["inner"][0] == pytest.approx(4.0, rel=0.05)
     # Four sheets, one behind the other, each as opaque as the slider says at its start.
-    left = [(1 - colour_of(material)[3] / 255) ** (2 * 2**-0.7) for material in ("skin", "marrow")]
+    left = [(1 - material_colour(material)[3] / 255) ** (2 * 2**-0.7) for material in ("skin", "marrow")]
     assert found["both"][4] == pytest.approx(255 * (1 - left[0] * left[1]), abs=3)
     red, _, blue, opacity = found["opaque"][1:]
     assert opacity > 250
     assert abs(blue / red - 140 / 224) < 0.08  # skin; marrow, behind it, has 0.39
-    expected = [0.1 * 255 + 0.9 * value for value in colour_of("marrow")[:3]]
+    expected = [0.1 * 255 + 0.9 * value for value in material_colour("marrow")[:3]]
     assert found["cut"][1:] == pytest.approx([*expected, 255], abs=3)
 
 
@@ -215,7 +215,7 @@ def test_the_picture_of_the_solids_shows_every_shell_of_a_bone_that_is_cut(scene
     whole, cut = solids.in_limb(scene, window), solids.cut_open(scene, window, 3.0)
 
     def share(picture, material):
-        return (np.abs(picture.astype(int) - colour_of(material)[:3]).max(axis=2) <= 3).mean()
+        return (np.abs(picture.astype(int) - material_colour(material)[:3]).max(axis=2) <= 3).mean()
 
     for material, least in (("cortical_bone", 0.005), ("trabecular_bone", 0.05), ("marrow", 0.02)):
         assert share(cut, material) > least

@@ -8,19 +8,19 @@ from numpy.testing import assert_allclose
 
 import pssf
 from pssf import InputError
-from pssf.accuracy import criteria, view_scatter, views
-from pssf.anatomy import small_bones
-from pssf.anatomy.bend import bend_of, sheared_deg
-from pssf.anatomy.landmarks import CONTOUR_LANDMARKS
-from pssf.anatomy.plateau import plateau_margins
-from pssf.anatomy.solids import mesh_of
-from pssf.data.anatomy import anatomy_tables
-from pssf.data.dicom import dicom_tables
-from pssf.data.fields import beam_range_deg
-from pssf.data.references import references
+from pssf.anatomy.bones import small_bones
+from pssf.anatomy.meshing.solids import extract_mesh
+from pssf.anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
+from pssf.anatomy.posture.plateau_margins import find_plateau_margins
+from pssf.anatomy.soft_tissue.limb_bend import build_limb_bend, shear_angle_deg
+from pssf.data.analysis.reference_table import load_reference_tables
+from pssf.data.anatomy.anatomy_tables import load_anatomy_tables
+from pssf.data.imaging.dicom_codes import load_dicom_tables
+from pssf.data.knees.field_definitions import beam_angle_range_deg
 from pssf.geometry.mesh import Mesh
-from pssf.geometry.view import magnification, project, view_of
-from pssf.io import dicom
+from pssf.geometry.view import magnification, project_points, resolve_view
+from pssf.io.dicom import dicom_radiograph
+from pssf.validation.imaging import positioning_criteria, view_effects, view_scatter
 
 LATERAL, SKYLINE = (pssf.load_protocol(name) for name in ("lateral", "skyline"))
 LYON = pssf.load_protocol("lyon_schuss")
@@ -59,7 +59,7 @@ def upright():
 
 
 def volume(surface):
-    return surface.arrays.as_trimesh().volume
+    return surface.mesh_arrays.as_trimesh().volume
 
 
 def test_a_turned_leg_keeps_the_volume_of_every_surface(side, along, upright):
@@ -71,14 +71,14 @@ def test_a_turned_leg_keeps_the_volume_of_every_surface(side, along, upright):
 
 
 def test_a_lateral_has_the_lateral_side_at_the_detector_and_the_patella_on_the_left(side):
-    bones = {s.name: s.arrays.vertices for s in side.scene.surfaces}
+    bones = {s.name: s.mesh_arrays.vertices for s in side.scene.surfaces}
     assert bones["fibula"][:, 1].mean() > bones["tibia"][:, 1].mean() + 15
     assert bones["patella"][:, 0].mean() < bones["femur"][:, 0].mean() - 30
     assert bones["fibula"][:, 0].mean() > bones["tibia"][:, 0].mean() + 10
 
 
 def test_a_skyline_has_the_patella_on_top_and_the_foot_at_the_detector(along):
-    bones = {s.name: s.arrays.vertices for s in along.scene.surfaces}
+    bones = {s.name: s.mesh_arrays.vertices for s in along.scene.surfaces}
     assert bones["patella"][:, 2].min() > bones["femur"][:, 2].max() - 5
     assert bones["patella"][:, 2].mean() > bones["femur"][:, 2].max() + 5
     # Middles of boxes: means of vertices go by how finely a bone is meshed.
@@ -105,7 +105,7 @@ def test_trabeculae_turn_with_their_bones(name, side, along, upright):
         next(s for s in one.scene.surfaces if s.name == "femur_trabecular").inside_density for one in (front, built)
     )
     starts, ends = np.random.default_rng(4).uniform([-25, -15, 10], [25, 15, 40], (2, 50, 3))
-    turned = [built.assembly.seen(points) for points in (starts, ends)]
+    turned = [built.assembly.orient_points(points) for points in (starts, ends)]
     assert not np.allclose(turned[0], starts)
     assert_allclose(there.integrate(*turned), here.integrate(starts, ends), rtol=1e-7)
 
@@ -116,9 +116,9 @@ def test_labels_from_the_side_are_places_of_the_bones_and_no_joint_space_or_cont
         assert not truth.jsw_at_mm
         assert not set(truth.landmarks_px) & {*CONTOUR_LANDMARKS, "medial_joint_line", "lateral_joint_line"}
         assert (truth.jsw_medial_mm, truth.jsw_lateral_mm) == (None, None)
-        with pytest.raises(InputError, match=r"projection = .*allowed: AP or PA"):
-            built.measured_jsw_mm(protocol)
-        with pytest.raises(InputError, match=r"projection = .*allowed: AP or PA"):
+        with pytest.raises(InputError, match=r"projection must be AP or PA to measure JSW, got .*"):
+            built.measure_jsw_mm(protocol)
+        with pytest.raises(InputError, match="projection must be AP or PA"):
             built.inter_margin_mm(protocol)
 
 
@@ -142,7 +142,7 @@ def test_labels_of_a_left_lateral_mirror_those_of_a_right_one(side):
 
 def test_the_detector_on_the_other_side_shows_the_same_side_of_the_knee():
     other = pssf.build(KNEE, dataclasses.replace(LATERAL, projection="LM"))
-    bones = {s.name: s.arrays.vertices for s in other.scene.surfaces}
+    bones = {s.name: s.mesh_arrays.vertices for s in other.scene.surfaces}
     assert bones["fibula"][:, 1].mean() < bones["tibia"][:, 1].mean() - 15
     assert bones["patella"][:, 0].mean() < bones["femur"][:, 0].mean() - 30
 
@@ -150,7 +150,7 @@ def test_the_detector_on_the_other_side_shows_the_same_side_of_the_knee():
 @pytest.mark.parametrize("turn_deg", [0.0, 1.5])
 def test_a_beam_along_the_plateau_brings_its_margins_together_and_a_degree_apart_by_its_depth(schuss, turn_deg):
     protocol = dataclasses.replace(LYON, beam_angle_deg=turn_deg)
-    front, back = plateau_margins(schuss.assembly, mesh_of(schuss.bones["tibia"].outer), "medial")
+    front, back = find_plateau_margins(schuss.assembly, extract_mesh(schuss.bones["tibia"].outer), "medial")
     depth = float(np.linalg.norm(front - back))
     # The nearer margin is larger on the film than it is in the joint plane.
     assert schuss.inter_margin_mm(protocol) == pytest.approx(depth * np.sin(np.deg2rad(turn_deg)), rel=0.06, abs=1e-3)
@@ -160,7 +160,7 @@ def test_a_radiograph_keeps_the_beam_that_was_fitted_and_is_made_again_by_it(sch
     protocol = smaller(LYON)
     one = pssf.simulate(schuss, protocol, engine="scanline", rng=2)
     assert one.protocol.beam_along == "horizontal"
-    assert one.protocol == schuss.aimed(protocol)
+    assert one.protocol == schuss.aim_beam(protocol)
     again = pssf.simulate(schuss, one.protocol, engine="scanline", rng=2)
     assert np.array_equal(one.pixels, again.pixels)
     assert one.truth == schuss.truth(protocol)
@@ -168,47 +168,47 @@ def test_a_radiograph_keeps_the_beam_that_was_fitted_and_is_made_again_by_it(sch
 
 def test_a_steeper_plateau_is_met_by_a_flatter_beam(schuss):
     steep = pssf.build(dataclasses.replace(KNEE, tibial_slope_deg=KNEE.tibial_slope_deg + 3), LYON)
-    less = schuss.aimed(LYON).beam_angle_deg - steep.aimed(LYON).beam_angle_deg
+    less = schuss.aim_beam(LYON).beam_angle_deg - steep.aim_beam(LYON).beam_angle_deg
     # Not degree for degree: other places of the rims come to be the margins.
     assert 2.3 < less < 3.7
 
 
 def test_a_beam_that_is_not_yet_fitted_is_no_view(schuss):
-    for see in (view_of, lambda protocol: pssf.trace(schuss.scene, protocol)):
+    for see in (resolve_view, lambda protocol: pssf.trace(schuss.scene, protocol)):
         with pytest.raises(
-            InputError, match=r"beam_along = 'medial_plateau'; allowed: 'horizontal', as BuiltKnee\.aimed"
+            InputError, match=r"beam_along must be 'horizontal' .*, got 'medial_plateau': use BuiltKnee\.aim_beam"
         ):
             see(LYON)
-    with pytest.raises(InputError, match="beam_along = 'medial_plateau'"):
+    with pytest.raises(InputError, match=r"beam_along must be .*, got 'medial_plateau'"):
         pssf.simulate(schuss.scene, smaller(LYON))
 
 
 def test_a_plateau_that_no_beam_meets_is_refused_with_how_far_it_is():
     leaning = dataclasses.replace(LYON, tibia_forward_deg=45.0)
-    with pytest.raises(InputError, match=r"at -30 and 30 deg of beam the plateau's margins are .* mm apart"):
-        pssf.build(KNEE, leaning).aimed(leaning)
+    with pytest.raises(InputError, match=r"angle between -30 and 30 deg, got plateau margins .* mm apart"):
+        pssf.build(KNEE, leaning).aim_beam(leaning)
 
 
 @pytest.mark.parametrize("flexion_deg", [42.0, 60.0, 75.0])
 def test_a_bent_limb_keeps_its_thickness_and_comes_back_when_it_is_straightened(flexion_deg):
-    bend = bend_of(flexion_deg, 1.0)
+    bend = build_limb_bend(flexion_deg, 1.0)
     straight = np.random.default_rng(1).uniform([-60, -70, -200], [60, 70, 340], (500, 3))
-    bent = bend.bent(straight)
-    assert_allclose(bend.straight(bent), straight, atol=1e-9)
+    bent = bend.bend_points(straight)
+    assert_allclose(bend.straighten_points(bent), straight, atol=1e-9)
     # Front and back of a section stay as far apart.
     across = np.array([[0.0, -60.0, 0.0], [0.0, 60.0, 0.0]])
     for height in (-150.0, 0.0, 60.0, 300.0):
-        front, back = bend.bent(across + np.array([0.0, 0.0, height]))
+        front, back = bend.bend_points(across + np.array([0.0, 0.0, height]))
         assert np.linalg.norm(front - back) == pytest.approx(120.0)
-    low, high = bend.bent(np.array([[0.0, 0.0, 250.0], [0.0, 0.0, 300.0]]))
+    low, high = bend.bend_points(np.array([[0.0, 0.0, 250.0], [0.0, 0.0, 300.0]]))
     assert np.rad2deg(np.arctan2(high[1] - low[1], high[2] - low[2])) == pytest.approx(bend.angle_deg)
 
 
 def test_up_to_40_degrees_a_limb_is_sheared_as_ever_and_no_flexion_is_lost_beyond():
-    assert bend_of(40.0, 1.0).angle_deg == 0
+    assert build_limb_bend(40.0, 1.0).angle_deg == 0
     for flexion_deg in (0.0, 22.0, 40.0, 41.0, 45.0, 60.0):
-        assert sheared_deg(flexion_deg) + bend_of(flexion_deg, 1.0).angle_deg == pytest.approx(flexion_deg)
-    assert bend_of(40.01, 1.0).angle_deg == pytest.approx(0.0, abs=0.1)
+        assert shear_angle_deg(flexion_deg) + build_limb_bend(flexion_deg, 1.0).angle_deg == pytest.approx(flexion_deg)
+    assert build_limb_bend(40.01, 1.0).angle_deg == pytest.approx(0.0, abs=0.1)
 
 
 def test_a_limb_that_would_fold_behind_the_knee_is_refused_with_the_reason():
@@ -220,23 +220,25 @@ def test_a_limb_that_would_fold_behind_the_knee_is_refused_with_the_reason():
 
 @pytest.mark.parametrize("seed", [1])
 def test_a_drawn_knee_bends_to_60_degrees_with_its_patella_on_the_femur_and_its_tendon_as_long(seed):
-    knee = pssf.draw_knee(grade=1, rng=np.random.default_rng(seed), grade_table="population")
+    knee = pssf.sample_knee(grade=1, rng=np.random.default_rng(seed), grade_table="population")
     lengths = []
     for flexion_deg in (0.0, 60.0):
         protocol = dataclasses.replace(pssf.load_protocol("rosenberg"), flexion_deg=flexion_deg)
         built = pssf.build(knee, protocol)
         patella, femur = (built.bones[name].outer for name in ("patella", "femur"))
         assert 0.5 < patella.min_gap(femur, 20.0) < 5.0
-        build, frame = built.assembly.build, built.assembly.pose.tibia()
-        apex = mesh_of(patella).vertices[mesh_of(small_bones.patella(build).outer).vertices[:, 2].argmin()]
+        build, frame = built.assembly.bone_parameters, built.assembly.pose.tibia_transform()
+        apex = extract_mesh(patella).vertices[
+            extract_mesh(small_bones.build_patella(build).outer).vertices[:, 2].argmin()
+        ]
         end = np.array(build.shape.patellar_tendon.tuberosity) * build.scale
         lengths.append(np.linalg.norm(apex - frame[:, :3] @ end - frame[:, 3]))
     assert lengths[1] == pytest.approx(lengths[0], rel=0.01)
 
 
 def test_a_fitted_beam_sees_the_origin_where_its_view_says(schuss):
-    view = view_of(schuss.aimed(LYON))
-    row, col = project(np.zeros((1, 3)), view)[0]
+    view = resolve_view(schuss.aim_beam(LYON))
+    row, col = project_points(np.zeros((1, 3)), view)[0]
     assert_allclose((row, col), ((LYON.rows - 1) / 2, (LYON.cols - 1) / 2), atol=1e-6)
 
 
@@ -255,8 +257,12 @@ def test_a_slope_read_off_a_lateral_follows_the_plateaus_own(side):
     steeper = pssf.build(dataclasses.replace(KNEE, tibial_slope_deg=KNEE.tibial_slope_deg + 4), LATERAL)
     read = []
     for built in (side, steeper):
-        frame, tibia = built.assembly.pose.tibia(), mesh_of(built.bones["tibia"].outer)
-        read.append(views.slope_deg(built.assembly, Mesh((tibia.vertices - frame[:, 3]) @ frame[:, :3], tibia.faces)))
+        frame, tibia = built.assembly.pose.tibia_transform(), extract_mesh(built.bones["tibia"].outer)
+        read.append(
+            view_effects.medial_plateau_slope_deg(
+                built.assembly, Mesh((tibia.vertices - frame[:, 3]) @ frame[:, :3], tibia.faces)
+            )
+        )
     # Of the medial plateau, which falls some 1.5 deg more than the mean of both, between the very edges of its rims.
     assert read[0] == pytest.approx(KNEE.tibial_slope_deg + 1.5, abs=2.0)
     # Not degree for degree: other places of the rims come to be those that tangents touch.
@@ -264,15 +270,20 @@ def test_a_slope_read_off_a_lateral_follows_the_plateaus_own(side):
 
 
 def test_how_far_off_is_told_from_the_nearer_end_of_a_range():
-    known = references().views["inter_margin_fixed_flexion_mm"]
-    rows = [views._row("inter_margin_fixed_flexion_mm", known, (value, 0.5), 3) for value in (1.0, 2.0, 3.0)]
+    known = load_reference_tables().views["inter_margin_fixed_flexion_mm"]
+    rows = [
+        view_effects._compare_quantity("inter_margin_fixed_flexion_mm", known, (value, 0.5), 3)
+        for value in (1.0, 2.0, 3.0)
+    ]
     assert [row["off"] for row in rows] == pytest.approx([1.0 - known.range[0], 0.0, 3.0 - known.range[1]])
 
 
 def test_all_that_is_known_of_films_of_people_is_measured_on_knees():
-    found = views.on_films((1, KNEE), anatomy_tables(), beam_range_deg())
-    assert set(found) - set(views._OTHERWISE) | {"beam_along_plateau_sd_deg"} == set(references().views)
-    assert set(views._OTHERWISE.values()) < set(references().views)
+    found = view_effects.measure_knee_on_views((1, KNEE), load_anatomy_tables(), beam_angle_range_deg())
+    assert set(found) - set(view_effects._ALTERNATIVE_DEFINITIONS) | {"beam_along_plateau_sd_deg"} == set(
+        load_reference_tables().views
+    )
+    assert set(view_effects._ALTERNATIVE_DEFINITIONS.values()) < set(load_reference_tables().views)
     assert found["inter_margin_missed_by_more_mm"] > found["inter_margin_lyon_schuss_mm"]
     assert found["aligned_within_more_percent"] >= found["aligned_at_11_deg_percent"]
     # The front of the shaft turns into the film's plane, its axis does not.
@@ -282,7 +293,7 @@ def test_all_that_is_known_of_films_of_people_is_measured_on_knees():
 
 
 def test_the_kernel_is_held_against_the_monte_carlo_in_a_view():
-    (row,) = view_scatter.view_scatter_rows(1, ("lateral",), 200_000)
+    (row,) = view_scatter.compare_scatter_by_view(1, ("lateral",), 200_000)
     assert (row["view"], row["photons"]) == ("lateral", 200_000)
     assert 40 < row["exit_gap_mm"] < 80
     assert abs(row["off_percent"]) < 30
@@ -295,7 +306,9 @@ def test_the_kernel_is_held_against_the_monte_carlo_in_a_view():
 )
 def test_a_dicom_says_where_rows_and_columns_of_a_turned_leg_go(name, side_of, way):
     protocol = pssf.load_protocol(name)
-    item = dicom._anatomy((dataclasses.replace(KNEE, side=side_of),), protocol, dicom_tables())
+    item = dicom_radiograph._make_anatomy_attributes(
+        (dataclasses.replace(KNEE, side=side_of),), protocol, load_dicom_tables()
+    )
     assert item.PatientOrientation == way
     assert "ViewPosition" not in item
     assert item.ViewCodeSequence[0].CodeValue == {"ML": "399260004", "axial": "399110001"}[protocol.projection]
@@ -303,40 +316,44 @@ def test_a_dicom_says_where_rows_and_columns_of_a_turned_leg_go(name, side_of, w
 
 def test_a_joint_line_that_a_view_does_not_show_is_refused_by_name(side):
     with pytest.raises(
-        InputError, match="landmark = 'medial_joint_line', which this view does not show; allowed: joint"
+        InputError, match=r"landmark must be one that this view shows \(joint.*\), got 'medial_joint_line'"
     ):
         _ = side.truth(LATERAL).medial_joint_line_px
 
 
 def test_a_taking_of_both_knees_keeps_the_field_of_both():
-    drawn = pssf.draw_exposure(pssf.load_protocol("bilateral"), rng=np.random.default_rng(1))
+    drawn = pssf.sample_acquisition(pssf.load_protocol("bilateral"), rng=np.random.default_rng(1))
     assert (drawn.field_width_mm, drawn.field_height_mm) == (0, 0)
-    assert drawn.apart_mm == 210
+    assert drawn.knee_distance_mm == 210
 
 
 def test_criteria_of_views_are_measured_on_what_is_seen():
-    found = criteria.in_views(KNEE)
-    assert set(found) == set(references().criteria)
+    found = positioning_criteria.measure_knee_positioning(KNEE)
+    assert set(found) == set(load_reference_tables().criteria)
     rear = dataclasses.replace(KNEE, fibular_tip_mm=25.0)
-    lower = criteria.in_views(rear)
+    lower = positioning_criteria.measure_knee_positioning(rear)
     # A fibula that ends farther down stands beside a narrower tibia.
     assert lower["ap_head_under_tibia_percent"] < found["ap_head_under_tibia_percent"]
     assert 1.2 < found["rosenberg_notch_over_ap"] < 4.0
 
 
 def test_shadows_are_clear_by_the_distance_between_them_in_the_joint_plane():
-    view = view_of(pssf.load_protocol("lateral"))
+    view = resolve_view(pssf.load_protocol("lateral"))
     one, other = np.zeros((2, 40, 60), np.bool_)
     one[10:20, 5:15], other[12:18, 25:40] = True, True
-    assert criteria._clear_mm(one, other, view) == pytest.approx(11 * view.pixel_mm / magnification(view))
-    assert criteria._clear_mm(one, one, view) == 0.0
+    assert positioning_criteria._clearance_mm(one, other, view) == pytest.approx(
+        11 * view.pixel_mm / magnification(view)
+    )
+    assert positioning_criteria._clearance_mm(one, one, view) == 0.0
 
 
 def test_condyles_are_apart_on_a_lateral_that_is_turned():
     protocol = pssf.load_protocol("lateral")
-    view = view_of(protocol)
+    view = resolve_view(protocol)
     apart = [
-        criteria._condyles_apart_mm(pssf.build(dataclasses.replace(KNEE, rotation_deg=degrees), protocol), view)
+        positioning_criteria._condyle_offset_mm(
+            pssf.build(dataclasses.replace(KNEE, rotation_deg=degrees), protocol), view
+        )
         for degrees in (-10.0, 0.0, 10.0)
     ]
     assert apart[1] < 4.0

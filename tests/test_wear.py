@@ -8,17 +8,17 @@ import trimesh
 from numpy.testing import assert_allclose
 
 import pssf
-from pssf.anatomy.attrition import attrition_mm, outer_bones
-from pssf.anatomy.bone_build import build_of
-from pssf.anatomy.bones import Bone
-from pssf.anatomy.joint import assemble, defining_protocol
-from pssf.anatomy.solids import solid_of
-from pssf.anatomy.wear import worn, worn_outer
-from pssf.data.anatomy import anatomy_tables
+from pssf.anatomy.bones.bone_shells import Bone
+from pssf.anatomy.bones.plateau_wear import wear_outer_tibia, wear_tibia
+from pssf.anatomy.meshing.solids import build_solid
+from pssf.anatomy.posture.attrition import build_outer_meshes, measure_attrition_mm
+from pssf.anatomy.posture.knee_assembly import assemble_knee, load_jsw_protocol
+from pssf.anatomy.template.bone_builder import resolve_bone_parameters
+from pssf.data.anatomy.anatomy_tables import load_anatomy_tables
 from pssf.model.protocol import Posture
 
 FIXED_FLEXION = pssf.load_protocol("fixed_flexion")
-WORN = pssf.Knee(jsw_as="read", jsw_medial_mm=0.1, jsw_lateral_mm=4.0, varus_deg=5.0)
+WORN = pssf.Knee(jsw_definition="read", jsw_medial_mm=0.1, jsw_lateral_mm=4.0, varus_deg=5.0)
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def test_bone_on_bone_is_built_without_overlap_and_with_its_spaces(built, jsw_me
     assert (femur ^ tibia).volume() < 1e-6
     # In contact: a femur that is lower by no more than what worn bones keep between them stands in the tibia.
     assert (femur.translate((0.0, 0.0, -0.03)) ^ tibia).volume() > 1e-3
-    assert_allclose(built.measured_jsw_mm(FIXED_FLEXION), (jsw_medial_mm, 4.0), atol=1e-3)
+    assert_allclose(built.measure_jsw_mm(FIXED_FLEXION), (jsw_medial_mm, 4.0), atol=1e-3)
     assert str(pssf.check(built.scene)) == "no faults"
 
 
@@ -42,16 +42,16 @@ def test_bone_on_bone_is_built_without_overlap_and_with_its_spaces(built, jsw_me
 @pytest.mark.parametrize("number", [559, 1039])
 def test_spaces_are_as_wanted_over_a_plateau_that_wears(number):
     rng = np.random.default_rng(np.random.SeedSequence(number, spawn_key=(1,)))
-    knee = pssf.draw_knee(grade=4, rng=rng, grade_table="population")
+    knee = pssf.sample_knee(grade=4, rng=rng, grade_table="population")
     built = pssf.build(knee, FIXED_FLEXION)
     assert built.truth(FIXED_FLEXION).attrition_mm["medial"] > 0
     wanted = (knee.jsw_medial_mm, knee.jsw_lateral_mm)
-    assert_allclose(built.measured_jsw_mm(FIXED_FLEXION), wanted, atol=1e-3)
+    assert_allclose(built.measure_jsw_mm(FIXED_FLEXION), wanted, atol=1e-3)
 
 
 # Its femur has an edge thinner than what worn bones keep between them, on the button of a condyle without joint space.
 THIN = pssf.Knee(
-    sex="female", stature_mm=1545.6228, jsw_medial_mm=0.112, jsw_lateral_mm=4.3617, jsw_as="read",
+    sex="female", stature_mm=1545.6228, jsw_medial_mm=0.112, jsw_lateral_mm=4.3617, jsw_definition="read",
     osteophytes=(
         pssf.Osteophyte(site="medial_femur", size_mm=1.076, curve_deg=-7.981),
         pssf.Osteophyte(site="lateral_femur", size_mm=0.939, curve_deg=-12.339),
@@ -75,17 +75,17 @@ def test_what_comes_off_a_worn_plateau_is_no_part_of_it():
     slab = trimesh.creation.box((40.0, 40.0, 10.0)).apply_translation((0.0, 0.0, -5.0))
     block = trimesh.creation.box((20.0, 20.0, 10.0)).apply_translation((0.0, 0.0, 3.0))
     hollow = trimesh.creation.box((0.3, 0.3, 0.3)).apply_translation((0.0, 0.0, -1.0))
-    tibia, femur, crumb = (solid_of(part.vertices, part.faces, "part") for part in (slab, block, hollow))
-    left = worn(Bone(outer=tibia, inner=tibia), femur - crumb, 0.1)
+    tibia, femur, crumb = (build_solid(part.vertices, part.faces, "part") for part in (slab, block, hollow))
+    left = wear_tibia(Bone(outer=tibia, inner=tibia), femur - crumb, 0.1)
     assert len(left.outer.decompose()) == len(left.inner.decompose()) == 1
-    assert len(worn_outer(tibia, femur - crumb).decompose()) == 2
+    assert len(wear_outer_tibia(tibia, femur - crumb).decompose()) == 2
     assert_allclose(left.outer.volume(), 16000.0 - 800.0, rtol=1e-3)
 
 
 def test_only_the_plateau_under_the_femur_is_worn(built, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr("pssf.anatomy.placed_bones.worn", lambda tibia, femur, plate_mm: tibia)
-        patch.setattr("pssf.anatomy.built.check_nesting", lambda placed, muscle: None)
+        patch.setattr("pssf.anatomy.posture.placed_bones.wear_tibia", lambda tibia, femur, plate_mm: tibia)
+        patch.setattr("pssf.anatomy.built_knee.check_nesting", lambda placed, muscle: None)
         bare = pssf.build(WORN, FIXED_FLEXION)
     before, after = (knee.bones["tibia"].outer for knee in (bare, built))
     gone = before - after
@@ -100,7 +100,7 @@ def test_only_the_plateau_under_the_femur_is_worn(built, monkeypatch):
 def test_cartilage_stays_out_of_bones_and_of_each_other(built):
     names = ("femur", "tibia", "femur_cartilage", "tibia_cartilage", "medial_meniscus", "lateral_meniscus")
     solids = [
-        solid_of(surface.arrays.vertices, surface.arrays.faces, surface.name)
+        build_solid(surface.mesh_arrays.vertices, surface.mesh_arrays.faces, surface.name)
         for surface in built.scene.surfaces
         if surface.name in names
     ]
@@ -112,16 +112,16 @@ def test_cartilage_stays_out_of_bones_and_of_each_other(built):
 def test_what_is_not_worn_is_the_same_object_as_before():
     wide = dataclasses.replace(WORN, jsw_medial_mm=4.0, varus_deg=0.0)
     one = pssf.build(wide, FIXED_FLEXION)
-    assert_allclose(one.measured_jsw_mm(FIXED_FLEXION), (4.0, 4.0), atol=1e-3)
-    assert worn(one.bones["tibia"], one.bones["femur"].outer, 0.3) is one.bones["tibia"]
+    assert_allclose(one.measure_jsw_mm(FIXED_FLEXION), (4.0, 4.0), atol=1e-3)
+    assert wear_tibia(one.bones["tibia"], one.bones["femur"].outer, 0.3) is one.bones["tibia"]
 
 
 def test_attrition_is_the_depth_that_is_gone_of_the_plateau_on_its_side(built, monkeypatch):
     depths = built.truth(FIXED_FLEXION).attrition_mm
     assert depths["lateral"] == 0.0
-    after = outer_bones(built.assembly)[1]
-    monkeypatch.setattr("pssf.anatomy.attrition.worn_outer", lambda tibia, femur: tibia)
-    before = outer_bones(built.assembly)[1]
+    after = build_outer_meshes(built.assembly)[1]
+    monkeypatch.setattr("pssf.anatomy.posture.attrition.wear_outer_tibia", lambda tibia, femur: tibia)
+    before = build_outer_meshes(built.assembly)[1]
     # Of the compartment away from the spines, along the leg: place by place, so a little less than the deepest.
     gone = _heights(before) - _heights(after)
     assert depths["medial"] - 0.02 < np.nanmax(gone) < depths["medial"] + 0.002
@@ -139,24 +139,32 @@ def _heights(tibia):
 
 
 def test_attrition_is_told_alike_whatever_posture_is_built():
-    tables, protocol = anatomy_tables(), defining_protocol(WORN)
+    tables, protocol = load_anatomy_tables(), load_jsw_protocol(WORN)
     bent, straight = (
-        assemble(WORN, build_of(WORN, tables), posture, protocol) for posture in (FIXED_FLEXION.posture, Posture())
+        assemble_knee(WORN, resolve_bone_parameters(WORN, tables), posture, protocol)
+        for posture in (FIXED_FLEXION.posture, Posture())
     )
-    assert attrition_mm(bent) == attrition_mm(straight)
-    assert attrition_mm(bent)["medial"] > 0.25
+    assert measure_attrition_mm(bent) == measure_attrition_mm(straight)
+    assert measure_attrition_mm(bent)["medial"] > 0.25
 
 
 def test_a_left_knee_is_worn_on_the_side_that_a_right_one_is(built):
     mirrored = dataclasses.replace(WORN, side="left")
-    left = assemble(mirrored, build_of(mirrored, anatomy_tables()), FIXED_FLEXION.posture, defining_protocol(mirrored))
-    assert attrition_mm(left) == built.truth(FIXED_FLEXION).attrition_mm
+    left = assemble_knee(
+        mirrored,
+        resolve_bone_parameters(mirrored, load_anatomy_tables()),
+        FIXED_FLEXION.posture,
+        load_jsw_protocol(mirrored),
+    )
+    assert measure_attrition_mm(left) == built.truth(FIXED_FLEXION).attrition_mm
 
 
 def test_bones_apart_have_no_attrition():
     wide = dataclasses.replace(WORN, jsw_medial_mm=4.0, varus_deg=0.0)
-    assembly = assemble(wide, build_of(wide, anatomy_tables()), FIXED_FLEXION.posture, defining_protocol(wide))
-    assert attrition_mm(assembly) == {"medial": 0.0, "lateral": 0.0}
+    assembly = assemble_knee(
+        wide, resolve_bone_parameters(wide, load_anatomy_tables()), FIXED_FLEXION.posture, load_jsw_protocol(wide)
+    )
+    assert measure_attrition_mm(assembly) == {"medial": 0.0, "lateral": 0.0}
 
 
 @pytest.mark.parametrize("wide_mm", [0.0, 4.0])
@@ -164,4 +172,4 @@ def test_bones_apart_have_no_attrition():
 def test_a_built_knee_has_the_attrition_of_its_bones_whether_they_were_looked_at_or_not(wide_mm, protocol):
     knee = dataclasses.replace(WORN, jsw_medial_mm=wide_mm, varus_deg=0.0) if wide_mm else WORN
     built = pssf.build(knee, protocol)
-    assert built._worn_mm == attrition_mm(built.assembly)
+    assert built._attrition_by_side_mm == measure_attrition_mm(built.assembly)

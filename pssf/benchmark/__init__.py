@@ -1,11 +1,11 @@
-"""A frozen data set, so that two papers can compare: images by one command, and with them what a reader needs.
+"""Benchmark: a frozen data set with fixed splits and baselines, so that papers can be compared.
 
-make       folder                       -> images, splits, features, baselines, and all below
-hashes     images                       -> a hash for each person, beside those that the package has written down
-datasheet  what is in it                -> datasheet (Gebru 2021), citation
-croissant  files of the folder          -> Croissant 1.0, for programs that load data sets
+benchmark_maker  folder            -> images, splits, features, baselines, and the documents below
+image_hashes     images            -> one hash per subject, compared with the hashes that the package publishes
+datasheet        content           -> datasheet (Gebru et al. 2021) and citation file
+croissant        files             -> Croissant 1.0 metadata, for programs that load data sets
 """
 
-from .make import BenchmarkResult, make_benchmark
+from .benchmark_maker import BenchmarkResult, make_benchmark
 
 __all__ = ["BenchmarkResult", "make_benchmark"]

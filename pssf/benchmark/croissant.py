@@ -1,51 +1,67 @@
-"""The data set as programs read it: Croissant 1.0, JSON-LD of MLCommons (mlcommons.org/croissant/1.0)."""
+"""Croissant 1.0 metadata of the data set: JSON-LD of MLCommons (mlcommons.org/croissant/1.0)."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..data.benchmark import FrozenSet
+from ..data.analysis.benchmark_table import BenchmarkDefinition
 
+# Version of the standard that the metadata conforms to.
 CONFORMS_TO = "http://mlcommons.org/croissant/1.0"
-_SPLITS = {"training": "cr:TrainingSplit", "validation": "cr:ValidationSplit", "test": "cr:TestSplit"}
-# Column of manifest.csv -> type, what it is.
-_RADIOGRAPH = {
+# Part of a split -> its identifier in the vocabulary of Croissant.
+_SPLIT_URLS = {"training": "cr:TrainingSplit", "validation": "cr:ValidationSplit", "test": "cr:TestSplit"}
+# Column of manifest.csv -> data type and description.
+_RADIOGRAPH_COLUMNS = {
     "radiograph": ("sc:Text", "Name of the radiograph."),
-    "subject": ("sc:Integer", "Number of the person; what is split by."),
+    "subject": ("sc:Integer", "Number of the subject; splits are by subject."),
     "knee": ("sc:Integer", "Number of the knee."),
-    "side": ("sc:Text", "right or left."),
-    "sex": ("sc:Text", "female or male."),
-    "age_years": ("sc:Float", "Age."),
+    "side": ("sc:Text", "Side of the knee, right or left."),
+    "sex": ("sc:Text", "Sex, female or male."),
+    "age_years": ("sc:Float", "Age, years."),
     "stature_mm": ("sc:Float", "Stature, mm."),
-    "grade": ("sc:Integer", "Grade like Kellgren and Lawrence's, 0 to 4, that the knee was drawn by: the label."),
+    "grade": ("sc:Integer", "Label: Kellgren-Lawrence grade, 0 to 4, that the knee was sampled for."),
     "jsw_medial_mm": ("sc:Float", "Minimum medial joint space width on this radiograph, mm."),
     "jsw_lateral_mm": ("sc:Float", "Minimum lateral joint space width on this radiograph, mm."),
     "nominal_jsw_medial_mm": ("sc:Float", "Medial joint space width that the knee was specified with, mm."),
     "nominal_jsw_lateral_mm": ("sc:Float", "Lateral joint space width that the knee was specified with, mm."),
-    "protocol": ("sc:Text", "Name of the technique: which tilt, which dose."),
-    "beam_angle_deg": ("sc:Float", "Tilt of the beam, degrees caudally."),
-    "tube_kv": ("sc:Float", "Tube voltage, kV."),
-    "mas": ("sc:Float", "Tube current and time, mAs: the dose."),
-    "pixel_mm": ("sc:Float", "Side of a pixel on the detector, mm."),
-    "truth_medial_row_px": ("sc:Float", "Row of the middle of the medial joint line, pixels."),
-    "truth_medial_col_px": ("sc:Float", "Its column."),
-    "sha256": ("sc:Text", "Hash of the file."),
+    "protocol": ("sc:Text", "Name of the protocol, which includes beam tilt and dose."),
+    "beam_angle_deg": ("sc:Float", "Beam angle, degrees; positive is caudal."),
+    "tube_kv": ("sc:Float", "Peak tube voltage, kV."),
+    "mas": ("sc:Float", "Tube current times exposure time, mAs; proportional to the dose."),
+    "pixel_mm": ("sc:Float", "Pixel pitch on the detector, mm."),
+    "truth_medial_row_px": ("sc:Float", "Row of the middle of the medial joint space, pixels."),
+    "truth_medial_col_px": ("sc:Float", "Column of the middle of the medial joint space, pixels."),
+    "sha256": ("sc:Text", "SHA-256 hash of the file."),
 }
-_SPLIT = {
+# Column of splits.csv -> data type and description.
+_SPLIT_COLUMNS = {
     "repeat": ("sc:Integer", "Number of the split."),
-    "subject": ("sc:Integer", "Number of the person."),
-    "part": ("sc:Text", "training, validation or test."),
+    "subject": ("sc:Integer", "Number of the subject."),
+    "part": ("sc:Text", "Part of the split: training, validation or test."),
 }
 
 
-def croissant(frozen: FrozenSet, files: Mapping[str, tuple[str, int]], columns: Sequence[str]) -> dict[str, Any]:
-    """The description, JSON-ready.
+def build_croissant_metadata(
+    frozen: BenchmarkDefinition, files: Mapping[str, tuple[str, int]], columns: Sequence[str]
+) -> dict[str, Any]:
+    """Build the Croissant metadata of the data set.
 
-    files    CSV file of the folder -> its sha256 and its size in bytes; manifest.csv and splits.csv among them
-    columns  of manifest.csv
+    Parameters
+    ----------
+    frozen : BenchmarkDefinition
+        Definition of the data set: title, version, licence and date.
+    files : mapping of str to (str, int)
+        CSV file -> its SHA-256 hash and its size in bytes; manifest.csv and splits.csv must be among them.
+    columns : sequence of str
+        Columns of manifest.csv; only these are described.
+
+    Returns
+    -------
+    dict of str to object
+        JSON-ready metadata.
     """
-    known = {name: what for name, what in _RADIOGRAPH.items() if name in columns}
+    known = {name: what for name, what in _RADIOGRAPH_COLUMNS.items() if name in columns}
     return {
-        "@context": _context(),
+        "@context": _build_context(),
         "@type": "sc:Dataset",
         "conformsTo": CONFORMS_TO,
         "name": frozen.preset,
@@ -59,88 +75,102 @@ def croissant(frozen: FrozenSet, files: Mapping[str, tuple[str, int]], columns: 
         "citeAs": f"@misc{{{frozen.preset}, title = {{{frozen.title}}}, author = {{{{{frozen.creator}}}}}, "
         f"year = {{{frozen.date[:4]}}}, version = {{{frozen.version}}}}}",
         "isLiveDataset": False,
-        "distribution": [*(_file(name, *about) for name, about in files.items()), _images()],
+        "distribution": [*(_describe_file(name, *about) for name, about in files.items()), _describe_image_set()],
         "recordSet": [
-            _table("radiographs", "manifest.csv", known, "One record a radiograph.", [_name_of_image()]),
-            _table("splits", "splits.csv", _SPLIT, "Fixed splits by person; both knees of a person are in one part."),
-            _parts(),
-            _pictures(),
+            _describe_table(
+                "radiographs", "manifest.csv", known, "One record per radiograph.", [_describe_image_name_field()]
+            ),
+            _describe_table(
+                "splits",
+                "splits.csv",
+                _SPLIT_COLUMNS,
+                "Fixed splits by subject; both knees of a subject are in one part.",
+            ),
+            _describe_split_parts(),
+            _describe_image_records(),
         ],
     }
 
 
-def _file(name: str, sha256: str, size: int) -> dict[str, Any]:
+def _describe_file(name: str, sha256: str, size: int) -> dict[str, Any]:
+    """Describe one CSV file."""
     about = {"contentUrl": name, "contentSize": f"{size} B", "encodingFormat": "text/csv", "sha256": sha256}
     return {"@type": "cr:FileObject", "@id": name, "name": name, **about}
 
 
-def _images() -> dict[str, Any]:
-    what = "16-bit TIFF, linear signal, row 0 proximal; hashes are in manifest.csv."
+def _describe_image_set() -> dict[str, Any]:
+    """Describe the set of images."""
+    what = "16-bit TIFF images, linear in the absorbed energy, row 0 proximal; manifest.csv has their hashes."
     where = {"encodingFormat": "image/tiff", "includes": "images/*.tif"}
     return {"@type": "cr:FileSet", "@id": "images", "name": "images", "description": what, **where}
 
 
-def _table(
+def _describe_table(
     name: str,
     file: str,
     columns: Mapping[str, tuple[str, str]],
     description: str,
-    more: Sequence[dict[str, Any]] = (),
+    extra_fields: Sequence[dict[str, Any]] = (),
 ) -> dict[str, Any]:
+    """Describe a CSV table with its columns and further fields."""
     fields = []
     for column, (kind, what) in columns.items():
         source = {"fileObject": {"@id": file}, "extract": {"column": column}}
-        fields.append(_field(f"{name}/{column}", kind, what, source))
+        fields.append(_describe_field(f"{name}/{column}", kind, what, source))
         if column == "part":
             fields[-1]["references"] = {"field": {"@id": "parts/name"}}
     held = {"@type": "cr:RecordSet", "@id": name, "name": name, "description": description}
     return (
-        held | ({"key": {"@id": f"{name}/radiograph"}} if "radiograph" in columns else {}) | {"field": [*fields, *more]}
+        held
+        | ({"key": {"@id": f"{name}/radiograph"}} if "radiograph" in columns else {})
+        | {"field": [*fields, *extra_fields]}
     )
 
 
-def _field(identity: str, kind: str, description: str, source: dict[str, Any] | None = None) -> dict[str, Any]:
+def _describe_field(identity: str, kind: str, description: str, source: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Describe one field of a record set."""
     about = {"@type": "cr:Field", "@id": identity, "name": identity, "description": description, "dataType": kind}
     return about if source is None else about | {"source": source}
 
 
-def _name_of_image() -> dict[str, Any]:
+def _describe_image_name_field() -> dict[str, Any]:
+    """Describe the field that links a radiograph to its image file."""
     source = {
         "fileObject": {"@id": "manifest.csv"},
         "extract": {"column": "file"},
         "transform": {"regex": "images/(.*)"},
     }
-    # No reference to images_by_name, for then a loader reads every image to list the labels.
-    return _field("radiographs/image", "sc:Text", "File of the image, by which images_by_name knows it.", source)
+    # A reference to images_by_name is left out, since a loader would then read every image to list the labels.
+    return _describe_field("radiographs/image", "sc:Text", "File name of the image, the key of images_by_name.", source)
 
 
-def _pictures() -> dict[str, Any]:
-    """Every image under the name of its file."""
-    said = {"name": "images_by_name", "description": "Every image, by the name of its file."}
+def _describe_image_records() -> dict[str, Any]:
+    """Describe the record set of all images, with the file name as key."""
+    said = {"name": "images_by_name", "description": "All images, by file name."}
     of_name, of_content = (
         {"fileSet": {"@id": "images"}, "extract": {"fileProperty": what}} for what in ("filename", "content")
     )
     fields = [
-        _field("images_by_name/name", "sc:Text", "Name of the file.", of_name),
-        _field("images_by_name/content", "sc:ImageObject", "The radiograph.", of_content),
+        _describe_field("images_by_name/name", "sc:Text", "File name of the image.", of_name),
+        _describe_field("images_by_name/content", "sc:ImageObject", "Pixels of the radiograph.", of_content),
     ]
     key = {"@id": "images_by_name/name"}
     return {"@type": "cr:RecordSet", "@id": "images_by_name", **said, "key": key, "field": fields}
 
 
-def _parts() -> dict[str, Any]:
-    """What the parts of a split are called, and mean."""
+def _describe_split_parts() -> dict[str, Any]:
+    """Describe the parts of a split: training, validation and test."""
     fields = [
-        _field("parts/name", "sc:Text", "Name of the part."),
-        _field("parts/url", "sc:URL", "What it is for."),
+        _describe_field("parts/name", "sc:Text", "Name of the part."),
+        _describe_field("parts/url", "sc:URL", "Purpose of the part, in the vocabulary of Croissant."),
     ]
-    data = [{"parts/name": name, "parts/url": url} for name, url in _SPLITS.items()]
+    data = [{"parts/name": name, "parts/url": url} for name, url in _SPLIT_URLS.items()]
     said = {"name": "parts", "description": "Parts of a split.", "dataType": "cr:Split", "key": {"@id": "parts/name"}}
     return {"@type": "cr:RecordSet", "@id": "parts", **said, "field": fields, "data": data}
 
 
-def _context() -> dict[str, Any]:
-    """The JSON-LD context that the specification recommends (its appendix 1)."""
+def _build_context() -> dict[str, Any]:
+    """Build the JSON-LD context that the specification recommends (its appendix 1)."""
     terms = (
         *("citeAs", "column", "extract", "field", "fileProperty", "fileObject", "fileSet", "format", "includes"),
         *("equivalentProperty", "isLiveDataset", "jsonPath", "key", "md5", "parentField", "path", "recordSet"),

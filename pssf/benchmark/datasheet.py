@@ -1,4 +1,4 @@
-"""What a reader should know of the data set before it is used, as a page; and how it is cited."""
+"""Datasheet and citation file of the data set."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -7,47 +7,73 @@ from typing import Any
 import jinja2
 import pandas as pd
 
-from ..data.benchmark import FrozenSet
-from ..study.learn.frozen import PREDICTORS
+from ..data.analysis.benchmark_table import BenchmarkDefinition
+from ..study.learn.benchmark_baselines import PREDICTORS
 
 
 @dataclass(frozen=True, kw_only=True)
-class About:
-    """What the datasheet is about.
+class DatasheetContent:
+    """Content of the datasheet.
 
-    whole      people of the whole data set
-    variant    what was asked for instead of what the data set has; "" where it is the one
-    refused    radiographs whose joint was not found
-    reference  protocol that baselines learn from
-    baselines  of `make.make_benchmark`
-    notes      sentences on baselines that are not there
-    warnings   of `provenance.warnings_of`
+    Attributes
+    ----------
+    dataset_spec : BenchmarkDefinition
+        Definition of the data set: preset, seed, splits, version, title and licence.
+    manifest : DataFrame
+        Manifest of the images, one row per radiograph.
+    total_subjects : int
+        Number of subjects of the whole data set.
+    variant : str
+        Entries of the preset that were replaced; "" for the frozen data set itself.
+    unlocated_radiographs : int
+        Number of radiographs in which the joint was not located.
+    reference_protocol : str
+        Protocol that the baselines are trained on.
+    baselines : DataFrame
+        Scores of the baselines (`BenchmarkResult.baselines`).
+    notes : sequence of str
+        Sentences on missing baselines and on splits that are too small.
+    warnings : sequence of str
+        Warnings of `study.statistics.analyses.leakage_checks.find_leakage_warnings`.
+    versions : mapping of str to str
+        Versions of the package and of the libraries that the pixels depend on.
     """
 
-    frozen: FrozenSet
+    dataset_spec: BenchmarkDefinition
     manifest: pd.DataFrame
-    whole: int
+    total_subjects: int
     variant: str
-    refused: int
-    reference: str
+    unlocated_radiographs: int
+    reference_protocol: str
     baselines: pd.DataFrame
     notes: Sequence[str]
     warnings: Sequence[str]
     versions: Mapping[str, str]
 
 
-def datasheet(about: About) -> str:
-    """The page, in Markdown, under the headings of Gebru 2021."""
-    manifest, knees = about.manifest, about.manifest.drop_duplicates("knee")
+def render_datasheet(content: DatasheetContent) -> str:
+    """Render the datasheet in Markdown, under the headings of Gebru et al. (2021).
+
+    Parameters
+    ----------
+    content : DatasheetContent
+        Content of the datasheet.
+
+    Returns
+    -------
+    str
+        Markdown text.
+    """
+    manifest, knees = content.manifest, content.manifest.drop_duplicates("knee")
     of_subject = knees.groupby("subject").size()
     counted = {"people": ("subject", "nunique"), "knees": ("knee", "nunique"), "radiographs": ("knee", "size")}
     columns = ["protocol", "beam_angle_deg", "mas", "tube_kv"]
     first = manifest.iloc[0]
-    return _rendered(
+    return _render_template(
         "datasheet.md.j2",
-        frozen=about.frozen,
-        whole=about.whole,
-        variant=about.variant,
+        frozen=content.dataset_spec,
+        whole=content.total_subjects,
+        variant=content.variant,
         people=len(of_subject),
         pairs=int((of_subject > 1).sum()),
         knees=len(knees),
@@ -57,22 +83,36 @@ def datasheet(about: About) -> str:
         pixel_mm=f"{first['pixel_mm']:g}",
         grades=manifest.groupby("grade").agg(**counted).reset_index().to_dict("records"),
         protocols=manifest[columns].drop_duplicates("protocol").to_dict("records"),
-        splits=about.frozen.splits,
-        versions=about.versions,
-        refused=about.refused,
-        reference=about.reference,
-        baselines=[_shown(row) for row in about.baselines.to_dict("records")],
-        notes=about.notes,
-        warnings=about.warnings,
+        splits=content.dataset_spec.splits,
+        versions=content.versions,
+        refused=content.unlocated_radiographs,
+        reference=content.reference_protocol,
+        baselines=[_format_baseline_row(row) for row in content.baselines.to_dict("records")],
+        notes=content.notes,
+        warnings=content.warnings,
     )
 
 
-def citation(frozen: FrozenSet, versions: Mapping[str, str]) -> str:
-    """The Citation File Format of the data set."""
-    return _rendered("citation.cff.j2", frozen=frozen, versions=versions)
+def render_citation(frozen: BenchmarkDefinition, versions: Mapping[str, str]) -> str:
+    """Render the citation file of the data set (Citation File Format 1.2.0).
+
+    Parameters
+    ----------
+    frozen : BenchmarkDefinition
+        Definition of the data set.
+    versions : mapping of str to str
+        Versions, with that of the package under ``pssf``.
+
+    Returns
+    -------
+    str
+        Text of CITATION.cff.
+    """
+    return _render_template("citation.cff.j2", frozen=frozen, versions=versions)
 
 
-def _rendered(template: str, **values: Any) -> str:
+def _render_template(template: str, **values: Any) -> str:
+    """Render a template of this package; an undefined variable is an error."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("pssf.benchmark", "."),
         undefined=jinja2.StrictUndefined,
@@ -83,7 +123,8 @@ def _rendered(template: str, **values: Any) -> str:
     return environment.get_template(template).render(**values)
 
 
-def _shown(row: Mapping[str, Any]) -> dict[str, Any]:
+def _format_baseline_row(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Format the scores of one baseline, with its label and its 95 % interval."""
     interval = "" if pd.isna(row["auc_low"]) else f"{row['auc_low']:.2f} to {row['auc_high']:.2f}"
     scores = {name: "" if pd.isna(row[name]) else f"{row[name]:.2f}" for name in ("auc", "balanced_accuracy")}
     return {**row, **scores, "label": PREDICTORS[row["model"]], "interval": interval}

@@ -1,16 +1,15 @@
-"""The command line: pssf simulate | meshes | cohort | benchmark | study | read | features | accuracy | quality |
-realism | grades | protocols | knees | explore.
+"""Command line of pssf.
 
-options    what commands share
-make       simulate, meshes, cohort
-benchmark  benchmark
-study      study
-read       read
-features   features
-measure    accuracy, quality, realism, grades, protocols, knees
-look       explore
+making_commands     simulate, meshes, cohort
+benchmark_command   benchmark
+study_command       study
+predict_command     predict
+features_command    features
+measuring_commands  validate, quality, compare-patients, separability, protocols, knees
+explore_command     explore
+shared_options      options of several commands
 
-Commands import what they need when they run, so that help does not wait for what computes.
+Commands import their modules only when they run, so that the help appears at once.
 """
 
 import errno
@@ -22,12 +21,12 @@ from typing import Annotated, Any
 
 import typer
 
-from . import make, measure
-from .benchmark import benchmark
-from .features import features
-from .look import explore
-from .read import read
-from .study import study
+from . import making_commands, measuring_commands
+from .benchmark_command import benchmark
+from .explore_command import explore
+from .features_command import features
+from .predict_command import predict
+from .study_command import study
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -35,72 +34,108 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-_PYTHONS = warnings.formatwarning
-# Earlier name of an option -> its name.
-_EARLIER = {"--grades": "--grade-table", "--table": "--grade-table"}
+_PYTHON_FORMATWARNING = warnings.formatwarning
+# Former name of an option to its current name.
+_RENAMED_OPTIONS = {
+    "--curves": "--curve-knees",
+    "--exposure": "--acquisition",
+    "--exposures": "--acquisition",
+    "--grades": "--grade-table",
+    "--look": "--processing",
+    "--pairs": "--sensitivity-knees",
+    "--shares": "--sobol-samples",
+    "--table": "--grade-table",
+}
+# Option and former value to its current value.
+_RENAMED_VALUES = {("--acquisition", "drawn"): "sampled", ("--processing", "linear"): "log"}
+# Former name of a command to its current name.
+_RENAMED_COMMANDS = {
+    "accuracy": "validate",
+    "grades": "separability",
+    "read": "predict",
+    "realism": "compare-patients",
+}
 _COMMANDS = (
-    *(make.simulate, make.meshes, benchmark, study, read, features),
-    *(measure.accuracy, measure.quality, measure.realism, measure.grades, measure.protocols, measure.knees),
+    *(making_commands.simulate, making_commands.meshes, benchmark, study, predict, features),
+    *(
+        measuring_commands.validate,
+        measuring_commands.quality,
+        measuring_commands.compare_patients,
+        measuring_commands.separability,
+        measuring_commands.protocols,
+        measuring_commands.knees,
+    ),
     explore,
 )
 
 
-def _tell_version(asked: bool) -> None:
+def _show_version(asked: bool) -> None:
+    """Print the version and exit, if it is requested."""
     if asked:
         print(f"pssf {version('pssf')}")
         raise typer.Exit
 
 
 @app.callback()
-def options(
-    asked: Annotated[bool, typer.Option("--version", callback=_tell_version, is_eager=True, help="Tell it.")] = False,
+def handle_global_options(
+    asked: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
 ) -> None:
-    """Knee radiographs from physics, with labels that are true by construction, and the study they exist for."""
+    """Simulate knee radiographs from physics, with exact labels, and run the radiomics study on them."""
 
 
 for command in _COMMANDS:
     app.command()(command)
-app.add_typer(make.cohort_app, name="cohort")
+app.add_typer(making_commands.cohort_app, name="cohort")
 
 
 def main() -> None:
-    """Run the command line; bad input ends in one line and exit code 2."""
-    warnings.formatwarning = _as_a_line
+    """Run the command line; invalid input ends with one line on standard error and exit code 2."""
+    warnings.formatwarning = _format_warning
     try:
-        sys.argv[1:] = _named_now(sys.argv[1:])
-        _require_once(sys.argv[1:])
+        sys.argv[1:] = _replace_renamed_options(sys.argv[1:])
+        _require_options_once(sys.argv[1:])
         sys.exit(app(standalone_mode=False))
     except (typer.Abort, KeyboardInterrupt) as error:
-        # The parser makes an Abort of an interrupt, and of the end of any file too early, which is no interrupt.
+        # The parser raises Abort for an interrupt, and also for the early end of a file, which is an error.
         if isinstance(error.__cause__, EOFError):
             raise error.__cause__ from None
-        print("pssf: stopped; run the same command to go on from there", file=sys.stderr)
+        print("pssf: stopped; run the same command again to continue", file=sys.stderr)
         sys.exit(130)
     except Exception as error:
-        sys.exit(_refused(error))
+        sys.exit(_report_error(error))
 
 
-def _named_now(arguments: list[str]) -> list[str]:
-    """The arguments with options by earlier names under their names of now, and a line that says so."""
-    named = []
-    for word in arguments:
+def _replace_renamed_options(arguments: list[str]) -> list[str]:
+    """Replace former names of commands, options and values by their current names, with a notice on standard error."""
+    named: list[str] = []
+    for index, word in enumerate(arguments):
         name, equals, value = word.partition("=")
-        now = _EARLIER.get(name, name)
+        if index == 0:
+            now = _RENAMED_COMMANDS.get(name, name)
+        elif named[-1].startswith("--") and not name.startswith("--"):
+            now = _RENAMED_VALUES.get((named[-1], name), name)
+        else:
+            now = _RENAMED_OPTIONS.get(name, name)
+            value = _RENAMED_VALUES.get((now, value), value)
         if now != name:
-            print(f"pssf: {name} is now {now}; the earlier name will be removed", file=sys.stderr)
+            print(f"pssf: {name} is now {now}; the former name will be removed", file=sys.stderr)
         named.append(now + equals + value)
     return named
 
 
-def _as_a_line(message: Warning | str, category: type[Warning], filename: str, lineno: int, line: Any = None) -> str:
-    """A warning of the package's own as a refusal is told; of others as Python does."""
+def _format_warning(
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, line: Any = None
+) -> str:
+    """Format a warning of this package as one line, and any other warning as Python does."""
     if category.__module__.split(".")[0] == "pssf":
         return f"pssf: {message}\n"
-    return _PYTHONS(message, category, filename, lineno, line)
+    return _PYTHON_FORMATWARNING(message, category, filename, lineno, line)
 
 
-def _require_once(arguments: list[str]) -> None:
-    """Refuse an option that is given twice where the parser would keep the last one and say nothing."""
+def _require_options_once(arguments: list[str]) -> None:
+    """Require that an option is given once, since the parser would silently use the last one."""
     given = [word.split("=")[0] for word in arguments if word.startswith("--")]
     twice = sorted({name for name in given if given.count(name) > 1} - {"--"})
     if not twice:
@@ -111,51 +146,60 @@ def _require_once(arguments: list[str]) -> None:
     commands = [root]
     for command in commands:
         commands += getattr(command, "commands", {}).values()
-    lists = {name for command in commands for option in command.params if _is_list(option) for name in option.opts}
+    lists = {
+        name for command in commands for option in command.params if _is_repeatable(option) for name in option.opts
+    }
     for name in twice:
         if name not in lists:
-            raise InputError(f"{name}: given {given.count(name)} times; allowed: once")
+            raise InputError(f"{name} must be given once, got it {given.count(name)} times")
 
 
-def _is_list(option: Any) -> bool:
+def _is_repeatable(option: Any) -> bool:
+    """Return whether an option may be given several times."""
     return getattr(option, "multiple", False) or option.nargs != 1
 
 
-def _refused(error: Exception) -> int:
-    """Tell of a refusal in one line; returns the exit code. What is no refusal is raised again."""
-    from ..core.checks import InputError, one_line
-    from ..core.workers import WorkersLostError
+def _report_error(error: Exception) -> int:
+    """Print an error of the user in one line and return the exit code; raise any other error again."""
+    from ..core.checks import InputError, format_one_line
+    from ..core.processes.worker_processes import WorkersLostError
 
     if isinstance(error, WorkersLostError):
-        print(f"pssf: {error}; run the same command to go on from there", file=sys.stderr)
+        print(f"pssf: {error}; run the same command again to continue", file=sys.stderr)
         return 1
     if isinstance(error, MemoryError):
-        reason = one_line(str(error)) or "of this process"
-        print(f"pssf: memory = too little ({reason}); allowed: fewer rows and cols, or fewer workers", file=sys.stderr)
+        reason = format_one_line(str(error)) or "of this process"
+        print(
+            f"pssf: memory must suffice, got too little ({reason}): use fewer rows and cols, or fewer workers",
+            file=sys.stderr,
+        )
         return 1
     if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
-        print(f"pssf: {one_line(f'file {error.filename}: {error.strerror}')}; allowed: a shorter path", file=sys.stderr)
+        print(
+            f"pssf: {format_one_line(f'file {error.filename}: {error.strerror}')}: use a shorter path",
+            file=sys.stderr,
+        )
         return 2
-    # A misused option: the parser's own classes are private, their one-line message is not.
+    # The error classes of the parser are private, but their one-line messages are public.
     by_parser = getattr(error, "format_message", None)
     if by_parser is None and not isinstance(error, InputError):
         raise error
     message: str = by_parser() if by_parser else str(error)
-    if by_parser and message.startswith("Usage:"):  # no command was given: this is the help
+    if by_parser and message.startswith("Usage:"):  # No command was given, so the message is the help.
         print(message, file=sys.stderr)
         return 2
-    message = one_line(message)
-    print(f"pssf: {message}{_field_hint(message)}", file=sys.stderr)
+    message = format_one_line(message)
+    print(f"pssf: {message}{_format_field_hint(message)}", file=sys.stderr)
     return 2
 
 
-def _field_hint(message: str) -> str:
-    """How a field is given, where it was taken for an option."""
+def _format_field_hint(message: str) -> str:
+    """Return a hint on --set if the unknown option is the name of a field; else an empty text."""
     asked = re.match(r"No such option: --([\w-]+)", message)
     if asked is None:
         return ""
-    from ..model.listing import field_rows
+    from ..model.field_listing import list_fields
 
     name = asked[1].replace("-", "_")
-    kinds = [kind for kind in ("protocol", "knee") if name in [row["field"] for row in field_rows(kind)]]
-    return f". A field of a {kinds[0]} is changed by --set {name}=VALUE, where a command takes it" if kinds else ""
+    kinds = [kind for kind in ("protocol", "knee") if name in [row["field"] for row in list_fields(kind)]]
+    return f". To change a field of a {kinds[0]}, use --set {name}=VALUE" if kinds else ""

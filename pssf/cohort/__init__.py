@@ -1,19 +1,28 @@
-"""cohort.plan_cohort   preset, seed    -> who is in it, and how each knee is taken
-cohort.some_people   plan            -> some of its people, of the grades alike
-cohort.plan_retest   plan            -> some of its knees, to be taken again with other noise and placed anew
-cohort.make_cohort   plan, folder    -> images and a manifest; goes on where an earlier run stopped
-cohort.write_labels  folder          -> its labels as the field reads them: OAI columns, .pts, COCO, pictures by grade
-cohort.verify_cohort folder          -> every file against its hash, and what is missing, changed or too much
+"""Cohorts: plan the knees and radiographs of a cohort, make them, export their labels, and verify the files.
 
-A cohort's folder holds cohort.json (what was asked for), images/*.tif, records/*.json (one a knee, written after its
-images) and, when all is made, manifest.csv with one row a radiograph.
+plan_cohort      preset, seed    -> Plan: knees, subjects, and the radiographs of each knee
+select_subjects  Plan            -> Plan with some of the subjects, equally many per grade
+plan_retest      Plan            -> Plan of repeated radiographs of some knees, with new noise and new positioning
+make_cohort      Plan, folder    -> images and a manifest; continues where an earlier run stopped
+write_labels     folder          -> labels as OAI columns, .pts files and COCO keypoints, and images sorted by grade
+verify_cohort    folder          -> every file compared with its hash; missing, changed and extra files
+
+The folder of a cohort holds cohort.json (the request), images/*.tif and records/*.json (one per knee, written after its
+images). The finished cohort has manifest.csv with one row per radiograph.
 """
 
-from .labels import write_labels
-from .make import make_cohort
-from .plan import Case, Exposure, Plan, plan_cohort, preset_names, some_people
-from .retest import plan_retest
-from .verify import Verification, verify_cohort
+from .cohort_maker import make_cohort
+from .cohort_plan import (
+    Case,
+    Exposure,
+    Plan,
+    plan_cohort,
+    preset_names,
+    select_subjects,
+)
+from .label_export import write_labels
+from .retest_plan import plan_retest
+from .verification import Verification, verify_cohort
 
 __all__ = [
     "Case",
@@ -24,7 +33,7 @@ __all__ = [
     "plan_cohort",
     "plan_retest",
     "preset_names",
-    "some_people",
+    "select_subjects",
     "verify_cohort",
     "write_labels",
 ]

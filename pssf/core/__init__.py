@@ -1,12 +1,12 @@
-"""What every other part stands on: checks of input, a timer, progress, work on many processes.
+"""Shared foundation of all other packages: input checks, timing, progress display, compilation and parallel work.
 
-checks    refusals: the thing, its value, what is allowed
-timer     seconds of stages, and how fast they go
-progress  a bar, rate and time left
-execution who does the work of a run, and what shows it
-compile_notice  a line of log where kernels have to be compiled
-blocks    means of blocks of a map, and back
-workers   what every worker process keeps to
-parallel  work on processes whose results do not depend on how many there are
-cluster   the same on a Dask scheduler's workers  (extra "cluster")
+checks             validation of input; `InputError` names the value and what is allowed
+keyword_arguments  unknown keyword arguments, and earlier names that still work
+resample           block averages of images, and interpolation back to full resolution
+stage_timer        wall time, rate and remaining time of the stages of a run
+progress_display   progress bar with rate and time left
+numba_kernel       decorators that compile functions with numba
+kernel_cache       cache of compiled functions on disk
+compile_notice     log message at the first compilation
+processes          parallel work on this machine or on a Dask cluster
 """

@@ -1,4 +1,4 @@
-"""Checks of input: every refusal names the thing, its value and what is allowed."""
+"""Input checks: every error names the argument, what is allowed, and the value that was given."""
 
 import math
 import re
@@ -15,161 +15,328 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
-# A word of so many characters is no path or number of anybody's; so many are kept at either end.
-_LONG, _KEPT = 600, 80
+# Longest word that a message shows in full, in characters. No real path or number is as long.
+_LONG = 600
+# Characters of a longer word that a message keeps at either end.
+_KEPT = 80
 
 
 class InputError(ValueError):
-    """Something that the user gave cannot be used; the message is one line for the user, whatever its names hold."""
+    """Report an input that cannot be used, in a message of one line.
+
+    Parameters
+    ----------
+    message : str
+        Text for the user. Unprintable characters are escaped and very long words are shortened, so that a file name
+        can neither break the line nor flood the terminal.
+    """
 
     def __init__(self, message: str) -> None:
-        super().__init__(one_line(message))
+        super().__init__(format_one_line(message))
 
 
-def one_line(text: str) -> str:
-    """Write out what is no character for eyes, such as the end of a line in a file's name; shorten endless words."""
+def format_one_line(text: str) -> str:
+    """Escape unprintable characters, such as line breaks, and shorten words of 600 characters or more.
+
+    Parameters
+    ----------
+    text : str
+        Any text.
+
+    Returns
+    -------
+    str
+        The text on one line.
+    """
     whole = "".join(one if one.isprintable() else repr(one)[1:-1] for one in text)
-    return re.sub(rf"\S{{{_LONG},}}", _shortened, whole)
+    return re.sub(rf"\S{{{_LONG},}}", _shorten_word, whole)
 
 
-def _shortened(word: re.Match[str]) -> str:
+def _shorten_word(word: re.Match[str]) -> str:
+    """Keep both ends of a long word, and state its length between them."""
     return f"{word[0][:_KEPT]}...({len(word[0])} characters)...{word[0][-_KEPT:]}"
 
 
-def shown(value: Any) -> str:
-    """Give the representation of a value; of an integer that Python does not write out, how many digits it has."""
+def format_value(value: Any) -> str:
+    """Format a value for a message; describe integers that have too many digits to be written out.
+
+    Parameters
+    ----------
+    value : Any
+        Value to show.
+
+    Returns
+    -------
+    str
+        The representation of the value, or a description that gives the number of digits.
+    """
     try:
         return repr(value)
-    except ValueError:  # more digits than sys.get_int_max_str_digits()
+    except ValueError:  # Python refuses to write integers with more digits than sys.get_int_max_str_digits().
         if isinstance(value, int):
             return f"an integer of some {round(abs(value).bit_length() * math.log10(2))} digits"
         return f"a {type(value).__name__} with an integer of more than {sys.get_int_max_str_digits()} digits"
 
 
-def require_path(path: Any, what: str = "path") -> Path:
-    """A path from what a caller gave for one.
+def require_path(path: Any, name: str = "path") -> Path:
+    """Convert an argument to a path.
 
-    raises  InputError for anything but text or a path of text, and for a null byte in it
+    Parameters
+    ----------
+    path : Any
+        Value given by the caller.
+    name : str, default "path"
+        Name of the argument in the error message.
+
+    Returns
+    -------
+    Path
+        The path.
+
+    Raises
+    ------
+    InputError
+        If the value is neither text nor a path of text, or if it contains a null byte.
     """
     if not isinstance(path, str | Path) or "\0" in str(path):
-        raise InputError(f"{what} = {shown(path)}; allowed: text or a Path, without a null byte")
+        raise InputError(f"{name} must be text or a Path, without a null byte, got {format_value(path)}")
     return Path(path)
 
 
-def require(name: str, value: float, low: float, high: float, unit: str) -> None:
-    """Refuse a number outside [low, high]; NaN and things that are no number are outside.
+def require_in_range(name: str, value: float, low: float, high: float, unit: str) -> None:
+    """Require a number from low to high.
 
-    raises  InputError
+    Parameters
+    ----------
+    name : str
+        Name of the argument in the error message.
+    value : float
+        Number to check. NaN is out of range.
+    low : float
+        Lowest allowed value.
+    high : float
+        Highest allowed value.
+    unit : str
+        Unit of the value in the error message; may be empty.
+
+    Raises
+    ------
+    InputError
+        If the value is not a number, or is out of range.
     """
     number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-    if not number or not low <= value <= high:  # this way round, so that NaN is refused too
-        raise InputError(f"{name} = {shown(value)} {unit}; allowed: {low:g} to {high:g} {unit}")
+    if not number or not low <= value <= high:  # The comparison is negated so that NaN is rejected, too.
+        given, allowed = (f"{text} {unit}".rstrip() for text in (format_value(value), f"{low:g} and {high:g}"))
+        raise InputError(f"{name} must be between {allowed}, got {given}")
 
 
-def require_whole(name: str, value: int, low: int, high: int, unit: str) -> None:
-    """Refuse anything but a whole number in [low, high].
+def require_integer(name: str, value: int, low: int, high: int, unit: str) -> None:
+    """Require a whole number from low to high.
 
-    raises  InputError
+    Parameters
+    ----------
+    name : str
+        Name of the argument in the error message.
+    value : int
+        Number to check. Booleans are not accepted.
+    low : int
+        Lowest allowed value.
+    high : int
+        Highest allowed value.
+    unit : str
+        Unit of the value in the error message; may be empty.
+
+    Raises
+    ------
+    InputError
+        If the value is not a whole number, or is out of range.
     """
     if not isinstance(value, Integral) or isinstance(value, bool) or not low <= value <= high:
-        given, allowed = (f"{text} {unit}".rstrip() for text in (shown(value), f"{low} to {high}"))
-        raise InputError(f"{name} = {given}; allowed: whole numbers from {allowed}")
+        given, allowed = (f"{text} {unit}".rstrip() for text in (format_value(value), f"{low} to {high}"))
+        raise InputError(f"{name} must be a whole number from {allowed}, got {given}")
 
 
 def require_workers(workers: int, unit: str = "threads") -> None:
-    """Refuse a number of workers outside 1 to 256.
+    """Require a number of workers from 1 to 256.
 
-    raises  InputError
+    Parameters
+    ----------
+    workers : int
+        Number to check.
+    unit : str, default "threads"
+        What the workers are, in the error message.
+
+    Raises
+    ------
+    InputError
+        If the value is not a whole number from 1 to 256.
     """
-    require_whole("workers", workers, 1, 256, unit)
+    require_integer("workers", workers, 1, 256, unit)
 
 
 def require_seed(seed: int) -> None:
-    """Refuse anything but a whole number from 0 to 2**63 - 1.
+    """Require a seed: a whole number from 0 to 2**63 - 1.
 
-    raises  InputError
+    Parameters
+    ----------
+    seed : int
+        Number to check.
+
+    Raises
+    ------
+    InputError
+        If the value is not a whole number from 0 to 2**63 - 1.
     """
-    require_whole("seed", seed, 0, 2**63 - 1, "")
+    require_integer("seed", seed, 0, 2**63 - 1, "")
 
 
-Chance = int | np.random.Generator
+RNGLike = int | np.random.Generator
 
 
-def generator_of(rng: Chance) -> np.random.Generator:
-    """Return a numpy Generator from a seed, or the one that is given (Scientific Python's SPEC 7).
+def resolve_generator(rng: RNGLike) -> np.random.Generator:
+    """Create a random generator from a seed, or return the generator that is given (Scientific Python SPEC 7).
 
     Parameters
     ----------
     rng : int or numpy.random.Generator
-        A seed from 0 to 2**63 - 1, or the generator itself, whose state then moves on.
+        Seed from 0 to 2**63 - 1, or a generator. A given generator is not copied, so that its state advances.
+
+    Returns
+    -------
+    numpy.random.Generator
+        The generator to sample from.
 
     Raises
     ------
     InputError
-        For anything else, None included: chance is always named, so that a result can be made again.
+        For any other value. None is not allowed either: every random result must be reproducible.
     """
-    return rng if isinstance(rng, np.random.Generator) else np.random.default_rng(seed_of(rng))
+    return rng if isinstance(rng, np.random.Generator) else np.random.default_rng(resolve_seed(rng))
 
 
-def seed_of(rng: Chance) -> int:
-    """Return a seed as it is, or one that a numpy Generator draws.
+def resolve_seed(rng: RNGLike) -> int:
+    """Return a seed as it is, or sample one from a generator.
+
+    Parameters
+    ----------
+    rng : int or numpy.random.Generator
+        Seed from 0 to 2**63 - 1, or a generator.
+
+    Returns
+    -------
+    int
+        Seed from 0 to 2**63 - 1.
 
     Raises
     ------
     InputError
-        For anything but a whole number from 0 to 2**63 - 1 or a Generator.
+        For anything but a whole number from 0 to 2**63 - 1 or a generator.
     """
     if isinstance(rng, np.random.Generator):
         return int(rng.integers(2**63))
     if not isinstance(rng, Integral) or isinstance(rng, bool) or not 0 <= rng < 2**63:
-        raise InputError(f"rng must be a whole number from 0 to 2**63 - 1 or a numpy Generator, got {shown(rng)}")
+        raise InputError(
+            f"rng must be a whole number from 0 to 2**63 - 1 or a numpy Generator, got {format_value(rng)}"
+        )
     return int(rng)
 
 
 def require_choice(name: str, value: Any, allowed: Collection[Any]) -> None:
-    """Refuse a value that is not among those listed, naming the nearest.
+    """Require one of the listed values; the error suggests the nearest name.
 
-    raises  InputError
+    Parameters
+    ----------
+    name : str
+        Name of the argument in the error message.
+    value : Any
+        Value to check.
+    allowed : collection
+        Allowed values.
+
+    Raises
+    ------
+    InputError
+        If the value is not in the list.
     """
-    if not any(_same(value, one) for one in allowed):
-        raise InputError(f"{name} = {shown(value)}; allowed: {', '.join(map(str, allowed))}{hint(value, allowed)}")
+    if not any(_is_same(value, one) for one in allowed):
+        raise InputError(
+            f"{name} must be one of {', '.join(map(str, allowed))}, got {format_value(value)}"
+            f"{suggest_name(value, allowed)}"
+        )
 
 
-def _same(value: Any, one: Any) -> bool:
-    """Equal, and of one kind: True and 1.0 are 1 to Python, but no grade."""
-    kinds = [next((kind for kind in (bool, Integral, str) if isinstance(of, kind)), type(of)) for of in (value, one)]
-    return kinds[0] is kinds[1] and bool(value == one)
+def _is_same(value: Any, allowed_value: Any) -> bool:
+    """Compare a value with an allowed one, including its type: True and 1.0 equal 1 in Python, but are no grade."""
+    kinds = [
+        next((kind for kind in (bool, Integral, str) if isinstance(of, kind)), type(of))
+        for of in (value, allowed_value)
+    ]
+    return kinds[0] is kinds[1] and bool(value == allowed_value)
 
 
-def from_table(kind: type[T], table: Mapping[str, Any], what: str) -> T:
-    """A parameter dataclass from a mapping, strict about unknown and missing names.
+def build_from_table(dataclass_type: type[T], table: Mapping[str, Any], label: str) -> T:
+    """Construct a parameter dataclass from a mapping; unknown and missing field names are errors.
 
-    table  field name -> value, as a TOML or JSON file gives it
-    what   how the file or object is called in a refusal
-    raises InputError for a misspelt or missing field, or a value its checks refuse
+    Parameters
+    ----------
+    dataclass_type : type
+        Dataclass to construct.
+    table : mapping of str to Any
+        Field name -> value, as read from a TOML or JSON file.
+    label : str
+        Name of the file or object in the error message.
+
+    Returns
+    -------
+    dataclass instance
+        The constructed object.
+
+    Raises
+    ------
+    InputError
+        If a field name is unknown, a required field is missing, or the dataclass rejects a value.
     """
-    assert is_dataclass(kind)
-    known = {f.name: f for f in fields(kind)}
+    assert is_dataclass(dataclass_type)
+    known = {f.name: f for f in fields(dataclass_type)}
     for name in table:
         if name not in known:
-            raise InputError(f"{what}: unknown field {name!r}{hint(name, known)}; allowed: {', '.join(known)}")
+            raise InputError(
+                f"{label}: fields must be among {', '.join(known)}, got {name!r}{suggest_name(name, known)}"
+            )
     for name, field in known.items():
         if name not in table and field.default is MISSING and field.default_factory is MISSING:
-            raise InputError(f"{what}: field {name!r} is missing; required: {', '.join(_required(kind))}")
+            raise InputError(
+                f"{label}: fields must include {', '.join(_required_fields(dataclass_type))}, got no {name!r}"
+            )
     try:
-        return kind(**table)
+        return dataclass_type(**table)
     except InputError as error:
-        raise InputError(f"{what}: {error}") from None
+        raise InputError(f"{label}: {error}") from None
 
 
-def _required(kind: Any) -> list[str]:
-    return [f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING]
+def _required_fields(dataclass_type: Any) -> list[str]:
+    """List the names of the fields that have no default."""
+    return [f.name for f in fields(dataclass_type) if f.default is MISSING and f.default_factory is MISSING]
 
 
-def hint(value: Any, allowed: Collection[Any]) -> str:
-    """Return " (did you mean ...?)" with the name nearest to a text; "" where none is near.
+def suggest_name(value: Any, allowed: Collection[Any]) -> str:
+    """Format a suggestion of the valid name that is nearest to a given text.
 
-    A name is near that is spelt alike, or has the text among its words: `kv` is near `tube_kv`.
+    Parameters
+    ----------
+    value : Any
+        Text given by the user. Other values get no suggestion.
+    allowed : collection
+        Valid names.
+
+    Returns
+    -------
+    str
+        " (did you mean '...'?)" with the nearest name, or an empty string if no name is near.
+
+    Notes
+    -----
+    A name is near if its spelling is similar, or if the text is one of its words: ``kv`` is near ``tube_kv``.
     """
     if not isinstance(value, str) or not value:
         return ""

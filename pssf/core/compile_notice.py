@@ -1,6 +1,7 @@
-"""One line of log where a process first compiles a kernel of this package: it then waits for some seconds.
+"""Log message at the first compilation of a kernel, which delays a process by some seconds.
 
-numba keeps what it has compiled, so that this happens once after an installation or a change of the code.
+numba keeps compiled code on disk, so that compilation happens once per installation or change of the code. Importing
+this module registers the listener.
 """
 
 import logging
@@ -10,27 +11,28 @@ from typing import Any
 from numba.core import event
 
 _LOG = logging.getLogger("pssf")
-_SAID = (
+_MESSAGE = (
     "pssf: compiling numerical kernels for this processor; this takes 8 to 30 s and happens once after an installation"
 )
 
 
-class _FirstOfPackage(event.Listener):
-    """Log the first compilation of a kernel of this package, unless this is a worker process."""
+class _FirstCompilationLogger(event.Listener):
+    """Log the first compilation of a kernel of this package, except in worker processes."""
 
     def __init__(self) -> None:
-        self.said = False
+        self.was_logged = False
 
     def on_start(self, event: Any) -> None:
+        """Log the message if a kernel of this package is compiled for the first time."""
         module = getattr(event.data["dispatcher"].py_func, "__module__", "") or ""
-        # Asked now: a process that is being started reads this module before it knows that it has a parent.
-        if not self.said and parent_process() is None and module.split(".")[0] == "pssf":
-            self.said = True
-            # A warning, which Python shows without any set-up of logging.
-            _LOG.warning(_SAID)
+        # The parent is looked up here, since a new worker process imports this module before it knows its parent.
+        if not self.was_logged and parent_process() is None and module.split(".")[0] == "pssf":
+            self.was_logged = True
+            # Python shows warnings even if logging is not configured.
+            _LOG.warning(_MESSAGE)
 
     def on_end(self, event: Any) -> None:
-        """Do nothing."""
+        """Do nothing: only the start of a compilation is logged."""
 
 
-event.register("numba:compile", _FirstOfPackage())
+event.register("numba:compile", _FirstCompilationLogger())

@@ -1,7 +1,7 @@
-"""KernelCache: numba's cache on disk, where a damaged file or a folder that cannot be written is a cache miss.
+"""Cache of compiled kernels on disk, in which every fault of a file or folder counts as a cache miss.
 
-numba raises whatever a damaged cache file makes pickle raise, and refuses to define a function where neither the
-folder of the source nor the user's cache folder can be written. Here every fault of the cache costs one compilation.
+numba itself raises whatever error a damaged cache file causes in pickle. It also refuses to define a function if
+neither the source folder nor the user's cache folder is writable. With `KernelCache` such faults cost one compilation.
 """
 
 import hashlib
@@ -23,71 +23,90 @@ from numba.core.caching import (
 )
 
 
-def cache_of(function: Any) -> FunctionCache | NullCache:
-    """Return the cache of a function to compile; one that holds nothing where no folder can be written."""
-    # Whatever numba cannot do for want of a cache, it can do without one.
+def make_kernel_cache(function: Any) -> FunctionCache | NullCache:
+    """Create the cache of a function that numba compiles.
+
+    Parameters
+    ----------
+    function : callable
+        Python function to be compiled.
+
+    Returns
+    -------
+    FunctionCache or NullCache
+        The cache, or a cache that stores nothing if no folder is writable.
+    """
+    # Any failure to create the cache is harmless: numba then compiles without one.
     with suppress(Exception):
         return KernelCache(function)
     return NullCache()
 
 
 class _TemporaryLocator(_SourceFileBackedLocatorMixin, _CacheLocator):
-    """Locate the cache in the folder for temporary files, in a folder that nobody else can write to."""
+    """Locate the cache in a private folder below the folder for temporary files, which no other user can write to."""
 
     def __init__(self, function: Any, file: str) -> None:
         self._py_file = file
         self._lineno = function.__code__.co_firstlineno
-        self._folder = Path(tempfile.gettempdir()) / f"pssf-numba-{_user()}"
+        self._folder = Path(tempfile.gettempdir()) / f"pssf-numba-{_user_id()}"
 
     def ensure_cache_path(self) -> None:
-        """Make the folders; raises OSError where that fails, or where the upper one is not this user's alone."""
+        """Create the folders.
+
+        Raises
+        ------
+        OSError
+            If a folder cannot be created, or if other users can write to the upper one.
+        """
         with suppress(FileExistsError):
             self._folder.mkdir(mode=0o700)
-        _require_own(self._folder)
+        _require_private_folder(self._folder)
         super().ensure_cache_path()
 
     def get_cache_path(self) -> str:
+        """Return the path of the cache folder of the source file."""
         return str(self._folder / self.get_suitable_cache_subpath(self._py_file))
 
 
-def _user() -> str:
+def _user_id() -> str:
+    """Return the numeric user id as text, or "user" where the system has no ids."""
     return str(os.getuid()) if hasattr(os, "getuid") else "user"
 
 
-def _require_own(folder: Path) -> None:
-    """Refuse a folder that another user made or can write to: code from a cache file is run.
-
-    Raises
-    ------
-    PermissionError
-    """
+def _require_private_folder(folder: Path) -> None:
+    """Raise PermissionError for a folder that another user owns or can write to, since code from cache files is run."""
     state = folder.lstat()
     own = not hasattr(os, "getuid") or (state.st_uid == os.getuid() and not state.st_mode & 0o022)
     if not (stat.S_ISDIR(state.st_mode) and own):
         raise PermissionError(f"{folder} is not this user's alone")
 
 
-class _Files(CompileResultCacheImpl):  # type: ignore[misc]
-    _locator_classes = [*CompileResultCacheImpl._locator_classes, _TemporaryLocator]  # noqa: RUF012  as numba has it
+class _CacheFiles(CompileResultCacheImpl):  # type: ignore[misc]
+    """Choose the cache folder as numba does, with the folder for temporary files as last resort."""
+
+    _locator_classes = [*CompileResultCacheImpl._locator_classes, _TemporaryLocator]  # noqa: RUF012  numba uses a list
 
 
 class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]
-    """Write the key and a hash with the code, so that altered code and code of other types are not run.
+    """Store the type signature and a hash with the code, so that code that is altered or of other types is not run.
 
-    Two processes that compile one function for different types at once give both results the same file name.
+    Two processes that compile a function for different types at the same time give both results the same file name.
     """
 
     def _load_index(self) -> Any:
-        # A damaged index can fail anywhere in pickle; the next function that is saved writes it anew.
+        """Load the index of the cache; return an empty index if the file is damaged."""
+        # A damaged index can raise any error in pickle. The next function that is saved rewrites it.
         with suppress(Exception):
             return super()._load_index()
         return {}
 
     def save(self, key: Any, data: Any) -> None:
+        """Save compiled code together with its key and the SHA-256 hash of both."""
         content = self._dump((key, data))
         super().save(key, (hashlib.sha256(content).digest(), content))
 
     def load(self, key: Any) -> Any:
+        """Load compiled code; return None unless its hash and key are correct."""
         held = super().load(key)
         if held is None:
             return None
@@ -99,15 +118,20 @@ class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]
 
 
 class KernelCache(FunctionCache):  # type: ignore[misc]
-    """Keep compiled code of one function on disk; whatever fails in that is a cache miss.
+    """Keep the compiled code of one function on disk; any failure counts as a cache miss.
+
+    Parameters
+    ----------
+    function : callable
+        Python function to be compiled.
 
     Raises
     ------
     RuntimeError
-        No folder can be written (from numba, when constructed).
+        If no folder is writable (raised by numba at construction).
     """
 
-    _impl_class = _Files
+    _impl_class = _CacheFiles
 
     def __init__(self, function: Any) -> None:
         super().__init__(function)
@@ -118,12 +142,33 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
         )
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Load compiled code; None where there is none, or none that is whole."""
-        with suppress(Exception):  # a damaged file can fail anywhere in pickle
+        """Load the compiled code for a signature.
+
+        Parameters
+        ----------
+        sig : numba signature
+            Types of the arguments.
+        target_context : numba target context
+            Processor that the code is compiled for.
+
+        Returns
+        -------
+        Any
+            The compiled code, or None if there is none or the file is damaged.
+        """
+        with suppress(Exception):  # A damaged file can raise any error in pickle.
             return super().load_overload(sig, target_context)
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Save compiled code, where the disk takes it."""
+        """Save the compiled code for a signature; do nothing if the disk cannot be written.
+
+        Parameters
+        ----------
+        sig : numba signature
+            Types of the arguments.
+        data : Any
+            Compiled code.
+        """
         with suppress(Exception):
             super().save_overload(sig, data)

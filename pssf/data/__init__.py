@@ -1,15 +1,17 @@
-"""The package's tables, and their typed, frozen records, read once.
+"""Tables of the package as typed, frozen records that are read once.
 
-tables   the TOML files, and protocols by name or path
-anatomy  all that bones are built from, as one record
-store    what takes seconds to make, kept in the user's cache folder
-code     which code and tables of the package something was made by
+data_files     TOML tables and protocols, by name or path
+user_files     files that a user names, read safely
+table_records  conversion of a table to a typed record
+array_cache    computed arrays, shipped with the package or kept in the user's cache folder
+code_hash      hashes of the code and tables that a result was made by
+knees          fields of knees and protocols, grade tables, grading, progression, cohort presets
+anatomy        template anatomy, shape model, soft tissue, trabecular bone, tissues, limb sizes
+imaging        detectors, scatter kernel, display processing, acquisition variability, DICOM
+analysis       reference values, localisation, landmarks, reporting, benchmark, tables of the READMEs
 
-A record is resolved at the door and passed on; no formula reads a table. Doors are what is called from outside: the
-verbs that users call (`pssf.__all__`: `build`, `draw_knee`, `present`, ...), the commands, the records that users
-construct, as they are made, what reads or writes a whole file, the beginnings of a cohort, of a study and of each
-measurement of the package. There names become records, once, which are then carried: `xray.technique_of` (all stages of
-the chain), `AnatomyTables` (all of a knee), `model.draw_laws`, `radiomics_tables`, `study_tables`. All else is given
-what it needs as arguments. Doors that are no verb of the front page are listed in `tests/test_house.py`, which lets no
-other function call a reader, and no formula call a door.
+Tables are read at entry points only, and the records are passed on as arguments: no formula reads a table. Entry points
+are the public functions (`pssf.__all__`), the commands, the construction of input objects, functions that read or write
+whole files, and the starting functions of a cohort, a study and each measurement. ``tests/test_house.py`` lists the
+entry points that are not public. It allows no other function to call a reader, and no formula to call an entry point.
 """

@@ -1,12 +1,19 @@
-"""The detector, and a view for eyes.
+"""Detector and display: blur, noise, readout, and grey levels for presentation.
 
-blur       of focal spot, panel and quantum noise, in frequency
-panel      quantum and readout noise, gain, offset, 16 bit
-looks      signal -> grey: linear, processed, film      pyramid  details of each size
-marker     a letter, drawn or of lead
-rendering  a view for eyes, of 8 to 16 bit, marked or not
+detector_blur       blur by focal spot and panel, in frequency space
+quantum_noise       quantum (Poisson) noise
+panel_readout       gain, readout noise, offset and 16-bit numbers
+side_marker         side marker of lead, or drawn
+laplacian_pyramid   decomposition of an image into details by size
+display_processing  grey levels: log, processed, film
+display_rendering   image for presentation with 8 to 16 bits
 """
 
-from .rendering import LOOKS, look_of, named_look, present
+from .display_rendering import (
+    DISPLAY_PROCESSING,
+    format_processing,
+    render_for_display,
+    resolve_processing,
+)
 
-__all__ = ["LOOKS", "look_of", "named_look", "present"]
+__all__ = ["DISPLAY_PROCESSING", "format_processing", "render_for_display", "resolve_processing"]

@@ -1,17 +1,19 @@
-"""explore.serve   port -> a page with sliders in the browser, on this machine alone   (extra "explore")
+"""Interactive page with sliders in the browser, served to this machine only (extra "explore").
 
-listing   what the page shows of fields, tables and protocols
-asked     requests, checked at the door
-warm      what stays: knees built, paths traced, stages run
-answers   a request -> its answer
-python    the lines that make an image again
-worker    the process that answers
-ahead     spectra that a kV slider will ask for
-dispatch  one worker, many tabs; the latest request wins
-guard     who may ask
-server    the addresses
-browser   Chromium, without a window
-latency   seconds from a slider to the picture, in a real browser
+================  ======================================================================
+page_server       addresses of the server, and `serve`, which starts it
+page_listing      fields, tables and protocols that the page shows
+request_schema    checked requests
+request_guard     access checks: token, host, origin and size of requests
+request_queue     queue of requests; the latest request of a tab supersedes older ones
+page_worker       process that answers the requests
+stage_cache       cached knees, path lengths and images
+handlers          answers to requests
+prefetch          spectra computed ahead for the tube-voltage slider
+python_snippet    Python code that reproduces an image
+browser           headless Chromium for tests and timing
+page_latency      time from a slider to the image in a real browser
+================  ======================================================================
 """
 
 from importlib.util import find_spec
@@ -20,10 +22,15 @@ from ..core.checks import InputError
 
 
 def require_extra() -> None:
-    """Refuse to go on without the libraries of the extra "explore".
+    """Raise an error if libraries of the extra "explore" are not installed.
 
-    raises  InputError
+    Raises
+    ------
+    InputError
+        If a library is missing; the message names it.
     """
     missing = [name for name in ("starlette", "uvicorn", "tomli_w") if find_spec(name) is None]
     if missing:
-        raise InputError(f"missing = {', '.join(missing)}; allowed: the extra explore (pip install 'pssf[explore]')")
+        raise InputError(
+            f"explore needs {', '.join(missing)}, not installed: install the extra with pip install 'pssf[explore]'"
+        )

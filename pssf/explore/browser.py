@@ -1,10 +1,10 @@
-"""The browser that the page is tested and timed in: Chromium of this machine, without a window."""
+"""Headless Chromium of this machine, in which the page is tested and timed."""
 
 from shutil import which
 
-_NAMES = ("chromium", "chromium-browser", "google-chrome")
-# No sandbox, as root has none in a container; WebGL by the processor; nothing asked of a network.
-FLAGS = [
+_BROWSER_NAMES = ("chromium", "chromium-browser", "google-chrome")
+# The sandbox is off, because root has none in a container. WebGL runs on the CPU. Network features are off.
+CHROMIUM_FLAGS = [
     "--no-sandbox",
     "--use-gl=angle",
     "--use-angle=swiftshader",
@@ -17,6 +17,12 @@ FLAGS = [
 ]
 
 
-def chromium() -> str | None:
-    """Path of the browser; None where there is none."""
-    return next((path for path in map(which, _NAMES) if path), None)
+def find_chromium() -> str | None:
+    """Find a Chromium or Chrome executable.
+
+    Returns
+    -------
+    str or None
+        Path of the executable; None if there is none.
+    """
+    return next((path for path in map(which, _BROWSER_NAMES) if path), None)

@@ -1,12 +1,24 @@
-"""Where things are.
+"""Scene geometry: projection views, closed surfaces, density fields and mesh repair.
 
-view      source, rays and pixels in the knee frame
-scene     closed surfaces between materials
-density   what varies within a material
-repair    what is wrong with a mesh, mended or refused
-topology  meshes as numbers
+====================  =====================================================================
+view                  source, detector and projection in the knee frame
+scene                 closed surfaces between materials
+density               densities that vary within a material
+mesh                  vertices and faces, with conversion to trimesh
+mesh_repair           repair of meshes, and errors for meshes that bound no solid
+mesh_topology         edges, duplicates, connected bodies and volumes of meshes
+mesh_nesting          cavities and bodies that are inside out
+mesh_containment      tests for meshes that contain each other or are disjoint
+mesh_cut              cut of a closed mesh at a height
+freeform_deformation  deformation of points by a lattice of control points
+====================  =====================================================================
 """
 
-from .view import View, magnification, project, view_of
+from .view import (
+    View,
+    magnification,
+    project_points,
+    resolve_view,
+)
 
-__all__ = ["View", "magnification", "project", "view_of"]
+__all__ = ["View", "magnification", "project_points", "resolve_view"]

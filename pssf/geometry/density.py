@@ -1,4 +1,4 @@
-"""Densities that vary within a material, relative to its own: what an engine integrates instead of a length."""
+"""Relative densities that vary within a material, which rays integrate in place of a path length."""
 
 import math
 import reprlib
@@ -9,80 +9,139 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.checks import Array, InputError
-from ..core.compiled import kernel
+from ..core.numba_kernel import kernel
 
 Vectors = tuple[tuple[float, float, float], ...]
 
 
 @runtime_checkable
 class Density(Protocol):
-    """Relative density as a function of the place; 1 is the material's own."""
+    """Relative density as a function of position; 1 is the density of the material itself.
+
+    Any object with this method can serve as the density of a `Surface`.
+    """
 
     def integrate(self, starts_mm: Array, ends_mm: Array) -> Array:
-        """(n,)  integral along straight segments, mm
+        """Integrate the density along straight segments.
 
-        starts_mm, ends_mm  (n, 3)  knee frame
+        Parameters
+        ----------
+        starts_mm : (n, 3) float64 array
+            Start points in the knee frame, in mm.
+        ends_mm : (n, 3) float64 array
+            End points in the knee frame, in mm.
+
+        Returns
+        -------
+        (n,) float64 array
+            Integral along each segment, in mm.
         """
         ...
 
 
-def integrated(density: Density, starts_mm: Array, ends_mm: Array) -> Array:
-    """(n,)  integrals of a density along straight segments, mm, held to what a Density promises
+def integrate_along_segments(density: Density, starts_mm: Array, ends_mm: Array) -> Array:
+    """Integrate a density along straight segments and check the result.
 
-    starts_mm, ends_mm  (n, 3)  knee frame
-    raises              InputError for anything but one finite number a segment
+    Parameters
+    ----------
+    density : Density
+        Relative density.
+    starts_mm : (n, 3) float64 array
+        Start points in the knee frame, in mm.
+    ends_mm : (n, 3) float64 array
+        End points in the knee frame, in mm.
+
+    Returns
+    -------
+    (n,) float64 array
+        Integral along each segment, in mm.
+
+    Raises
+    ------
+    InputError
+        If the density does not return one finite number per segment.
     """
     integrals = density.integrate(starts_mm, ends_mm)
-    allowed = f"allowed: ({len(starts_mm)},) finite numbers, mm, one a segment"
-    what = f"{type(density).__name__}.integrate gave"
+    allowed = f"must return ({len(starts_mm)},) finite numbers in mm, one per segment"
+    what = f"{type(density).__name__}.integrate"
     try:
         values = np.asarray(integrals)
-    except ValueError:  # rows of unequal length
+    except ValueError:  # Nested lists have unequal lengths.
         values = np.empty(0, object)
     if values.dtype.kind not in "fiu" or values.shape != (len(starts_mm),):
         kind = f"{values.dtype} of shape {values.shape}" if values.ndim else reprlib.repr(integrals)
-        raise InputError(f"{what} {kind}; {allowed}")
+        raise InputError(f"{what} {allowed}, got {kind}")
     finite = np.isfinite(values)
     if not finite.all():
         first = int(np.argmin(finite))
         bad = len(values) - int(finite.sum())
         raise InputError(
-            f"{what} {values[first]} for {bad} segments, first from {_place(starts_mm[first])} to "
-            f"{_place(ends_mm[first])} mm; {allowed}"
+            f"{what} {allowed}, got {values[first]} for {bad} segments, first from {_format_point(starts_mm[first])} "
+            f"to {_format_point(ends_mm[first])} mm"
         )
     return values.astype(np.float64, copy=False)
 
 
-def _place(point_mm: Array) -> str:
+def _format_point(point_mm: Array) -> str:
+    """Format a point (3,) with four significant digits."""
     return "(" + ", ".join(f"{part:.4g}" for part in point_mm) + ")"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Moved:
-    """A density that has moved with the solid that it is of.
+class TranslatedDensity:
+    """Density that has moved together with its solid.
 
-    density  as it was
-    by_mm    (x, y, z)  by which it has moved
+    Parameters
+    ----------
+    density : Density
+        Density at its original location.
+    offset_mm : tuple of float
+        Translation (x, y, z), in mm.
     """
 
     density: Density
-    by_mm: tuple[float, float, float]
+    offset_mm: tuple[float, float, float]
 
     def integrate(self, starts_mm: Array, ends_mm: Array) -> Array:
-        """(n,)  integral along straight segments, mm
+        """Integrate the density along straight segments.
 
-        starts_mm, ends_mm  (n, 3)  where the density is now
+        Parameters
+        ----------
+        starts_mm : (n, 3) float64 array
+            Start points in the frame after the translation, in mm.
+        ends_mm : (n, 3) float64 array
+            End points in the frame after the translation, in mm.
+
+        Returns
+        -------
+        (n,) float64 array
+            Integral along each segment, in mm.
         """
-        by = np.array(self.by_mm)
+        by = np.array(self.offset_mm)
         return self.density.integrate(starts_mm - by, ends_mm - by)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlaneWaves:
-    """mean + sum over k of amplitude[k] cos(wave[k] . place + phase[k]), whose integrals are closed forms.
+    """Relative density as a sum of plane waves, whose line integrals have a closed form.
 
-    waves_per_mm  radians per mm, each with three components
-    raises        InputError if the parts differ in number or are not finite
+    The density at a position p is ``mean + sum over k of amplitudes[k] * cos(waves_per_mm[k] . p + phases[k])``.
+
+    Parameters
+    ----------
+    mean : float, default 1.0
+        Mean relative density, dimensionless.
+    amplitudes : tuple of float, optional
+        Amplitude of each wave, dimensionless.
+    waves_per_mm : tuple of tuple of float, optional
+        Wave vector of each wave, with three components in radians per mm.
+    phases : tuple of float, optional
+        Phase of each wave, in radians.
+
+    Raises
+    ------
+    InputError
+        If the numbers of amplitudes, waves and phases differ, or if a number is not finite.
     """
 
     mean: float = 1.0
@@ -93,19 +152,31 @@ class PlaneWaves:
     def __post_init__(self) -> None:
         counts = len(self.amplitudes), len(self.waves_per_mm), len(self.phases)
         if len(set(counts)) > 1:
-            raise InputError(f"plane waves: {counts} amplitudes, waves and phases; allowed: as many of each")
+            raise InputError(f"plane waves: amplitudes, waves and phases must be equally many, got {counts}")
         for wave in self.waves_per_mm:
             if len(wave) != 3:
-                raise InputError(f"plane waves: a wave of {len(wave)} parts, {wave!r}; allowed: three, in radians/mm")
+                raise InputError(
+                    f"plane waves: a wave must have three components in radians/mm, got {len(wave)}: {wave!r}"
+                )
         numbers = (self.mean, *self.amplitudes, *self.phases, *(part for wave in self.waves_per_mm for part in wave))
         for number in numbers:
             if not math.isfinite(number):
-                raise InputError(f"plane waves: {number!r} is not finite; allowed: finite numbers")
+                raise InputError(f"plane waves: all numbers must be finite, got {number!r}")
 
     def integrate(self, starts_mm: Array, ends_mm: Array) -> Array:
-        """(n,)  integral along straight segments, mm
+        """Integrate the density along straight segments.
 
-        starts_mm, ends_mm  (n, 3)  knee frame
+        Parameters
+        ----------
+        starts_mm : (n, 3) float64 array
+            Start points in the knee frame, in mm.
+        ends_mm : (n, 3) float64 array
+            End points in the knee frame, in mm.
+
+        Returns
+        -------
+        (n,) float64 array
+            Integral along each segment, in mm.
         """
         waves = np.array(self.waves_per_mm, float).reshape(-1, 3)
         out = np.empty(len(starts_mm))
@@ -117,13 +188,14 @@ class PlaneWaves:
 def _sum_waves(
     starts: Array, ends: Array, mean: float, amplitudes: Array, waves: Array, phases: NDArray[np.float64], out: Array
 ) -> None:
+    """Write the integral of all waves along each segment, in mm, to `out` (n,)."""
     for k in range(len(starts)):
         x, y, z = ends[k, 0] - starts[k, 0], ends[k, 1] - starts[k, 1], ends[k, 2] - starts[k, 2]
         total = mean
         for n in range(len(amplitudes)):
             u, v, w = waves[n]
-            # Mean of a cosine over a span: its value in the middle times sinc of half the change of phase. Unlike the
-            # difference of two sines over k.d it stays exact when a wave runs across the ray.
+            # The mean of a cosine along a segment is its value at the centre times sinc of half the phase change.
+            # The difference of two sines over k.d would lose precision for waves perpendicular to the ray.
             half = (u * x + v * y + w * z) / 2
             middle = u * starts[k, 0] + v * starts[k, 1] + w * starts[k, 2] + half + phases[n]
             sinc = math.sin(half) / half if abs(half) > 1e-4 else 1.0 - half * half / 6

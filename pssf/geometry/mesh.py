@@ -1,4 +1,4 @@
-"""Mesh: vertices and faces, for what this package makes; trimesh is loaded when somebody asks for one of its own."""
+"""Triangle meshes as plain arrays; trimesh is imported only when a trimesh object is requested."""
 
 import sys
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -16,35 +16,56 @@ Indices = NDArray[np.integer[Any]]
 
 
 class Mesh(NamedTuple):
-    """Triangles.
+    """Triangle mesh.
 
-    vertices  (n, 3)  mm
-    faces     (m, 3)  vertex numbers, outward
+    Attributes
+    ----------
+    vertices : (n, 3) float64 array
+        Vertices, in mm.
+    faces : (m, 3) integer array
+        Vertex indices of each triangle, wound outward.
     """
 
     vertices: Array
     faces: Indices
 
     def as_trimesh(self) -> "trimesh.Trimesh":
-        """The same as a trimesh.Trimesh."""
+        """Convert the mesh to a trimesh object.
+
+        Returns
+        -------
+        trimesh.Trimesh
+            Mesh with the same vertices and faces.
+        """
         import trimesh
 
         return trimesh.Trimesh(self.vertices, self.faces, process=False)
 
 
 def is_mesh(thing: Any) -> bool:
-    """Whether something is a Mesh or a trimesh.Trimesh."""
-    # Whoever has one has loaded trimesh.
+    """Report whether an object is a Mesh or a trimesh.Trimesh.
+
+    Parameters
+    ----------
+    thing : object
+        Any object.
+
+    Returns
+    -------
+    bool
+        True for a mesh of either type.
+    """
+    # A trimesh object can exist only if trimesh is imported, so do not import it here.
     loaded = sys.modules.get("trimesh")
     return isinstance(thing, Mesh) or (loaded is not None and isinstance(thing, loaded.Trimesh))
 
 
 class MeshField:
-    """A field of a frozen dataclass that takes either, and gives a trimesh.Trimesh when it is read."""
+    """Descriptor of a dataclass field that accepts a Mesh or a trimesh.Trimesh and returns a trimesh.Trimesh."""
 
     def __get__(self, holder: Any, owner: Any = None) -> "trimesh.Trimesh":
         if holder is None:
-            raise AttributeError("mesh")  # so that the field has no default
+            raise AttributeError("mesh")  # The dataclass then treats the field as one without a default.
         if isinstance(holder.__dict__["_mesh"], Mesh):
             holder.__dict__["_mesh"] = holder.__dict__["_mesh"].as_trimesh()
         mesh: trimesh.Trimesh = holder.__dict__["_mesh"]
@@ -54,7 +75,18 @@ class MeshField:
         holder.__dict__["_mesh"] = mesh
 
     @staticmethod
-    def arrays(holder: Any) -> Mesh:
-        """Vertices and faces as they are held."""
+    def mesh_arrays(holder: Any) -> Mesh:
+        """Return the mesh of a holder as arrays, without importing trimesh.
+
+        Parameters
+        ----------
+        holder : object
+            Instance of the dataclass with the field.
+
+        Returns
+        -------
+        Mesh
+            Vertices in mm and faces.
+        """
         held = holder.__dict__["_mesh"]
         return held if isinstance(held, Mesh) else Mesh(held.vertices, held.faces)

@@ -1,4 +1,4 @@
-"""Scene: closed surfaces and what is on either side of each."""
+"""Scenes: closed surfaces with the material on either side of each."""
 
 import hashlib
 import math
@@ -12,39 +12,60 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from ..core.checks import Array, InputError, require
-from ..core.keywords import keywords
+from ..core.checks import Array, InputError, require_in_range
+from ..core.keyword_arguments import check_keywords
 from .density import Density
 from .mesh import Mesh, MeshField, is_mesh
-from .repair import Fault, Solid, repair, require_sound
+from .mesh_repair import (
+    Fault,
+    Solid,
+    repair_mesh,
+    require_usable_solid,
+)
 
 if TYPE_CHECKING:
     import trimesh
 
-# Smaller or larger than this across, and the unit is likely not the millimetre.
-SIZE_MM = (5.0, 3000.0)
-# Whatever the unit: here a micrometre is still resolved around a kilometre, and no square of a place overflows.
-_EXTREME_MM = (1e-6, 1e12)
+# Plausible extent of a scene, in mm. Outside this range the unit is likely not the millimetre.
+SIZE_RANGE_MM = (5.0, 3000.0)
+# Least and greatest extent of any scene, in mm. Within it, float64 resolves a micrometre in a scene of a kilometre, and
+# squared coordinates do not overflow.
+_SIZE_LIMITS_MM = (1e-6, 1e12)
 
 
 class MeshNotice(UserWarning):
-    """A mesh was mended before it was traced; the message says where and how."""
+    """Warning that a mesh was repaired before it was traced; the message says where and how."""
 
 
-@keywords()
+@check_keywords()
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A closed mesh (mm, outward normals) between two materials.
+    """Closed mesh between two materials.
 
-    mesh             a trimesh.Trimesh, or a Mesh, which becomes one when it is read
-    inside, outside  tissue names (`data/tissues.toml`), "FORMULA@DENSITY" in g/cm3, such as "Ti@4.51", or percent by
-                     mass, such as "Ti=90,Al=6,V=4@4.43"
-    name             how the surface is called in exports and refusals
-    inside_density   relative density of what is inside, where it varies; path lengths become its integrals
-    outside_density  the same of what is outside: that of the surface around, where it has one (`trace` refuses None)
-    raises           InputError for a wrong type or name; the mesh itself is judged by `check` and `trace`
+    Two surfaces are equal only if they are the same object.
 
-    The mesh is read once, when it is first needed. Two surfaces are equal if they are one.
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh or Mesh
+        Closed mesh in mm with outward normals. A Mesh is converted to a trimesh.Trimesh when the attribute is read.
+        The mesh is repaired once, when it is first needed.
+    inside : str
+        Material inside: the name of a tissue (``data/tissues.toml``), ``"FORMULA@DENSITY"`` in g/cm3 such as
+        ``"Ti@4.51"``, or percent by mass such as ``"Ti=90,Al=6,V=4@4.43"``.
+    outside : str
+        Material outside, given in the same way.
+    name : str, default "surface"
+        Name in exports and error messages: 1 to 64 letters, digits, ``_``, ``-``, ``.`` and blanks.
+    inside_density : Density, optional
+        Relative density of the material inside, if it varies. Path lengths are then integrals of the density.
+    outside_density : Density, optional
+        Relative density of the material outside. If the surrounding surface has one, it must be given here too;
+        otherwise `trace` raises InputError.
+
+    Raises
+    ------
+    InputError
+        If an argument has the wrong type or the name is invalid. The mesh itself is checked by `check` and `trace`.
     """
 
     if TYPE_CHECKING:
@@ -59,32 +80,38 @@ class Surface:
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not re.fullmatch(r"[\w .-]{1,64}", self.name):
-            raise InputError(f"surface name = {self.name!r}; allowed: 1 to 64 letters, digits, _, -, . and blanks")
+            raise InputError(f"surface name must be 1 to 64 letters, digits, _, -, . and blanks, got {self.name!r}")
         if not is_mesh(held := self.__dict__["_mesh"]):
-            raise InputError(f"{self.name}: mesh = {reprlib.repr(held)}; allowed: a trimesh.Trimesh")
+            raise InputError(f"{self.name}: mesh must be a trimesh.Trimesh, got {reprlib.repr(held)}")
         for label, material in (("inside", self.inside), ("outside", self.outside)):
             if not isinstance(material, str) or not material:
-                raise InputError(f"{self.name}: {label} = {material!r}; allowed: the name of a material")
+                raise InputError(f"{self.name}: {label} must be the name of a material, got {material!r}")
         for label, density in (("inside_density", self.inside_density), ("outside_density", self.outside_density)):
             if density is not None and not isinstance(density, Density):
                 raise InputError(
-                    f"{self.name}: {label} = {reprlib.repr(density)}; allowed: None, or a Density such as PlaneWaves"
+                    f"{self.name}: {label} must be None or a Density such as PlaneWaves, got {reprlib.repr(density)}"
                 )
 
     def __repr__(self) -> str:
         densities = (("inside_density", self.inside_density), ("outside_density", self.outside_density))
         varying = "".join(f", {label}={type(value).__name__}" for label, value in densities if value is not None)
-        faces = f"{len(self.arrays.faces)} faces"
+        faces = f"{len(self.mesh_arrays.faces)} faces"
         return f"Surface({self.name!r}, inside={self.inside!r}, outside={self.outside!r}, {faces}{varying})"
 
     @property
-    def arrays(self) -> Mesh:
-        """Vertices and faces of the mesh, without trimesh."""
-        return MeshField.arrays(self)
+    def mesh_arrays(self) -> Mesh:
+        """Vertices and faces of the mesh, without importing trimesh."""
+        return MeshField.mesh_arrays(self)
 
     def table(self) -> dict[str, Any]:
-        """Name, materials, densities that vary by what they are, size of the mesh and its hash, JSON-ready."""
-        vertices, faces = self.arrays
+        """Describe the surface for the metadata of a radiograph.
+
+        Returns
+        -------
+        dict
+            Name, materials, types of varying densities, and size and SHA-256 hash of the mesh; JSON-ready.
+        """
+        vertices, faces = self.mesh_arrays
         digest = hashlib.sha256(np.ascontiguousarray(vertices, "<f8").tobytes())
         digest.update(np.ascontiguousarray(faces, "<i8").tobytes())
         densities = (("inside_density", self.inside_density), ("outside_density", self.outside_density))
@@ -96,119 +123,165 @@ class Surface:
 
     @cached_property
     def solid(self) -> Solid:
-        """What the mesh bounds, mended where only one reading is possible, with an account of it."""
-        return repair(*self.arrays, self.name)
+        """The repaired mesh with its faults."""
+        return repair_mesh(*self.mesh_arrays, self.name)
 
     @property
     def bounds_mm(self) -> Array:
-        """(2, 3)  lower and upper corner of the box around it"""
+        """Bounding box: lowest and highest corner as a (2, 3) array, in mm."""
         points = self.solid.points
         return np.array([[edge(points[:, axis]) for axis in range(3)] for edge in (np.min, np.max)])
 
 
-@keywords()
+@check_keywords()
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Surfaces in `ambient`. Each surface's `outside` is the material that immediately surrounds it.
+    """Closed surfaces in a surrounding gas.
 
-    ambient  air or another gas: it attenuates nothing, and `simulate` refuses a denser one. Water around a phantom is a
-             closed surface of water in air
-    size_mm  least and greatest extent; outside of it the unit is doubted. (0, inf) allows any
-             Without surfaces its radiograph is a flat field
-    raises   InputError for wrong types; meshes and size are judged by `check` and `trace`
+    The `outside` of each surface is the material that immediately surrounds it. Two scenes are equal only if they are
+    the same object. A scene without surfaces gives a flat-field radiograph.
 
-    Two scenes are equal if they are one.
+    Parameters
+    ----------
+    surfaces : iterable of Surface
+        Surfaces of the scene.
+    ambient : str, default "air"
+        Gas around all surfaces, which attenuates nothing; `simulate` raises InputError for a denser material. For a
+        phantom in water, add a closed surface of water in air.
+    size_mm : tuple of float, default (5.0, 3000.0)
+        Least and greatest extent of the scene, in mm. An extent outside this range suggests a wrong unit and raises an
+        error in `check` and `trace`. ``(0, inf)`` allows any extent.
+
+    Raises
+    ------
+    InputError
+        If an argument has the wrong type. Meshes and extent are checked by `check` and `trace`.
     """
 
     surfaces: tuple[Surface, ...]
     ambient: str = "air"
-    size_mm: tuple[float, float] = SIZE_MM
+    size_mm: tuple[float, float] = SIZE_RANGE_MM
 
     def __init__(
-        self, surfaces: Iterable[Surface], ambient: str = "air", size_mm: tuple[float, float] = SIZE_MM
+        self, surfaces: Iterable[Surface], ambient: str = "air", size_mm: tuple[float, float] = SIZE_RANGE_MM
     ) -> None:
         if not isinstance(surfaces, Iterable):
-            raise InputError(f"scene: surfaces = {reprlib.repr(surfaces)}; allowed: a list of Surface")
+            raise InputError(f"scene: surfaces must be a list of Surface, got {reprlib.repr(surfaces)}")
         object.__setattr__(self, "surfaces", tuple(surfaces))
         object.__setattr__(self, "ambient", ambient)
-        object.__setattr__(self, "size_mm", _span_of(size_mm))
+        object.__setattr__(self, "size_mm", _require_size_range(size_mm))
         for surface in self.surfaces:
             if not isinstance(surface, Surface):
-                raise InputError(f"scene: {reprlib.repr(surface)} among the surfaces; allowed: Surface")
+                raise InputError(f"scene: every surface must be a Surface, got {reprlib.repr(surface)}")
         if not isinstance(ambient, str) or not ambient:
-            raise InputError(f"scene: ambient = {ambient!r}; allowed: the name of a material")
+            raise InputError(f"scene: ambient must be the name of a material, got {ambient!r}")
 
     @property
     def materials(self) -> tuple[str, ...]:
-        """Every material named, ambient first, in the order of first appearance."""
+        """Names of all materials in order of first appearance; the ambient gas is first."""
         names = [self.ambient]
         for surface in self.surfaces:
             names += [surface.outside, surface.inside]
         return tuple(dict.fromkeys(names))
 
     def table(self) -> dict[str, Any]:
-        """What it is made of, JSON-ready: what is around all, and every surface's own."""
+        """Describe the scene for the metadata of a radiograph.
+
+        Returns
+        -------
+        dict
+            Ambient gas and a description of every surface; JSON-ready.
+        """
         return {"ambient": self.ambient, "surfaces": [surface.table() for surface in self.surfaces]}
 
     @cached_property
     def bounds_mm(self) -> Array:
-        """(2, 3)  lower and upper corner of the box around all surfaces
+        """Bounding box of all surfaces: lowest and highest corner as a (2, 3) array, in mm.
 
-        raises  InputError for a mesh that bounds no solid
+        Raises
+        ------
+        InputError
+            If a mesh does not bound a solid.
         """
         if not self.surfaces:
             return np.zeros((2, 3))
         for surface in self.surfaces:
-            require_sound(surface.solid)
+            require_usable_solid(surface.solid)
         corners = np.array([surface.bounds_mm for surface in self.surfaces])
         return np.array([corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)])
 
     @property
     def faults(self) -> tuple[Fault, ...]:
-        """What is wrong with the meshes, in the order of the surfaces, and then with the size of it all."""
+        """Faults of the meshes in the order of the surfaces, followed by a fault of the extent."""
         faults = [fault for surface in self.surfaces for fault in surface.solid.faults]
         if not self.surfaces or any(fault.outcome == "refused" for fault in faults):
             return tuple(faults)
-        low, high = max(self.size_mm[0], _EXTREME_MM[0]), min(self.size_mm[1], _EXTREME_MM[1])
-        # Halves, so that what spans all of float64 does not overflow.
+        low, high = max(self.size_mm[0], _SIZE_LIMITS_MM[0]), min(self.size_mm[1], _SIZE_LIMITS_MM[1])
+        # Subtract halves, so that a scene that spans the range of float64 does not overflow.
         across_mm = 2.0 * float((self.bounds_mm[1] / 2 - self.bounds_mm[0] / 2).max())
         away_mm = float(abs(self.bounds_mm).max())
         what = hint = ""
         if not low <= across_mm <= high:
             what = f"scene is {across_mm:.4g} mm across"
-            other = "" if self.size_mm[0] <= across_mm <= self.size_mm[1] else "; or Scene(..., size_mm=...)"
-            hint = f"allowed: {low:g} to {high:g} mm{_unit_hint(across_mm, low, high)}{other}"
-        elif away_mm > _EXTREME_MM[1]:
-            what, hint = f"scene is {away_mm:.4g} mm from the origin", f"allowed: up to {_EXTREME_MM[1]:g} mm"
+            other = "" if self.size_mm[0] <= across_mm <= self.size_mm[1] else "; or set Scene(..., size_mm=...)"
+            hint = f"it must be {low:g} to {high:g} mm{_suggest_unit(across_mm, low, high)}{other}"
+        elif away_mm > _SIZE_LIMITS_MM[1]:
+            what, hint = f"scene is {away_mm:.4g} mm from the origin", f"it must be within {_SIZE_LIMITS_MM[1]:g} mm"
         if what:
-            faults.append(Fault(surface="scene", what=what, count=0, first=(), outcome="refused", hint=hint))
+            faults.append(Fault(surface="scene", problem=what, count=0, first_items=(), outcome="refused", hint=hint))
         return tuple(faults)
 
 
 class HasScene(Protocol):
-    """Something that was built and carries its scene, as `build(knee)` gives it."""
+    """Object with a scene, such as a `BuiltKnee`."""
 
     @property
     def scene(self) -> Scene:
-        """Its closed surfaces."""
+        """Closed surfaces of the object."""
 
 
-def scene_of(thing: Scene | HasScene) -> Scene:
-    """A scene, or that of what was built.
+def resolve_scene(subject: Scene | HasScene) -> Scene:
+    """Return a scene, or the scene of a built object.
 
-    raises  InputError for anything else
+    Parameters
+    ----------
+    subject : Scene or HasScene
+        Scene, or an object with a scene, such as a `BuiltKnee`.
+
+    Returns
+    -------
+    Scene
+        Scene itself or that of the object.
+
+    Raises
+    ------
+    InputError
+        If `subject` is anything else.
     """
-    scene = thing if isinstance(thing, Scene) else getattr(thing, "scene", None)
+    scene = subject if isinstance(subject, Scene) else getattr(subject, "scene", None)
     if not isinstance(scene, Scene):
-        raise InputError(f"scene = {reprlib.repr(thing)}; allowed: a Scene, or what build(knee) gives")
+        raise InputError(f"scene must be a Scene or a built knee, got {reprlib.repr(subject)}: use build(knee)")
     return scene
 
 
 def require_traceable(scene: Scene) -> None:
-    """Refuse a scene that has no right answer; warn once of what was mended.
+    """Raise an error if a scene cannot be traced, and warn once for every repaired mesh.
 
-    raises  InputError naming each surface, the count of bad faces, edges or vertices and the first of them
-    warns   MeshNotice
+    Parameters
+    ----------
+    scene : Scene
+        Scene to check.
+
+    Raises
+    ------
+    InputError
+        If a fault cannot be repaired. The message names each surface, the number of bad faces, edges or vertices and
+        the first of them.
+
+    Warns
+    -----
+    MeshNotice
+        For every repaired mesh.
     """
     faults = scene.faults
     refused = [str(fault) for fault in faults if fault.outcome == "refused"]
@@ -219,19 +292,19 @@ def require_traceable(scene: Scene) -> None:
             warnings.warn(str(fault), MeshNotice, stacklevel=3)
 
 
-def _span_of(size_mm: tuple[float, float]) -> tuple[float, float]:
-    """A least and a greatest extent, mm, made sure of."""
+def _require_size_range(size_mm: tuple[float, float]) -> tuple[float, float]:
+    """Check a least and a greatest extent, in mm, and return them as floats."""
     if not isinstance(size_mm, tuple | list | np.ndarray) or len(size_mm) != 2:
-        raise InputError(f"scene: size_mm = {size_mm!r}; allowed: two numbers, least and greatest extent in mm")
+        raise InputError(f"scene: size_mm must be the least and the greatest extent in mm, got {size_mm!r}")
     low, high = size_mm
-    require("scene: size_mm[1]", high, 0, math.inf, "mm")
-    require("scene: size_mm[0]", low, 0, high, "mm")
+    require_in_range("scene: size_mm[1]", high, 0, math.inf, "mm")
+    require_in_range("scene: size_mm[0]", low, 0, high, "mm")
     return float(low), float(high)
 
 
-def _unit_hint(across_mm: float, low: float, high: float) -> str:
-    """Which other unit would make sense of a size."""
+def _suggest_unit(across_mm: float, low: float, high: float) -> str:
+    """Suggest another unit that would make the extent of a scene plausible."""
     for unit, factor in (("metres", 1000.0), ("centimetres", 10.0), ("inches", 25.4), ("micrometres", 0.001)):
         if low <= across_mm * factor <= high:
-            return f" (is the mesh in {unit}? mesh.apply_scale({factor:g}))"
+            return f" (if the mesh is in {unit}, use mesh.apply_scale({factor:g}))"
     return ""

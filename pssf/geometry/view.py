@@ -1,6 +1,8 @@
-"""Where source, rays and pixels are, in the knee frame (mm; +x medial of a right knee, +y to detector, +z proximal).
+"""Projection views: source and detector in the knee frame, in mm.
 
-A posture turns the knee within it: in PA its front is at +y, in ML its lateral side, in axial its foot.
+In the knee frame, +x points to medial of a right knee, +y to the detector and +z to proximal. A posture rotates the
+knee within this frame. In PA projection its anterior side faces +y, in ML its lateral side, and in axial projection the
+foot.
 """
 
 import reprlib
@@ -8,23 +10,48 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..core.checks import Array, InputError, require, require_whole
+from ..core.checks import (
+    Array,
+    InputError,
+    require_in_range,
+    require_integer,
+)
 from ..model.protocol import Protocol
 
-# Wide enough for any scene that is traced, and for a view of the whole of it.
-_FARTHEST_MM, _PIXEL_MM, _MOST_PIXELS = 1e14, (1e-9, 1e12), 65536
-# Of the detector from the source, along y.
-_NEAREST_MM = 1e-6
+# The limits allow every scene that can be traced, and a view of the whole scene.
+# Largest coordinate of source and detector, in mm.
+_FARTHEST_MM = 1e14
+# Least and greatest pixel size, in mm.
+_PIXEL_MM = (1e-9, 1e12)
+# Largest number of rows or columns.
+_MOST_PIXELS = 65536
+# Least distance between source and detector along y, in mm.
+_MIN_SOURCE_DETECTOR_MM = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """A point source and a flat detector parallel to the x-z plane; columns run towards +x, rows towards -z.
+    """Point source and flat detector parallel to the x-z plane.
 
-    source_mm, centre_mm  (x, y, z) of the source and of the detector's centre, which has the greater y
-    rows, cols            pixels
-    pixel_mm              side of a pixel
-    raises                InputError for a detector at or behind the source, and for what is no place, count or size
+    Columns of the detector run towards +x, rows towards -z.
+
+    Parameters
+    ----------
+    source_mm : tuple of float
+        Position (x, y, z) of the source, in mm.
+    centre_mm : tuple of float
+        Position (x, y, z) of the detector centre, in mm. Its y is greater than that of the source.
+    rows : int
+        Number of detector rows.
+    cols : int
+        Number of detector columns.
+    pixel_mm : float
+        Edge length of a pixel, in mm.
+
+    Raises
+    ------
+    InputError
+        If the detector is at or behind the source, or if a value has the wrong type or is out of range.
     """
 
     source_mm: tuple[float, float, float]
@@ -37,40 +64,55 @@ class View:
         for field in ("source_mm", "centre_mm"):
             place = getattr(self, field)
             if not isinstance(place, tuple | list | np.ndarray) or len(place) != 3:
-                raise InputError(f"view: {field} = {reprlib.repr(place)}; allowed: three numbers, mm")
+                raise InputError(f"view: {field} must be three numbers in mm, got {reprlib.repr(place)}")
             for axis, part in zip("xyz", place, strict=True):
-                require(f"view: {axis} of {field}", part, -_FARTHEST_MM, _FARTHEST_MM, "mm")
+                require_in_range(f"view: {axis} of {field}", part, -_FARTHEST_MM, _FARTHEST_MM, "mm")
             object.__setattr__(self, field, tuple(map(float, place)))
         for field in ("rows", "cols"):
-            require_whole(f"view: {field}", getattr(self, field), 1, _MOST_PIXELS, "pixels")
-        require("view: pixel_mm", self.pixel_mm, *_PIXEL_MM, "mm")
+            require_integer(f"view: {field}", getattr(self, field), 1, _MOST_PIXELS, "pixels")
+        require_in_range("view: pixel_mm", self.pixel_mm, *_PIXEL_MM, "mm")
         beyond_mm = self.centre_mm[1] - self.source_mm[1]
-        require("view: y of centre_mm less y of source_mm", beyond_mm, _NEAREST_MM, 2 * _FARTHEST_MM, "mm")
+        require_in_range(
+            "view: y of centre_mm minus y of source_mm", beyond_mm, _MIN_SOURCE_DETECTOR_MM, 2 * _FARTHEST_MM, "mm"
+        )
 
     @property
-    def corner_mm(self) -> tuple[float, float, float]:
-        """Centre of the pixel (row 0, column 0)."""
+    def first_pixel_mm(self) -> tuple[float, float, float]:
+        """Centre (x, y, z) of the pixel in row 0 and column 0, in mm."""
         x, y, z = self.centre_mm
         return (x - (self.cols - 1) / 2 * self.pixel_mm, y, z + (self.rows - 1) / 2 * self.pixel_mm)
 
 
-def view_of(protocol: Protocol | View) -> View:
-    """Source and detector of a protocol; a view is its own.
+def resolve_view(protocol: Protocol | View) -> View:
+    """Compute source and detector of a protocol; a view is returned unchanged.
 
-    The source at (0, -SOD, 0) is turned about the x axis through the origin by beam_angle_deg (positive: it moves
-    proximally, the beam points caudally). The detector stays in the plane y = SDD - SOD, centred on the central ray.
-    All moves with the place where that ray passes the joint plane (centre_x_mm, centre_z_mm).
-    raises  InputError for anything else, and for a beam that is not yet fitted to a knee
+    The source at (0, -SOD, 0) is rotated about the x axis through the origin by ``beam_angle_deg``. A positive angle
+    moves it proximally, so that the beam points caudally. The detector stays in the plane y = SDD - SOD, centred on
+    the central ray. ``centre_x_mm`` and ``centre_z_mm`` shift source and detector together: the central ray then
+    crosses the joint plane at this point.
+
+    Parameters
+    ----------
+    protocol : Protocol or View
+        Acquisition protocol or view.
+
+    Returns
+    -------
+    View
+        Source and detector.
+
+    Raises
+    ------
+    InputError
+        If `protocol` is anything else, or if its beam has yet to be aligned with a knee.
     """
     if isinstance(protocol, View):
         return protocol
     if not isinstance(protocol, Protocol):
-        raise InputError(
-            f"protocol = {reprlib.repr(protocol)}; allowed: a Protocol, as load_protocol gives it, or a View"
-        )
+        raise InputError(f"protocol must be a Protocol or a View, got {reprlib.repr(protocol)}: use load_protocol")
     if protocol.beam_along != "horizontal":
         raise InputError(
-            f"beam_along = {protocol.beam_along!r}; allowed: 'horizontal', as BuiltKnee.aimed gives it for a knee"
+            f"beam_along must be 'horizontal' for a view, got {protocol.beam_along!r}: use BuiltKnee.aim_beam"
         )
     angle = np.deg2rad(protocol.beam_angle_deg)
     beyond_mm = protocol.sdd_mm - protocol.sod_mm
@@ -84,13 +126,24 @@ def view_of(protocol: Protocol | View) -> View:
     )
 
 
-def spot_views(protocol: Protocol, points: int = 3) -> list[tuple[View, float]]:
-    """The detector as seen from points of a square focal spot, and the share of the spot that each stands for.
+def make_focal_spot_views(protocol: Protocol, points_per_side: int = 3) -> list[tuple[View, float]]:
+    """Sample a square focal spot by views with different source positions and their weights.
 
-    points  a side: a Gauss-Legendre rule, exact where the signal is a polynomial of degree 2 points - 1 over the spot
+    Parameters
+    ----------
+    protocol : Protocol
+        Acquisition protocol, which gives the size of the focal spot.
+    points_per_side : int, default 3
+        Number of points per side of a Gauss-Legendre rule. It is exact for a signal that is a polynomial of degree
+        ``2 * points_per_side - 1`` over the focal spot.
+
+    Returns
+    -------
+    list of tuple of View and float
+        View from each point and its weight; the weights add up to 1.
     """
-    middle, half = view_of(protocol), protocol.focal_spot_mm / 2
-    places, weights = np.polynomial.legendre.leggauss(points)
+    middle, half = resolve_view(protocol), protocol.focal_spot_mm / 2
+    places, weights = np.polynomial.legendre.leggauss(points_per_side)
     views = []
     for dx, wx in zip(places, weights, strict=True):
         for dz, wz in zip(places, weights, strict=True):
@@ -100,29 +153,77 @@ def spot_views(protocol: Protocol, points: int = 3) -> list[tuple[View, float]]:
     return views
 
 
-def project(points_mm: Array, view: View) -> Array:
-    """Where points are seen on the detector.
+def project_points(points_mm: Array, view: View) -> Array:
+    """Project points onto the detector.
 
-    points_mm  (n, 3)  knee frame; in front of the source
-    returns    (n, 2)  row, column; pixel centres are whole numbers
+    Parameters
+    ----------
+    points_mm : (n, 3) array
+        Points in the knee frame, in front of the source, in mm.
+    view : View
+        Source and detector.
+
+    Returns
+    -------
+    (n, 2) float64 array
+        Row and column of each point, in pixels. Pixel centres have integer coordinates.
     """
-    return seen_at(points_mm, depth_of(points_mm, view), view)
+    return project_at_depth(points_mm, depth_fraction(points_mm, view), view)
 
 
-def depth_of(points_mm: Array, view: View) -> Array:
-    """(n,)  how far points (n, 3), mm, are on the way from the source, 0, to the plane of the detector, 1"""
+def depth_fraction(points_mm: Array, view: View) -> Array:
+    """Compute the relative depth of points between source and detector plane.
+
+    Parameters
+    ----------
+    points_mm : (n, 3) array
+        Points in the knee frame, in mm.
+    view : View
+        Source and detector.
+
+    Returns
+    -------
+    (n,) float64 array
+        Depth of each point along y: 0 at the source, 1 at the detector.
+    """
     near, far = view.source_mm[1], view.centre_mm[1]
     return np.asarray((np.asarray(points_mm, np.float64)[:, 1] - near) / (far - near))
 
 
-def seen_at(points_mm: Array, depth: Array, view: View) -> Array:
-    """(n, 2)  row and column at which points (n, 3), mm, are seen whose depth (n,) is as `depth_of` gives it"""
-    source, corner = view.source_mm, view.corner_mm
+def project_at_depth(points_mm: Array, depth: Array, view: View) -> Array:
+    """Project points whose relative depth is known.
+
+    Parameters
+    ----------
+    points_mm : (n, 3) array
+        Points in the knee frame, in mm.
+    depth : (n,) float64 array, dimensionless
+        Relative depth of each point, as returned by `depth_fraction`.
+    view : View
+        Source and detector.
+
+    Returns
+    -------
+    (n, 2) float64 array
+        Row and column of each point, in pixels.
+    """
+    source, corner = view.source_mm, view.first_pixel_mm
     x = source[0] + (points_mm[:, 0] - source[0]) / depth
     z = source[2] + (points_mm[:, 2] - source[2]) / depth
     return np.column_stack(((corner[2] - z) / view.pixel_mm, (x - corner[0]) / view.pixel_mm))
 
 
 def magnification(view: View) -> float:
-    """Size on the detector over size in the joint plane y = 0."""
+    """Compute the magnification in the joint plane y = 0.
+
+    Parameters
+    ----------
+    view : View
+        Source and detector.
+
+    Returns
+    -------
+    float
+        Size on the detector relative to the size in the joint plane, dimensionless.
+    """
     return (view.centre_mm[1] - view.source_mm[1]) / -view.source_mm[1]

@@ -1,18 +1,19 @@
-"""The one package that touches the disk, beside `data`, which reads the package's own tables.
+"""Input and output: every file of the package, except its own tables, which `data` reads.
 
-atomic   a file appears whole or not at all
-description  what a file says of its radiograph, and the hash over both
-images   radiographs as TIFF, DICOM and PNG, and back
-dicom    radiographs as Digital X-Ray objects
-masks    masks as TIFF and DICOM, and back; `segmentation` is the DICOM
-meshes   scenes as STL, PLY, GLB and 3MF; `exported_scenes` reads the last two
-mesh_reader  one mesh of any program; `stl` and `mesh_faults` see what is cut off
-scenes   scenes of one's own meshes
-viewer   a page to inspect a scene beside its radiograph
-film_list   films of a folder or a table
-image_kind  kind of a file, by its name and first bytes
-films    films as they are displayed; stored_pixels: their grey values as they are in the file
-csv_rows  rows of CSV files, each column once
-records  a cohort's records and manifest
-results  tables, pictures and pages of a study
+atomic_write        write a file completely or not at all
+metadata            the JSON metadata of a radiograph, and the hashes over metadata and pixels
+radiograph_files    radiographs as TIFF, DICOM, PNG and JSON
+mask_files          masks as TIFF and DICOM
+label_formats       landmarks as .pts and COCO files
+image_kind          recognise image files by suffix or first bytes
+csv_rows            rows of CSV files
+cohort_records      records and manifest of a cohort
+study_results       tables, JSON, figures and pages of a study
+file_conditions     conditions on the content of result files
+readme_tables       measured tables in the READMEs of a source checkout
+pictures            small pictures for display on a screen
+to_bytes            radiographs and meshes as bytes
+dicom               DICOM Digital X-Ray and Segmentation objects
+meshes              scenes and meshes as STL, PLY, OBJ, GLB and 3MF; a 3D viewer page
+patients            patient radiographs: lists of files, stored pixels, images as displayed
 """

@@ -1,4 +1,4 @@
-"""Rows of CSV files that a user names: columns known and given once, cells as text."""
+"""CSV files given by a user: rows as text, with every column name unique."""
 
 import csv
 import io
@@ -6,62 +6,80 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..core.checks import InputError
-from ..data.userfiles import read_text
+from ..data.user_files import read_text
 
 _ALLOWED = "a CSV table in UTF-8 with one header line"
 
 
-def read_rows_of_csv(path: Path) -> tuple[list[str], list[dict[str, str]]]:
+def read_csv_rows(path: Path) -> tuple[list[str], list[dict[str, str]]]:
     """Read a CSV file as text.
 
     Parameters
     ----------
     path : Path
-        The file, UTF-8, with or without a byte-order mark.
+        CSV file in UTF-8, with or without a byte-order mark.
 
     Returns
     -------
     columns : list of str
-        Names of the header, in their order; none for an empty file.
+        Column names in the order of the header; empty for an empty file.
     rows : list of dict of str to str
-        One per line that is not empty; a line that ends early has no entry for the columns after it.
+        One row per line that is not empty. A short line has no entries for the missing columns.
 
     Raises
     ------
     InputError
-        The file cannot be read, has a column twice, or has a line with more cells than the header.
+        The file cannot be read, repeats a column, or has a line with more cells than the header.
     """
     try:
         header, *lines = list(csv.reader(io.StringIO(read_text(path, allowed=_ALLOWED), newline=""))) or [[]]
     except csv.Error as error:
-        raise InputError(f"file {path}: not a table ({error}); allowed: {_ALLOWED}") from None
-    require_columns_once(path, header)
+        raise InputError(f"file {path} must be {_ALLOWED}, got a table that cannot be read ({error})") from None
+    require_unique_columns(path, header)
     rows = []
     for number, cells in enumerate(lines, start=2):
-        if not cells:  # an empty line
+        if not cells:  # The line is empty.
             continue
         if len(cells) > len(header):
             raise InputError(
-                f"file {path}, line {number}: cells = {len(cells)}; allowed: up to {len(header)}, as the header has"
+                f"file {path}, line {number}: cells must be at most {len(header)}, as in the header, got {len(cells)}"
             )
         rows.append(dict(zip(header, cells, strict=False)))
     return header, rows
 
 
-def header_of(text: str) -> list[str]:
-    """Read the header of a CSV text: the names of its columns, or none."""
+def parse_csv_header(text: str) -> list[str]:
+    """Read the column names of a CSV text.
+
+    Parameters
+    ----------
+    text : str
+        Content of a CSV file.
+
+    Returns
+    -------
+    list of str
+        Column names in their order; empty for an empty text.
+    """
     return next(csv.reader(io.StringIO(text, newline="")), [])
 
 
-def require_columns_once(path: Path, columns: Sequence[str]) -> None:
-    """Refuse a header that gives a column twice: of two values of a row one would be lost without a word.
+def require_unique_columns(path: Path, columns: Sequence[str]) -> None:
+    """Require that every column name of a header is unique, since one of two values would be lost without notice.
+
+    Parameters
+    ----------
+    path : Path
+        File to name in the message.
+    columns : sequence of str
+        Column names of the header.
 
     Raises
     ------
     InputError
-        A name stands twice in `columns`.
+        A name is in `columns` more than once.
     """
     for name in columns:
         count = list(columns).count(name)
         if count > 1:
-            raise InputError(f"file {path}: column {name!r} is given {count} times; allowed: each column once")
+            raise InputError(f"file {path}: column {name!r} must be given once, got it {count} times")

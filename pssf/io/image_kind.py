@@ -1,42 +1,95 @@
-"""Files of a folder that a user sees, and kinds of image files by suffix or first bytes."""
+"""Recognition of image files by suffix or first bytes, and of files that a user did not create, such as locks."""
 
 from pathlib import Path
 
-PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
-# As archives and viewers name them; files of any other name are DICOM by their first bytes.
-DICOMS = (".dcm", ".dicom", ".dic", ".dc3", ".ima")
-SUFFIXES = (*PICTURES, *DICOMS)
-# Hidden files and folders, resource forks (._x), what archives of a Mac hold besides, locks of office programs (~$x).
-_UNSEEN = (".", "__MACOSX", "~$")
-# An index of a medium, in DICOM's own format.
-_INDEX = "DICOMDIR"
-_MAGIC, _PREAMBLE = b"DICM", 128
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
+# Suffixes that archives and viewers give to DICOM files. Other files are recognised by their first bytes.
+DICOM_SUFFIXES = (".dcm", ".dicom", ".dic", ".dc3", ".ima")
+SUFFIXES = (*PICTURE_SUFFIXES, *DICOM_SUFFIXES)
+# Hidden files, resource forks (._x), folders that macOS adds to archives, and locks of office programs (~$x).
+_HIDDEN_PREFIXES = (".", "__MACOSX", "~$")
+# Index file of a DICOM medium. It is DICOM, but holds no image.
+_DICOM_INDEX_NAME = "DICOMDIR"
+# DICOM PS3.10, 7.1: a preamble of 128 bytes is followed by these four characters.
+_MAGIC = b"DICM"
+_PREAMBLE = 128  # length of the preamble, in bytes
 
 
 def is_dicom(path: Path) -> bool:
-    """Tell whether a file is DICOM: by its suffix, or by its first bytes where the suffix is of no image.
+    """Return whether a file is DICOM, by its suffix, or by its first bytes if the suffix is not that of an image.
 
-    raises  OSError for a file that cannot be read
+    Parameters
+    ----------
+    path : Path
+        File to check.
+
+    Returns
+    -------
+    bool
+        True for DICOM. DICOMDIR, the index of a DICOM medium, gives False.
+
+    Raises
+    ------
+    OSError
+        The file cannot be read.
     """
     suffix = path.suffix.lower()
-    if suffix in DICOMS:
+    if suffix in DICOM_SUFFIXES:
         return True
-    if suffix in PICTURES or path.name.upper() == _INDEX or not path.is_file():
+    if suffix in PICTURE_SUFFIXES or path.name.upper() == _DICOM_INDEX_NAME or not path.is_file():
         return False
     with open(path, "rb") as handle:
         return handle.read(_PREAMBLE + len(_MAGIC))[_PREAMBLE:] == _MAGIC
 
 
 def is_image(path: Path) -> bool:
-    """Tell whether a file is read as an image: by its suffix, or as DICOM by its first bytes."""
-    return path.suffix.lower() in PICTURES or is_dicom(path)
+    """Return whether a file is an image, by its suffix or as DICOM by its first bytes.
+
+    Parameters
+    ----------
+    path : Path
+        File to check.
+
+    Returns
+    -------
+    bool
+        True for PNG, JPEG, TIFF and DICOM.
+
+    Raises
+    ------
+    OSError
+        The file cannot be read.
+    """
+    return path.suffix.lower() in PICTURE_SUFFIXES or is_dicom(path)
 
 
-def files_of(folder: Path) -> list[Path]:
-    """List the files of a folder by name, without hidden files, resource forks and locks."""
+def list_files(folder: Path) -> list[Path]:
+    """List the files of a folder, without hidden files, resource forks and lock files.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder to list. Subfolders are not searched.
+
+    Returns
+    -------
+    list of Path
+        Files sorted by name; empty if the folder does not exist.
+    """
     return sorted(path for path in folder.glob("*") if is_visible(path) and path.is_file())
 
 
 def is_visible(path: Path) -> bool:
-    """Tell whether a file or folder is a user's own: no hidden one, resource fork or lock."""
-    return not path.name.startswith(_UNSEEN)
+    """Return whether a file or folder belongs to the user: not hidden, no resource fork and no lock file.
+
+    Parameters
+    ----------
+    path : Path
+        File or folder; only its name is used.
+
+    Returns
+    -------
+    bool
+        True for the files and folders of the user.
+    """
+    return not path.name.startswith(_HIDDEN_PREFIXES)

@@ -1,4 +1,4 @@
-"""Small pictures for eyes."""
+"""Small pictures for display on a screen: previews, heat maps, captions and marked regions."""
 
 import io
 from collections.abc import Sequence
@@ -8,25 +8,41 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from ..detector import present
+from ..detector import render_for_display
 from ..model.radiograph import Radiograph
-from .atomic import write_bytes
+from .atomic_write import write_bytes
 
-# From black over red to yellow, each lighter than the one before, so that it reads in grey as well.
-_HEAT = ((0, 0, 4), (40, 11, 84), (101, 21, 110), (159, 42, 99), (212, 72, 66), (245, 125, 21), (250, 193, 39))
+# RGB from black over red to yellow. Each colour is lighter than the one before, so a grey print is readable too.
+_HEAT_COLOURS = ((0, 0, 4), (40, 11, 84), (101, 21, 110), (159, 42, 99), (212, 72, 66), (245, 125, 21), (250, 193, 39))
 
-# Of a picture that a region is drawn on.
-_LONGER_PX = 800
+# Longer side of previews and of pictures with a marked region, in pixels.
+_MAX_SIDE_PX = 800
 
 
-def side_by_side(images: Sequence[NDArray[np.uint8]], path: str | Path, gap_px: int = 8) -> Path:
-    """Write 8-bit images of one height, grey (rows, cols) or coloured (rows, cols, 3), as one PNG, left to right.
+def write_image_row(images: Sequence[NDArray[np.uint8]], path: str | Path, gap_px: int = 8) -> Path:
+    """Write 8-bit images side by side as one PNG.
 
-    returns  its path
-    raises   InputError for a disk that is full or cannot be written
+    Parameters
+    ----------
+    images : sequence of (rows, cols) or (rows, cols, 3) uint8 arrays
+        Grey or RGB images of the same height, from left to right.
+    path : str or Path
+        File to write.
+    gap_px : int
+        Width of the white gap between two images, in pixels.
+
+    Returns
+    -------
+    Path
+        The file that was written.
+
+    Raises
+    ------
+    InputError
+        The disk is full, or the file cannot be written.
     """
     coloured = any(image.ndim == 3 for image in images)
-    shown = [_in_colour(image) if coloured else image for image in images]
+    shown = [_convert_to_rgb(image) if coloured else image for image in images]
     gap = np.full((shown[0].shape[0], gap_px, *shown[0].shape[2:]), 255, np.uint8)
     parts = [shown[0]]
     for image in shown[1:]:
@@ -37,32 +53,84 @@ def side_by_side(images: Sequence[NDArray[np.uint8]], path: str | Path, gap_px: 
     return Path(path)
 
 
-def preview(radiograph: Radiograph) -> Image.Image:
-    """Give a radiograph as processed for display, as a picture for a screen: its longer side is at most 800 pixels."""
-    shown = Image.fromarray(present(radiograph, look="processed").astype(np.uint8))
-    shown.thumbnail((_LONGER_PX, _LONGER_PX), Image.Resampling.LANCZOS)
+def make_preview(radiograph: Radiograph) -> Image.Image:
+    """Make a picture of a radiograph with display processing, at most 800 pixels along its longer side.
+
+    Parameters
+    ----------
+    radiograph : Radiograph
+        Radiograph to show.
+
+    Returns
+    -------
+    PIL.Image.Image
+        Grey 8-bit picture.
+    """
+    shown = Image.fromarray(render_for_display(radiograph, processing="processed").astype(np.uint8))
+    shown.thumbnail((_MAX_SIDE_PX, _MAX_SIDE_PX), Image.Resampling.LANCZOS)
     return shown
 
 
-def preview_png(radiograph: Radiograph) -> bytes:
-    """Give the same as a PNG."""
+def encode_preview_png(radiograph: Radiograph) -> bytes:
+    """Encode the preview of a radiograph as PNG.
+
+    Parameters
+    ----------
+    radiograph : Radiograph
+        Radiograph to show.
+
+    Returns
+    -------
+    bytes
+        Content of a PNG file; see `make_preview`.
+    """
     buffer = io.BytesIO()
-    preview(radiograph).save(buffer, format="PNG")
+    make_preview(radiograph).save(buffer, format="PNG")
     return buffer.getvalue()
 
 
-def heat(values: ArrayLike, most: float) -> NDArray[np.uint8]:
-    """(rows, cols, 3)  values (rows, cols) from 0 to most in colours from black over red to yellow"""
-    places = np.linspace(0, 1, len(_HEAT))
-    shares = np.clip(np.asarray(values, np.float64) / most, 0, 1)
-    return np.stack([np.interp(shares, places, colour) for colour in zip(*_HEAT, strict=True)], axis=-1).astype(
+def apply_heat_map(values: ArrayLike, maximum: float) -> NDArray[np.uint8]:
+    """Colour values from black over red to yellow.
+
+    Parameters
+    ----------
+    values : (rows, cols) array, any unit
+        Values from 0 to `maximum`; values outside are clipped.
+    maximum : float
+        Value of the brightest colour, in the unit of `values`.
+
+    Returns
+    -------
+    (rows, cols, 3) uint8 array
+        RGB colours, each lighter than those of smaller values.
+    """
+    places = np.linspace(0, 1, len(_HEAT_COLOURS))
+    shares = np.clip(np.asarray(values, np.float64) / maximum, 0, 1)
+    return np.stack([np.interp(shares, places, colour) for colour in zip(*_HEAT_COLOURS, strict=True)], axis=-1).astype(
         np.uint8
     )
 
 
-def panel(image: NDArray[np.uint8], rows: int, cols: int, caption: str = "") -> NDArray[np.uint8]:
-    """(rows, cols, 3)  an image, grey or coloured, at another size, with a caption in its upper left corner"""
-    sheet = Image.fromarray(_in_colour(image)).resize((cols, rows), Image.Resampling.LANCZOS)
+def make_panel(image: NDArray[np.uint8], rows: int, cols: int, caption: str = "") -> NDArray[np.uint8]:
+    """Resize an image and write a caption into its upper left corner.
+
+    Parameters
+    ----------
+    image : (rows, cols) or (rows, cols, 3) uint8 array
+        Grey or RGB image.
+    rows : int
+        Height of the result, in pixels.
+    cols : int
+        Width of the result, in pixels.
+    caption : str
+        Caption; empty for none.
+
+    Returns
+    -------
+    (rows, cols, 3) uint8 array
+        RGB image.
+    """
+    sheet = Image.fromarray(_convert_to_rgb(image)).resize((cols, rows), Image.Resampling.LANCZOS)
     smaller = min(rows, cols)
     inset = smaller // 36
     font = ImageFont.load_default(smaller / 20)
@@ -70,18 +138,38 @@ def panel(image: NDArray[np.uint8], rows: int, cols: int, caption: str = "") -> 
     return np.asarray(sheet)
 
 
-def framed(
-    image: NDArray[np.uint8], place: tuple[float, float], side_px: float, *, colour: str, caption: str = ""
+def draw_region(
+    image: NDArray[np.uint8], centre_px: tuple[float, float], side_px: float, *, colour: str, caption: str = ""
 ) -> NDArray[np.uint8]:
-    """(rows, cols, 3)  an image with a square and a cross at its centre, at a size for eyes, with a caption
+    """Draw a square region and a cross at its centre on an image, enlarged or reduced to 800 pixels.
 
-    image    (rows, cols) grey
-    place    row and column of the centre, pixels of the image; side_px is in them too
+    Parameters
+    ----------
+    image : (rows, cols) uint8 array
+        Grey image.
+    centre_px : (row, column) tuple of float
+        Centre of the region, in pixels of `image`.
+    side_px : float
+        Side of the region, in pixels of `image`.
+    colour : str
+        Name of the line colour, as Pillow knows it.
+    caption : str
+        Caption; empty for none.
+
+    Returns
+    -------
+    (rows, cols, 3) uint8 array
+        RGB image whose longer side has 800 pixels.
     """
-    zoom = _LONGER_PX / max(image.shape)
+    zoom = _MAX_SIDE_PX / max(image.shape)
     rows, cols = (max(1, round(length * zoom)) for length in image.shape)
-    sheet = Image.fromarray(panel(image, rows, cols, caption))
-    row, col, half, arm = (place[0] + 0.5) * zoom, (place[1] + 0.5) * zoom, side_px * zoom / 2, _LONGER_PX / 60
+    sheet = Image.fromarray(make_panel(image, rows, cols, caption))
+    row, col, half, arm = (
+        (centre_px[0] + 0.5) * zoom,
+        (centre_px[1] + 0.5) * zoom,
+        side_px * zoom / 2,
+        _MAX_SIDE_PX / 60,
+    )
     pen = ImageDraw.Draw(sheet)
     pen.rectangle((col - half, row - half, col + half, row + half), outline=colour, width=2)
     pen.line((col - arm, row, col + arm, row), fill=colour, width=2)
@@ -89,5 +177,6 @@ def framed(
     return np.asarray(sheet)
 
 
-def _in_colour(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _convert_to_rgb(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Convert a grey image (rows, cols) to RGB (rows, cols, 3); return an RGB image unchanged."""
     return image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)

@@ -1,9 +1,12 @@
-"""What users construct and get back.
+"""Input and output types: knees, protocols, radiographs with their labels, and the sampling of knees and acquisitions.
 
-knee        Knee, Osteophyte, Cyst            parameters of a knee, checked at birth
-draw, severity, advanced  draw_knee           a knee of a grade, by a table of grades
-progress    progress, true_change             the same knee some years later
-oarsi, kellgren_lawrence, axes                grades and angles of what a knee is built with
-protocol    Protocol, load_protocol           how a radiograph is taken
-radiograph  Radiograph, Truth                 pixels and labels
+knee               Knee, Osteophyte and Cyst: the parameters of one knee, checked when they are constructed
+kellgren_lawrence  the Kellgren-Lawrence (KL) grade that follows from an anatomy, and the grades that it allows
+oarsi_grades       OARSI grades of a knee
+limb_axes          angles and ratios of the limb, as they are read on radiographs
+progression        the same knee some years later, and the true change between two visits
+protocol           Protocol: technique, geometry, detector and the stages of the simulation
+field_listing      the fields of a knee and of a protocol, for users
+radiograph         Radiograph and Truth: pixels and labels
+sampling           random knees of a KL grade, random acquisitions, random display processing
 """

@@ -1,26 +1,41 @@
-"""Protocol: how a radiograph is taken. Technique, geometry, detector, and which stages of the chain are wanted."""
+"""Protocol of a radiograph: technique, geometry, detector, and the stages of the simulation that are run."""
 
 import math
 from dataclasses import asdict, dataclass, fields, replace
 from os import PathLike
 from typing import Any
 
-from ..core.checks import InputError, from_table, require_whole
-from ..core.keywords import keywords
-from ..data.fields import check_fields
-from ..data.tables import read_protocol
+from ..core.checks import InputError, build_from_table, require_integer
+from ..core.keyword_arguments import check_keywords, renamed_attribute, update_field_names
+from ..data.data_files import read_protocol_fields
+from ..data.knees.field_definitions import check_fields
 
-# A right leg's lateral side comes to the detector (ML, LM), or its foot (axial), before it is mirrored in y.
-_TURNS = {"AP": (2, 0.0), "PA": (2, 0.0), "ML": (2, -90.0), "LM": (2, -90.0), "axial": (0, -90.0)}
+# Rotation of a leg per projection: axis (0 is x, 2 is z) and angle in degrees, before the knee is mirrored in y. ML and
+# LM turn the lateral side of a right leg to the detector, axial turns its foot there.
+_VIEW_ROTATIONS = {"AP": (2, 0.0), "PA": (2, 0.0), "ML": (2, -90.0), "LM": (2, -90.0), "axial": (0, -90.0)}
 
-# A field may reach so far towards the anode's cut-off, as a part of the tangent of the anode's angle (assumed: beyond,
-# the intensity is below two fifths of that on the central ray).
-_MOST_OF_CUT_OFF = 0.95
+# Largest tangent from the central ray to the edge of the field, as a fraction of the tangent of the anode angle
+# (assumed: nearer to the cut-off, the intensity is below two fifths of that on the central ray).
+_MAX_CUT_OFF_FRACTION = 0.95
 
 
 @dataclass(frozen=True, kw_only=True)
 class Posture:
-    """How a leg stands; fields as in `Protocol`. By default it is straight, and seen from the front."""
+    """Posture of a leg in front of the detector; by default it is straight and seen from the front.
+
+    Parameters
+    ----------
+    projection : {"AP", "PA", "ML", "LM", "axial"}, default "AP"
+        Direction of the beam, as in `Protocol`.
+    flexion_deg : float, default 0
+        Flexion added to the knee's own flexion, in degrees.
+    tibia_forward_deg : float, default 0
+        Forward lean of the tibia, in degrees, as in `Protocol`.
+    rotation_deg : float, default 0
+        Rotation about the long axis added to the knee's own rotation, in degrees; positive is internal.
+    tilt_deg : float, default 0
+        Lean in the plane of the radiograph added to the knee's own lean, in degrees; positive moves the foot medially.
+    """
 
     projection: str = "AP"
     flexion_deg: float = 0.0
@@ -30,30 +45,132 @@ class Posture:
 
     @property
     def mirror_y(self) -> float:
-        """Factor of y: -1 where the knee is mirrored, since it is shown as seen from the other side of the detector."""
+        """Factor of y: -1 if the image shows the knee from the other side of the detector, else 1."""
         return -1.0 if self.projection in ("PA", "LM", "axial") else 1.0
 
     @property
-    def turn(self) -> tuple[int, float]:
-        """The last turn of a leg that stands: about x, y or z (0, 1 or 2), and by how many degrees."""
-        return _TURNS[self.projection]
+    def view_rotation(self) -> tuple[int, float]:
+        """Last rotation of the posed leg: axis (0 is x, 1 is y, 2 is z) and angle in degrees."""
+        return _VIEW_ROTATIONS[self.projection]
 
     @property
     def is_frontal(self) -> bool:
-        """Whether the tibiofemoral joint space, and the contours that its landmarks lie on, are seen from the front."""
-        return self.turn == _TURNS["AP"]
+        """True for AP and PA, which show the tibiofemoral joint space and the contour landmarks from the front."""
+        return self.view_rotation == _VIEW_ROTATIONS["AP"]
 
 
-@keywords()
+# Earlier name -> current name of a field.
+RENAMED_FIELDS = {"apart_mm": "knee_distance_mm"}
+
+
+@check_keywords(**RENAMED_FIELDS)
 @dataclass(frozen=True, kw_only=True)
 class Protocol:
-    """A technique. The central ray passes the origin of the knee frame, or where `centre_*` say; `geometry.view_of`.
+    """Technique, geometry and detector of a radiograph, and the stages of its simulation.
 
-    What each field is, its unit and what it may be is in `data/protocol_fields.toml`; `pssf protocols` prints it.
-    A stage that is not asked for costs nothing: focal_spot_mm = 0 leaves out the focal-spot blur, mono_kev replaces the
-    tube's spectrum by one energy, field_*_mm = 0 opens the collimator, and heel, marker, texture, scatter,
-    detector_blur and noise take "none". Without texture, spongy bone has its material's own density throughout.
-    raises InputError for a value out of range
+    Parameters
+    ----------
+    name : str
+        Name, which is part of the names of files: 1 to 64 letters, digits, "_" and "-".
+    tube_kv : float
+        Peak tube voltage, 40 to 120 kV.
+    mas : float
+        Tube current times exposure time, 0 to 500 mAs; 0 gives no exposure.
+    filtration_mm_al : float
+        Total filtration, 0.5 to 40 mm of aluminium.
+    anode_angle_deg : float
+        Angle of the tungsten anode, 6 to 22 degrees.
+    focal_spot_mm : float
+        Side of the square focal spot, 0 to 3 mm; 0 is a point source without focal-spot blur.
+    sdd_mm : float
+        Distance from the source to the detector, 500 to 3000 mm.
+    sod_mm : float
+        Distance from the source to the middle of the joint, 300 to 2900 mm; must be less than `sdd_mm`.
+    beam_angle_deg : float
+        Tilt of the source about the x axis, -30 to 30 degrees; positive points caudally. It is measured from the
+        direction that `beam_along` sets.
+    rows : int
+        Rows of the detector, 1 to 8192 pixels.
+    cols : int
+        Columns of the detector, 1 to 8192 pixels.
+    pixel_mm : float
+        Pixel pitch of the detector, 0.001 to 50 mm.
+    mono_kev : float, optional
+        Single photon energy instead of the spectrum of the tube, 5 to 150 keV, with 1e6 photons per mm2 and mAs at 1 m.
+        None: the spectrum of the tube.
+    heel : {"none", "anode_proximal", "anode_distal"}, default "none"
+        Heel effect: the intensity falls towards the anode, which is proximal or distal.
+    projection : {"AP", "PA", "ML", "LM", "axial"}, default "AP"
+        Direction of the beam. The detector is behind the knee (AP), in front of it (PA), lateral (ML), medial (LM) or
+        distal to it (axial).
+    flexion_deg : float, default 0
+        Flexion that the posture adds to the knee's own flexion, 0 to 60 degrees.
+    tibia_forward_deg : float, default 0
+        Forward lean of the tibia from upright, seen from the side, -15 to 45 degrees. Axial: angle of the tibia from
+        the beam; positive moves the foot backwards.
+    rotation_deg : float, default 0
+        Rotation of the leg about its long axis that the posture adds to the knee's own, -20 to 20 degrees; positive is
+        internal.
+    tilt_deg : float, default 0
+        Lean of the leg in the plane of the radiograph that the posture adds to the knee's own, -15 to 15 degrees;
+        positive moves the foot medially.
+    knee_distance_mm : float, default 0
+        Distance between the knees when both are imaged together, 0 to 350 mm; 0 images one knee.
+    beam_along : {"horizontal", "medial_plateau"}, default "horizontal"
+        Reference direction of the beam. "medial_plateau" aligns it with the medial plateau of each knee, as under
+        fluoroscopy: the front and back margins of the plateau coincide.
+    centre_x_mm : float, default 0
+        Position of the central ray in the joint plane, -150 to 150 mm from the middle of the knee, positive to the
+        right of the radiograph.
+    centre_z_mm : float, default 0
+        Position of the central ray in the joint plane, -150 to 150 mm from the joint line, positive upwards.
+    field_width_mm : float, default 0
+        Width of the collimated field on the detector about the central ray, 0 to 3000 mm; 0 opens it to the edge of the
+        detector.
+    field_height_mm : float, default 0
+        Height of the collimated field, 0 to 3000 mm; 0 opens it to the edge of the detector.
+    marker : {"none", "R", "L"}, default "none"
+        Lead letter on the cover of the detector: R on the left of the radiograph, L on the right.
+    texture : {"trabecular", "none"}, default "trabecular"
+        Trabecular texture. "none" gives the trabecular bone one density throughout.
+    focal_spot : {"blur", "sampled"}, default "blur"
+        Model of the focal spot. "blur" blurs the whole image as at the joint plane. "sampled" casts rays from 3 x 3
+        points of the spot, which is correct at every depth.
+    scatter : {"kernel", "monte_carlo", "none"}, default "kernel"
+        Model of scattered radiation. "kernel" is calibrated and fast. "monte_carlo" follows photons through the voxels
+        of the scene and takes some 20 s.
+    scatter_photons : int, default 20_000_000
+        Photons that "monte_carlo" follows, 32 to 1e12; its error falls with the square root of their number.
+    grid_ratio : float, default 0
+        Ratio of a moving anti-scatter grid, height of the strips over the gap between them, 0 to 20; 0 is no grid.
+    grid_lines_per_cm : float, default 40
+        Strips of the grid per cm, 20 to 120; each is 0.05 mm of lead, with aluminium between them.
+    detector : {"csi", "gos"}, default "csi"
+        Detector: a caesium iodide panel, or a thinner gadolinium oxysulphide screen (``data/detector.toml``).
+    detector_blur : {"mtf", "none"}, default "mtf"
+        Detector blur, by the presampled MTF of the detector.
+    dead_pixels : float, default 0
+        Fraction of pixels without signal, 0 to 0.1; they are the same in every exposure with this detector.
+    noise : {"quantum", "none"}, default "quantum"
+        Noise. "quantum" is Poisson noise of the absorbed photons and readout noise.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range (``data/protocol_fields.toml``), or two fields contradict each other.
+
+    Notes
+    -----
+    The central ray passes through the origin of the knee frame, shifted by `centre_x_mm` and `centre_z_mm`;
+    `geometry.view.resolve_view` gives the positions of source and detector. ``pssf protocols`` lists the fields with
+    usual values and sources. A stage that is switched off takes no time.
+
+    Examples
+    --------
+    >>> import dataclasses, pssf
+    >>> protocol = dataclasses.replace(pssf.load_protocol("reference"), name="low_mas", mas=1.0)
+    >>> protocol.tube_kv, protocol.mas
+    (70.0, 1.0)
     """
 
     name: str
@@ -75,7 +192,7 @@ class Protocol:
     tibia_forward_deg: float = 0.0
     rotation_deg: float = 0.0
     tilt_deg: float = 0.0
-    apart_mm: float = 0.0
+    knee_distance_mm: float = 0.0
     beam_along: str = "horizontal"
     centre_x_mm: float = 0.0
     centre_z_mm: float = 0.0
@@ -93,53 +210,56 @@ class Protocol:
     dead_pixels: float = 0.0
     noise: str = "quantum"
 
+    # Earlier names, for one version.
+    apart_mm = renamed_attribute("knee_distance_mm")
+
     def __post_init__(self) -> None:
         check_fields("protocol", self)
         if not self.sod_mm < self.sdd_mm:
-            raise InputError(f"sod_mm = {self.sod_mm!r} mm; allowed: less than sdd_mm = {self.sdd_mm!r} mm")
+            raise InputError(f"sod_mm must be less than sdd_mm = {self.sdd_mm!r} mm, got {self.sod_mm!r} mm")
         if not self.posture.is_frontal:
-            self._check_turned()
+            self._check_lateral_or_axial()
         if self.heel != "none":
             self._check_heel()
 
-    def _check_turned(self) -> None:
-        """What is told of a leg that is seen from the front has no meaning from its side or along it."""
+    def _check_lateral_or_axial(self) -> None:
+        """Check that no field is set that only a frontal view (AP or PA) can have."""
         if self.beam_along != "horizontal":
             raise InputError(
-                f"beam_along = {self.beam_along!r} with projection = {self.projection!r}; allowed: AP or PA, where the "
-                "margins of the plateau are seen edge on"
+                f"beam_along must be 'horizontal' with projection = {self.projection!r}, got {self.beam_along!r}: only "
+                "in AP and PA the margins of the plateau are seen edge on"
             )
-        if self.apart_mm and self.projection != "axial":
+        if self.knee_distance_mm and self.projection != "axial":
             raise InputError(
-                f"apart_mm = {self.apart_mm:g} mm with projection = {self.projection!r}; allowed: 0, since one knee "
-                "would hide the other, or AP, PA or axial"
+                f"knee_distance_mm must be 0 with projection = {self.projection!r}, got {self.knee_distance_mm:g} mm: "
+                "one knee would hide the other; use AP, PA or axial for two knees"
             )
 
     def _check_heel(self) -> None:
-        """Refuse a field that reaches beyond what the anode emits: there the intensity falls to nothing."""
-        least_deg = math.degrees(math.atan(self.heel_slope / _MOST_OF_CUT_OFF))
+        """Check that the field does not reach beyond the emission of the anode, where the intensity falls to zero."""
+        least_deg = math.degrees(math.atan(self.field_edge_tangent / _MAX_CUT_OFF_FRACTION))
         if self.anode_angle_deg < least_deg:
             raise InputError(
                 f"anode_angle_deg must be at least {math.ceil(10 * least_deg) / 10:g} deg with heel = {self.heel!r}, "
-                f"got {self.anode_angle_deg:g}: the anode cuts off the field; give field_height_mm, or raise sdd_mm"
+                f"got {self.anode_angle_deg:g} deg: the anode cuts off the field; give field_height_mm, or raise sdd_mm"
             )
 
     @property
-    def heel_slope(self) -> float:
+    def field_edge_tangent(self) -> float:
         """Tangent of the angle from the central ray to the upper and lower edge of the field."""
         whole_mm = self.rows * self.pixel_mm
-        # Beside the collimated field lies half of its penumbra, less than 15 mm.
+        # Half of the penumbra lies outside the collimated field on each side; it is less than 15 mm wide.
         lit_mm = min(whole_mm, 1.1 * self.field_height_mm + 30.0) if self.field_height_mm > 0 else whole_mm
         return lit_mm / 2 / self.sdd_mm
 
-    def resampled(self, matrix: int) -> "Protocol":
-        """Change the number of pixels and keep the field: the pixel size follows.
+    def resample(self, matrix: int) -> "Protocol":
+        """Change the number of pixels and keep the size of the field; the pixel pitch follows.
 
         Parameters
         ----------
         matrix : int
-            Pixels along the longer side of the detector. The shorter side gets as many as keep its length to within
-            half a pixel.
+            Pixels along the longer side of the detector, 1 to 8192. The shorter side keeps its length to within half a
+            pixel.
 
         Returns
         -------
@@ -149,40 +269,92 @@ class Protocol:
         Raises
         ------
         InputError
-            For a number of pixels that is out of range.
+            If `matrix` is out of range.
 
         Examples
         --------
-        >>> small = load_protocol("reference").resampled(512)
+        >>> import pssf
+        >>> small = pssf.load_protocol("reference").resample(512)
         >>> small.rows, small.cols, small.pixel_mm
         (512, 512, 0.6)
         """
-        require_whole("matrix", matrix, 1, 8192, "pixels")
+        require_integer("matrix", matrix, 1, 8192, "pixels")
         most = max(self.rows, self.cols)
         rows, cols = (max(1, round(side * matrix / most)) for side in (self.rows, self.cols))
         return replace(self, rows=rows, cols=cols, pixel_mm=round(self.pixel_mm * most / matrix, 9))
 
     @property
     def posture(self) -> Posture:
-        """How a leg stands for it."""
+        """Posture of a leg under the protocol."""
         return Posture(**{field.name: getattr(self, field.name) for field in fields(Posture)})
 
 
-def protocol_from(table: dict[str, Any], what: str) -> Protocol:
-    """A protocol from a mapping of its fields; `what` names the origin in a refusal."""
-    return from_table(Protocol, table, what)
+def protocol_from_dict(table: dict[str, Any], source_name: str) -> Protocol:
+    """Construct a protocol from a mapping of its fields.
+
+    Parameters
+    ----------
+    table : dict of str to object
+        Field and value, as a TOML or JSON file gives it.
+    source_name : str
+        Name of the file or object, which begins every error message.
+
+    Returns
+    -------
+    Protocol
+        The protocol.
+
+    Raises
+    ------
+    InputError
+        If a field is misspelt or missing, or a value is not allowed.
+    """
+    return build_from_table(Protocol, update_field_names(table, RENAMED_FIELDS, source_name), source_name)
 
 
 def load_protocol(name_or_path: str | PathLike[str]) -> Protocol:
-    """A protocol that comes with the package, by name, or any TOML file, by path.
+    """Load a protocol of the package by name, or from a TOML file by path.
 
-    A file may name another as its `base`, by name or by a path from where it lies, and give only what differs.
-    raises  InputError for an unknown name, an unreadable file, a misspelt, missing or refused field, a base of itself
+    A file may name another protocol as its ``base``, by name or by a path relative to the file, and give only what
+    differs.
+
+    Parameters
+    ----------
+    name_or_path : str or path-like
+        Name of a protocol, such as "reference" or "fixed_flexion", or path of a ``.toml`` file.
+
+    Returns
+    -------
+    Protocol
+        The protocol.
+
+    Raises
+    ------
+    InputError
+        If the name is unknown, the file cannot be read, a field is misspelt or missing, a value is not allowed, or
+        ``base`` leads back to the file itself.
+
+    Examples
+    --------
+    >>> import pssf
+    >>> pssf.load_protocol("fixed_flexion").projection
+    'PA'
     """
-    table, what = read_protocol(name_or_path)
-    return protocol_from(table, what)
+    table, what = read_protocol_fields(name_or_path)
+    return protocol_from_dict(table, what)
 
 
-def protocol_table(protocol: Protocol) -> dict[str, Any]:
-    """Field name -> value of a protocol, as `protocol_from` takes it back (JSON-ready)."""
+def protocol_to_dict(protocol: Protocol) -> dict[str, Any]:
+    """Convert a protocol to a JSON-ready mapping, which `protocol_from_dict` reads.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        The protocol.
+
+    Returns
+    -------
+    dict of str to object
+        Field and value.
+    """
     return asdict(protocol)

@@ -1,4 +1,4 @@
-"""Radiograph: pixels, what is known about them, and what they were made from."""
+"""Radiograph and Truth: the pixels of a simulated radiograph, its labels, and the parameters that it was made from."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -9,36 +9,60 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.checks import InputError
+from ..core.keyword_arguments import renamed_attribute
 from .knee import Knee
 from .protocol import Protocol
 
 
 @dataclass(frozen=True, kw_only=True)
 class Truth:
-    """Labels that are true by construction. Landmarks are (row, column) on this radiograph, in pixels.
+    """Labels of a radiograph, true by construction; landmarks are (row, column) in pixels of this radiograph.
 
-    jsw_medial_mm, jsw_lateral_mm
-                       minimum joint space of this radiograph, measured on its projected contours as `Knee.jsw_as`
-                       defines it and scaled to the joint plane; negative where the contours overlap, None where the
-                       view does not show it (lateral, axial). The specified joint space is `Knee.jsw_medial_mm`
-    jsw_at_mm          joint space of this radiograph at fractions of the femur's width from its medial epicondyle
-                       (JSW(x))
-    landmarks_px       name -> (row, column): joint_centre; medial_ and lateral_ joint_line; medial_ and lateral_
-    jsw_femur
-                       and jsw_tibia, the ends of the minimum joint space; where bones are widest,
-                       osteophytes aside: medial_ and lateral_ condyle_edge, epicondyle, plateau_edge; and the sixteen
-                       contour landmarks of `anatomy.landmarks`, osteophytes and all (notch is notch_top). Seen from the
-                       side or along the leg none of these is told, nor jsw_at_mm, but places that have a place in every
-                       view, as `anatomy.turned_truth` lists them
-    attrition_mm       medial and lateral -> greatest depth worn off the plateau in the posture that joint spaces are
-                       defined under, whatever this radiograph's; 0 where bones do not meet
-    grade              KL grade that the knee was sampled for, or the one derived from its anatomy; grade_read the one
-                       that a reader gives, where one is sampled
-    readings           OARSI grades by the names of the Osteoarthritis Initiative (`model.oarsi`), angles and
-                       ratios (`model.axes`); seen from the front also inter_margin_mm, how far the front margin of the
-                       medial plateau is above its back one on this radiograph, scaled to the joint plane
-    taking             how it was taken (`model.exposure.taking_of`): pose, beam, dose, field, marker
-    masks              if asked for: name -> (rows, cols) bool, where a bone or an osteophyte is seen
+    Attributes
+    ----------
+    jsw_medial_mm : float or None
+        Minimum medial joint space width (JSW) of this radiograph, in mm. It is measured between the projected contours
+        as `Knee.jsw_definition` says and scaled to the joint plane. It is negative where the contours overlap, and None
+        in a lateral or axial view. The specified JSW is `Knee.jsw_medial_mm`.
+    jsw_lateral_mm : float or None
+        Minimum lateral joint space width of this radiograph, in mm, likewise.
+    landmarks_px : mapping of str to (row, column) pair of float
+        Landmarks by name; see Notes.
+    grade : int or None
+        KL grade that the knee was sampled for, or the grade derived from its anatomy.
+    jsw_at_mm : mapping of float to float
+        JSW(x) in mm, at fractions of the width of the femur from its medial epicondyle. Empty in a lateral or axial
+        view.
+    attrition_mm : mapping of str to float
+        Greatest depth worn off the medial and the lateral plateau, in mm, in the posture that defines the joint space.
+        It does not depend on the posture of this radiograph. It is 0 where the bones do not touch.
+    reader_grade : int or None
+        KL grade that a simulated reader gives; None if no reader is simulated.
+    readings : mapping of str to float
+        OARSI grades under the names of the Osteoarthritis Initiative (`model.oarsi_grades`); angles and ratios of the
+        limb (`model.limb_axes`). In a frontal view also ``inter_margin_mm``: height of the front margin of the medial
+        plateau above its back margin on this radiograph, scaled to the joint plane.
+    acquisition : mapping of str to (float or str)
+        Pose, beam, dose, field and marker of this radiograph (`model.sampling.acquisition.describe_acquisition`).
+    masks : mapping of str to (rows, cols) bool array
+        Pixels that show a bone, an osteophyte, cysts or an implant, by name; empty unless `simulate` is asked to keep
+        them.
+
+    Notes
+    -----
+    In a frontal view, `landmarks_px` has three groups of names. The joint space: ``joint_centre``, and for both sides
+    ``*_joint_line``, ``*_jsw_femur`` and ``*_jsw_tibia``; the last two are the ends of the minimum joint space. The
+    widest points of the bones without osteophytes, for both sides: ``*_condyle_edge``, ``*_epicondyle`` and
+    ``*_plateau_edge``. The sixteen contour landmarks, with osteophytes, of `anatomy.outlines.contour_landmarks`;
+    ``notch`` is the same as ``notch_top``. A lateral or axial view has landmarks of the bones instead, which
+    `anatomy.labels.lateral_axial_labels` lists.
+
+    Examples
+    --------
+    >>> import pssf
+    >>> truth = pssf.Truth(jsw_medial_mm=4.8, jsw_lateral_mm=5.1, landmarks_px={"medial_joint_line": (1020.0, 880.5)})
+    >>> truth.medial_joint_line_px
+    (1020.0, 880.5)
     """
 
     jsw_medial_mm: float | None
@@ -47,46 +71,84 @@ class Truth:
     grade: int | None = None
     jsw_at_mm: Mapping[float, float] = field(default_factory=dict)
     attrition_mm: Mapping[str, float] = field(default_factory=dict)
-    grade_read: int | None = None
+    reader_grade: int | None = None
     readings: Mapping[str, float] = field(default_factory=dict)
-    taking: Mapping[str, float | str] = field(default_factory=dict)
+    acquisition: Mapping[str, float | str] = field(default_factory=dict)
     masks: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict, compare=False, repr=False)
+
+    # Earlier names, for one version.
+    taking = renamed_attribute("acquisition")
+    grade_read = renamed_attribute("reader_grade")
 
     @property
     def medial_joint_line_px(self) -> tuple[float, float]:
-        """Middle of the medial joint space, half way across the compartment (row, column); seen from the front."""
-        return self._seen("medial_joint_line")
+        """Middle of the medial joint space, half way across the compartment, as (row, column); frontal views only."""
+        return self._require_landmark("medial_joint_line")
 
     @property
     def lateral_joint_line_px(self) -> tuple[float, float]:
-        """Middle of the lateral joint space, half way across the compartment (row, column); seen from the front."""
-        return self._seen("lateral_joint_line")
+        """Middle of the lateral joint space, half way across the compartment, as (row, column); frontal views only."""
+        return self._require_landmark("lateral_joint_line")
 
-    def _seen(self, name: str) -> tuple[float, float]:
+    def _require_landmark(self, name: str) -> tuple[float, float]:
+        """Return (row, column) of a landmark, or raise InputError if this view does not show it."""
         if name not in self.landmarks_px:
             known = ", ".join(self.landmarks_px)
-            raise InputError(f"landmark = {name!r}, which this view does not show; allowed: {known}")
+            raise InputError(f"landmark must be one that this view shows ({known}), got {name!r}")
         return self.landmarks_px[name]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Radiograph:
-    """One exposure. Two are equal if their pixels are, and all that they were made from; what was kept aside.
+    """Simulated radiograph: pixels, labels, and all parameters that it was made from.
 
-    pixels    (rows, cols) uint16, linear in the energy absorbed ("for processing"), row 0 proximal, or axially in front
-    knee      its parameters, or None for a scene of one's own, or for two knees
-    truth     labels, or None likewise
-    knees     right and left, where both were taken together; else none
-    truths    labels of either, likewise
-    scene     of a scene of one's own its materials and a hash of each mesh; else None
-    surgery   what was put into the knee or taken out of it, in order: step, name, material, size and hash of the mesh;
-              of two knees the name begins with the side. The meshes themselves are the user's to keep
-    engine    that cast its rays
-    audit     what it found and mended; see `raycast.Audit`
-    versions  of the package and of what the pixels depend on
-    kept      what `simulate(keep=...)` asked for; maps (rows, cols) float32; with "scatter" of monte_carlo also
-              "scatter_error", its statistical error relative to its mean
-    seconds   wall time a stage
+    Attributes
+    ----------
+    pixels : (rows, cols) uint16 array
+        Pixel values, linear in the absorbed energy ("for processing"). Row 0 is proximal, in an axial view anterior.
+    protocol : Protocol
+        Protocol of the exposure.
+    seed : int
+        Seed of the noise.
+    knee : Knee or None
+        Parameters of the knee; None for two knees or a user's own scene.
+    truth : Truth or None
+        Labels; None for two knees or a user's own scene.
+    knees : tuple of Knee
+        Right and left knee if both were imaged together, else empty.
+    truths : tuple of Truth
+        Labels of the right and the left knee, likewise.
+    scene : mapping or None
+        Materials and a hash of each mesh of a user's own scene; None for knees.
+    surgery : tuple of mapping
+        Implants and resections in order, each with step, name, material, size and hash of the mesh. With two knees the
+        name begins with the side. The meshes are not stored.
+    engine : {"embree", "scanline"}
+        Ray caster.
+    audit : mapping of str to int
+        Counts of rays that the ray caster checked and repaired (`raycast.path_lengths.Audit`).
+    versions : mapping of str to str
+        Versions of the package and of the libraries that the pixels depend on.
+    kept : mapping of str to (rows, cols) float32 array
+        Maps that ``simulate(keep=...)`` asked for; "path_mm" is a mapping of material to map. With "scatter" of a Monte
+        Carlo simulation also "scatter_error", its statistical error relative to its mean.
+    seconds : mapping of str to float
+        Run time per stage, in s.
+
+    Notes
+    -----
+    Two radiographs are equal if their pixels and all parameters that they were made from are equal; `kept`, `audit` and
+    `seconds` do not count.
+
+    Examples
+    --------
+    >>> import pssf
+    >>> small = pssf.load_protocol("reference").resample(64)
+    >>> radiograph = pssf.simulate(pssf.Knee(), small, rng=7, engine="scanline")
+    >>> radiograph
+    Radiograph(right knee, reference, 70 kV, 2 mAs, 64 x 64 px of 4.8 mm, seed 7)
+    >>> round(radiograph.truth.jsw_medial_mm, 1)
+    5.0
     """
 
     pixels: NDArray[np.uint16] = field(repr=False)
@@ -116,25 +178,25 @@ class Radiograph:
 
     @property
     def exposure_index(self) -> float:
-        """Exposure index by IEC 62494-1: 100 times the air kerma in uGy that an RQA5 beam needs for the same signal.
+        """Exposure index (IEC 62494-1): 100 times the air kerma, in uGy, of an RQA5 beam with the same signal.
 
-        The signal is the median of the pixels behind the limb. Calibration is exact by construction: an RQA5 beam,
-        70 kV behind 23.5 mm of aluminium, of K uGy at the detector gives 100 K.
+        The signal is the median of the pixels behind the limb. The calibration is exact by construction: an RQA5 beam
+        (70 kV, 23.5 mm of aluminium) with K uGy at the detector gives 100 K.
         """
-        return float(_later("quality.exposure", "exposure_index_of")(self))
+        return float(_load_function("quality.exposure_index", "compute_exposure_index")(self))
 
     @property
     def entrance_air_kerma_ugy(self) -> float:
-        """Air kerma where the beam enters the limb, in uGy, without backscatter and without the limb."""
-        return float(_later("quality.exposure", "entrance_kerma_of")(self))
+        """Air kerma at the entrance of the limb, in uGy, without backscatter and without the limb."""
+        return float(_load_function("quality.exposure_index", "compute_entrance_kerma_ugy")(self))
 
     def show(self) -> None:
-        """Show the radiograph, as processed for display, in the system's viewer of pictures."""
-        _later("io.pictures", "preview")(self).show()
+        """Open the radiograph, processed for display, in the image viewer of the system."""
+        _load_function("io.pictures", "make_preview")(self).show()
 
     def _repr_png_(self) -> bytes:
-        """Give a PNG of the radiograph, as processed for display, which notebooks show."""
-        return bytes(_later("io.pictures", "preview_png")(self))
+        """Encode the radiograph, processed for display, as PNG for notebooks."""
+        return bytes(_load_function("io.pictures", "encode_preview_png")(self))
 
     def __repr__(self) -> str:
         protocol, (rows, cols) = self.protocol, self.pixels.shape
@@ -147,6 +209,6 @@ class Radiograph:
         return f"Radiograph({', '.join([of, *grades, *steps, taken, size, f'seed {self.seed}'])})"
 
 
-def _later(module: str, name: str) -> Any:
-    """A function that reads radiographs, of a module to the right of this one; loaded when it is first asked for."""
+def _load_function(module: str, name: str) -> Any:
+    """Import a function of a later module when it is first used; at the top the import would be circular."""
     return getattr(import_module(f"..{module}", __package__), name)

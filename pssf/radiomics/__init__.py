@@ -1,25 +1,28 @@
-"""From a radiograph to numbers; needs the extra `study`.
+"""Radiomics: find the knee joint in a radiograph, cut out a region, and measure its features; needs the extra `study`.
 
-families.family       feature               -> its family, one of FAMILIES
-tables                the package's tables  -> what finding and measuring read, as one record
-locate.find_joint     pixels, templates     -> medial joint line of a radiograph of known side and pitch, or why not
-locate.locate         film, templates       -> the same of any film, with side, way up, polarity and pitch
-second_knee           joint, pixels         -> whether the other knee is on the radiograph too
-aspect.locate_film    film, templates       -> the same where pixels may be higher than wide, as of resized crops
-search, patches, edges  correlation, what is looked for, and what both are seen as
-region.cut_region     pixels, row, col      -> region (size, size)
-bone.bone_mask        region, pixel_mm      -> mask of bone (size, size), by a watershed of the gradient
-overlap.overlap       masks                 -> Dice coefficient, distance of outlines
-processing.processing   settings            -> what is done to grey values, in words
-features.extract      region, pixel_mm      -> feature name -> value, by pyradiomics or MIRP
-backends              which of them is taken; by_pyradiomics, by_mirp: what each measures; shape2d: what MIRP lacks
-ibsi.tag_of           feature               -> which feature of the IBSI it is; departure_of: how it departs
-display.measure_display  job, film           -> record of a radiograph as displayed, brought to a pitch and a tone
-texture.texture       patch, pixel_mm       -> slopes of its spectrum, direction of its lines, grey values
-compact.compact       template              -> what localisation reads of it
-table.extract_all     jobs, how to load     -> one record a radiograph, in the order of the jobs
+radiomics_tables          settings and feature tags that localisation and measurement need
+displayed_radiograph      measurement of displayed radiographs, which have any pixel size and grey scale
+localisation
+  joint_localisation      the medial joint line, with side, orientation, polarity and pixel size
+  pixel_aspect            the same in images whose pixels may not be square
+  template_matching, joint_candidates, templates, edge_field
+                          correlation of edges with those of template radiographs
+  laterality              evidence for a right or left knee
+  second_knee             whether the other knee is on the radiograph too
+  crop_template           templates reduced to the part that localisation reads
+  region_of_interest      the square region about the joint line
+features
+  feature_extraction      features of a region, by name
+  feature_table           one record of features per radiograph
+  feature_families        families of features
+  feature_backends        choice between pyradiomics and MIRP; pyradiomics_backend, mirp_backend: each of them
+  bone_mask, shape2d      segmentation of the bone, and its shape
+  mask_overlap            agreement of a segmented mask with the true one
+  texture_measures        power spectrum and grey values of trabecular bone
+  ibsi_tags               correspondence with the features of the IBSI
+  image_processing        processing of the grey values, in words
 """
 
-from .families import FAMILIES
+from .features.feature_families import FAMILIES
 
 __all__ = ["FAMILIES"]

@@ -1,21 +1,15 @@
-"""raycast.trace    scene, protocol  -> path lengths per material, (rows, cols), and an audit of the rays
-raycast.trace_strips  the same, held in strips: what a radiograph is made of
-raycast.shadow   mesh, protocol   -> where it is seen
-raycast.check    scene            -> what is wrong with its meshes and what they say of each other
+"""Ray casting: path lengths in each material, silhouettes, and checks of a scene.
 
-paths      what comes back
-strips     the same without the air beside the object
-overlaps   where surfaces contradict each other or themselves
-density_mismatch  where they do not name the density that surrounds them
-negative   paths of less than nothing: why, and which are refused
-sheets     surfaces as a detector sees them
-clip       cut off in front of the source
-rays       their lengths, and where they meet a box
-crossings  in order along each ray; integrals of a density between them
-scanline   engine: triangles projected and accumulated in float64
-embree     engine: rays cast hit by hit, audited, repaired by scanline
-casting    rays under way from hit to hit
-spread     what a ray met, taken from one beside it
+`trace` computes path lengths as arrays of shape (rows, cols), and `trace_sparse` the same without the air beside the
+object. `check` lists what is wrong with a scene. `compute_silhouette` finds the pixels that a mesh covers.
+
+path_lengths        records that `trace` returns
+scene_check         `check` and its report
+surface_overlaps    surfaces that contradict each other, or overlap themselves
+density_mismatch    surfaces that state the wrong density of their surroundings
+negative_paths      negative path lengths and their causes
+detector_clearance  distance between the leg and the detector
+engines             projection of surfaces, ray casting (Embree, scanline) and integrals along rays
 """
 
 import reprlib
@@ -28,37 +22,72 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.checks import Array, InputError, require_choice, require_workers
-from ..core.keywords import keywords
+from ..core.checks import (
+    Array,
+    InputError,
+    require_choice,
+    require_workers,
+)
+from ..core.keyword_arguments import check_keywords
 from ..geometry.density import Density
 from ..geometry.mesh import Mesh
-from ..geometry.repair import require_sound
-from ..geometry.scene import HasScene, Scene, Surface, require_traceable, scene_of
-from ..geometry.view import View, view_of
+from ..geometry.mesh_repair import require_usable_solid
+from ..geometry.scene import (
+    HasScene,
+    Scene,
+    Surface,
+    require_traceable,
+    resolve_scene,
+)
+from ..geometry.view import View, resolve_view
 from ..model.protocol import Protocol
-from . import scanline
-from .check import Report, check
-from .crossings import Crossings, chords, integrals, joined
-from .density_mismatch import require_densities
-from .negative import require_paths
-from .paths import Audit, Paths, total
-from .rays import add_box, to_mm
-from .sheets import BAND_ROWS, Sheet, frame_of, sheet_of
-from .strips import Strips
+from .density_mismatch import require_matching_densities
+from .engines import scanline
+from .engines.crossings import (
+    Crossings,
+    chord_fractions,
+    integrate_along_rays,
+    merge_crossings,
+)
+from .engines.pixel_rays import add_box_path, convert_to_mm
+from .engines.projected_surface import (
+    BAND_ROWS,
+    ProjectedSurface,
+    make_ray_frame,
+    project_surface,
+)
+from .engines.sparse_map import SparseMap
+from .negative_paths import require_nonnegative_paths
+from .path_lengths import Audit, Paths, sum_audits
+from .scene_check import Report, check
 
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["Audit", "Paths", "Report", "check", "require_paths", "scene_shadow", "shadow", "trace", "trace_strips"]
+__all__ = [
+    "Audit",
+    "Paths",
+    "Report",
+    "check",
+    "compute_scene_silhouette",
+    "compute_silhouette",
+    "require_nonnegative_paths",
+    "trace",
+    "trace_sparse",
+]
 
+# Names of the ray casting engines.
 ENGINES = ("embree", "scanline")
+# Number types of the path lengths.
 PRECISIONS = ("float32", "float64")
+# Sums of path lengths (rows, cols) per material.
 Sums = dict[str, NDArray[Any]]
-# Material and identity of a density -> the density, the crossings of the surfaces that bound it, and their names.
-_Varying = dict[tuple[str, int], tuple[Density, list[tuple[Crossings, int]], list[str]]]
+# Keys are a material and the identity of its density. Values are the density, the crossings of the surfaces that bound
+# it with their signs, and the names of these surfaces.
+_DensityGroups = dict[tuple[str, int], tuple[Density, list[tuple[Crossings, int]], list[str]]]
 
 
-@keywords()
+@check_keywords()
 def trace(
     scene: Scene | HasScene,
     protocol: Protocol | View,
@@ -69,169 +98,269 @@ def trace(
     texture: bool = True,
     workers: int = 2,
 ) -> Paths:
-    """Path length in each material along every ray from the source to a pixel centre.
+    """Compute the path length in each material along every ray from the source to a pixel centre.
 
-    A closed surface that a ray crosses contributes sign x F(t) at each crossing, + on leaving and - on entering, where
-    F(t) = t, or the integral of the surface's density up to t; the path in a material is the sum over surfaces with it
-    inside minus the sum over those with it outside, in float64. What is behind the source or the detector is not on the
-    way. Where a mesh overlaps itself, path counts as often as the mesh goes around it.
+    Parameters
+    ----------
+    scene : Scene or object with a scene
+        Closed surfaces, or an object that has them, such as the result of ``build(knee)``.
+    protocol : Protocol or View
+        Source and detector. A protocol with ``texture="none"`` also switches texture off.
+    engine : {"embree", "scanline"}, default "embree"
+        Ray caster. Embree casts rays and repairs doubtful ones; the scanline engine projects triangles, in float64.
+    materials : iterable of str, optional
+        Materials to return; by default all except the ambient one. The path in the ambient material is counted only
+        inside the box around the scene.
+    precision : {"float32", "float64"}, default "float32"
+        Number type of the result. The rounding error of float32 is 4e-6 mm in 100 mm.
+    texture : bool, default True
+        If False, every material has its own constant density.
+    workers : int, default 2
+        Number of threads, from 1 to 256; it does not change the result.
 
-    scene      surfaces, or what carries them, as `build(knee)` gives it
-    materials  those wanted; by default all but the ambient one, whose path is counted inside the box around the scene
-    precision  of what comes back: "float32" (4e-6 mm in 100 mm) or "float64"
-    texture    False takes every material at its own density, as a protocol without texture does
-    workers    threads; they do not change the result
-    returns    path_mm (rows, cols) per material, and the audit
-    raises     InputError for an unknown engine, material or precision, a scene that has no right answer (see `check`),
-               a path of less than nothing, a density that does not give one finite number a segment
-    warns      MeshNotice for a mesh that had to be mended
+    Returns
+    -------
+    Paths
+        Path lengths in mm, (rows, cols) per material, and the audit of the rays.
+
+    Raises
+    ------
+    InputError
+        If engine, material or precision is unknown, or the scene cannot be traced (see `check`). Also if a path length
+        is below -0.05 mm, or a density does not return one finite number per segment.
+
+    Warns
+    -----
+    MeshNotice
+        If a mesh had to be repaired.
+
+    See Also
+    --------
+    check : List what is wrong with a scene.
+
+    Notes
+    -----
+    A closed surface contributes sign x F(t) at each crossing, + where the ray leaves and - where it enters. F(t) is t,
+    or the integral of the density of the surface up to t. The path in a material is the sum over surfaces that have it
+    inside, minus the sum over surfaces that have it outside. Sums are in float64.
+
+    Parts behind the source or behind the detector do not count. Where a mesh overlaps itself, the path counts once per
+    turn of the mesh around it.
+
+    Examples
+    --------
+    >>> import pssf, trimesh
+    >>> ball = pssf.Surface(trimesh.creation.icosphere(radius=20.0), inside="muscle", outside="air", name="ball")
+    >>> paths = pssf.trace(pssf.Scene([ball]), pssf.load_protocol("reference").resample(64))
+    >>> {material: round(float(path_mm.max()), 1) for material, path_mm in paths.path_mm.items()}
+    {'muscle': 39.5}
+    >>> paths.audit.unrepaired
+    0
     """
-    scene, view = scene_of(scene), view_of(protocol)
+    scene, view = resolve_scene(scene), resolve_view(protocol)
     require_choice("precision", precision, PRECISIONS)
     require_choice("texture", texture, (True, False))
-    path_mm: Sums = {m: np.zeros((view.rows, view.cols), precision) for m in _wanted(scene, materials)}
-    smooth = not texture or _is_smooth(protocol)
-    audit = _filled(scene, view, path_mm, engine, smooth, workers)
+    path_mm: Sums = {m: np.zeros((view.rows, view.cols), precision) for m in _select_materials(scene, materials)}
+    smooth = not texture or _has_no_texture(protocol)
+    audit = _fill_path_maps(scene, view, path_mm, engine, smooth, workers)
     return Paths(path_mm=path_mm, audit=audit, view=view, texture="none" if smooth else "trabecular", scene=scene)
 
 
-def trace_strips(
+def trace_sparse(
     scene: Scene, protocol: Protocol | View, *, engine: str = "embree", texture: bool = True, workers: int = 2
-) -> tuple[dict[str, Strips], Audit]:
-    """Path lengths as `trace` gives them, held without the air beside the object, and the audit of the rays.
+) -> tuple[dict[str, SparseMap], Audit]:
+    """Compute path lengths like `trace`, stored without the air beside the object.
 
-    returns  material -> (rows, cols)
-    raises   InputError, warns MeshNotice as `trace`
+    Parameters
+    ----------
+    scene : Scene
+        Closed surfaces.
+    protocol : Protocol or View
+        Source and detector. A protocol with ``texture="none"`` also switches texture off.
+    engine : {"embree", "scanline"}, default "embree"
+        Ray caster.
+    texture : bool, default True
+        If False, every material has its own constant density.
+    workers : int, default 2
+        Number of threads, from 1 to 256; it does not change the result.
+
+    Returns
+    -------
+    path_mm : dict of str to SparseMap
+        Path lengths in mm, (rows, cols) per material except the ambient one.
+    audit : Audit
+        Counts of the rays that were cast and repaired.
+
+    Raises
+    ------
+    InputError
+        Under the same conditions as `trace`.
+
+    Warns
+    -----
+    MeshNotice
+        If a mesh had to be repaired.
     """
-    view = view_of(protocol)
-    path_mm = {material: Strips((view.rows, view.cols)) for material in _wanted(scene, None)}
-    return path_mm, _filled(scene, view, path_mm, engine, not texture or _is_smooth(protocol), workers)
+    view = resolve_view(protocol)
+    path_mm = {material: SparseMap((view.rows, view.cols)) for material in _select_materials(scene, None)}
+    return path_mm, _fill_path_maps(scene, view, path_mm, engine, not texture or _has_no_texture(protocol), workers)
 
 
-def _is_smooth(protocol: Protocol | View) -> bool:
+def _has_no_texture(protocol: Protocol | View) -> bool:
+    """Check whether a protocol switches the texture of trabecular bone off."""
     return isinstance(protocol, Protocol) and protocol.texture == "none"
 
 
-def _filled(scene: Scene, view: View, path_mm: Mapping[str, Any], engine: str, smooth: bool, workers: int) -> Audit:
-    """Fill the maps (rows, cols), mm, of the materials that are wanted; returns the audit of all rays."""
+def _fill_path_maps(
+    scene: Scene, view: View, path_mm: Mapping[str, Any], engine: str, textureless: bool, workers: int
+) -> Audit:
+    """Fill the maps (rows, cols), in mm, of the requested materials and return the audit of all rays."""
     require_choice("engine", engine, ENGINES)
     require_workers(workers)
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(lambda surface: surface.solid, scene.surfaces))
         require_traceable(scene)
-        if not smooth:
-            require_densities(scene)
+        if not textureless:
+            require_matching_densities(scene)
         asked = [surface for surface in scene.surfaces if {surface.inside, surface.outside} & path_mm.keys()]
-        layers = _layers(asked, view, engine, smooth, pool)
-        audit = total(pool.map(partial(_band, scene, view, layers, path_mm), range(0, view.rows, BAND_ROWS)))
-    require_paths(path_mm, scene, view)
+        layers = _build_layers(asked, view, engine, textureless, pool)
+        audit = sum_audits(pool.map(partial(_trace_band, scene, view, layers, path_mm), range(0, view.rows, BAND_ROWS)))
+    require_nonnegative_paths(path_mm, scene, view)
     return audit
 
 
-def _wanted(scene: Scene, materials: Iterable[str] | None) -> list[str]:
-    """Materials asked for, each once and in order."""
+def _select_materials(scene: Scene, materials: Iterable[str] | None) -> list[str]:
+    """Return the requested materials, each once and in the order given; by default all but the ambient one."""
     if materials is None:
         return list(scene.materials[1:])
     if isinstance(materials, str) or not isinstance(materials, Iterable):
-        raise InputError(f"materials = {reprlib.repr(materials)}; allowed: a list of {', '.join(scene.materials)}")
+        raise InputError(f"materials must be a list of {', '.join(scene.materials)}, got {reprlib.repr(materials)}")
     listed = list(materials)
     for material in listed:
         require_choice("material", material, scene.materials)
     return list(dict.fromkeys(listed))
 
 
-def shadow(mesh: "trimesh.Trimesh | Mesh", protocol: Protocol | View) -> NDArray[np.bool_]:
-    """(rows, cols)  where a closed mesh is seen; nowhere if it has no faces, as an osteophyte that bone has swallowed
+def compute_silhouette(mesh: "trimesh.Trimesh | Mesh", protocol: Protocol | View) -> NDArray[np.bool_]:
+    """Find the pixels that a closed mesh covers.
 
-    raises  InputError for a mesh that bounds no solid, or no protocol
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh or Mesh
+        Closed mesh in mm. A mesh without faces covers no pixel, such as an osteophyte inside the bone.
+    protocol : Protocol or View
+        Source and detector.
+
+    Returns
+    -------
+    (rows, cols) bool array
+        True where a ray crosses the mesh.
+
+    Raises
+    ------
+    InputError
+        If the mesh does not bound a solid, or `protocol` is neither a Protocol nor a View.
     """
-    view = view_of(protocol)
+    view = resolve_view(protocol)
     seen = np.zeros((view.rows, view.cols), np.bool_)
     if not len(mesh.faces):
         return seen
     solid = Surface(mesh, "solid", "air").solid
-    require_sound(solid)
-    _add_shadow(seen, sheet_of(solid, view))
+    require_usable_solid(solid)
+    _add_silhouette(seen, project_surface(solid, view))
     return seen
 
 
-def scene_shadow(scene: Scene, view: View) -> NDArray[np.bool_]:
-    """(rows, cols)  where any of a scene is seen that the ambient material surrounds"""
+def compute_scene_silhouette(scene: Scene, view: View) -> NDArray[np.bool_]:
+    """Find the pixels that are covered by surfaces which border the ambient material.
+
+    Parameters
+    ----------
+    scene : Scene
+        Closed surfaces; those whose outside is the ambient material count.
+    view : View
+        Source and detector.
+
+    Returns
+    -------
+    (rows, cols) bool array
+        True where a ray crosses one of these surfaces.
+    """
     seen = np.zeros((view.rows, view.cols), np.bool_)
     for surface in scene.surfaces:
         if surface.outside == scene.ambient:
-            _add_shadow(seen, sheet_of(surface.solid, view))
+            _add_silhouette(seen, project_surface(surface.solid, view))
     return seen
 
 
-def _add_shadow(seen: NDArray[np.bool_], sheet: Sheet) -> None:
-    """Mark the pixels (rows, cols) that see a surface."""
+def _add_silhouette(silhouette: NDArray[np.bool_], sheet: ProjectedSurface) -> None:
+    """Mark the pixels (rows, cols) whose rays cross a surface."""
     columns = slice(*sheet.cols)
-    for first in range(0, len(seen), BAND_ROWS):
+    for first in range(0, len(silhouette), BAND_ROWS):
         top, bottom = max(first, sheet.rows[0]), min(first + BAND_ROWS, sheet.rows[1])
         if top < bottom:
-            seen[top:bottom, columns] |= scanline.counts(sheet, top, bottom) > 0
+            silhouette[top:bottom, columns] |= scanline.count_crossings(sheet, top, bottom) > 0
 
 
 @dataclass(frozen=True)
 class _Layer:
-    """A surface, the densities inside and outside it, how a detector sees it, and what casts its rays."""
+    """A surface, its inside and outside densities, its projection, and the caster of its rays."""
 
     surface: Surface
     densities: tuple[Density | None, Density | None]
-    sheet: Sheet
+    sheet: ProjectedSurface
     caster: Any
 
 
-def _layers(surfaces: list[Surface], view: View, engine: str, smooth: bool, pool: Executor) -> list[_Layer]:
-    """One for each surface that covers a pixel.
+def _build_layers(surfaces: list[Surface], view: View, engine: str, textureless: bool, pool: Executor) -> list[_Layer]:
+    """Build one layer for each surface that covers a pixel.
 
-    raises  InputError for a surface that the source lies on
+    InputError is raised for a surface that passes through the source.
     """
-    # Imported when used: who asks for one engine does not load the other.
+    # The import is local, because Embree is not needed for the scanline engine.
     if engine == "embree":
-        from .embree import Caster
+        from .engines.embree import Caster
     else:
         Caster = scanline.Caster  # type: ignore[assignment, misc]
 
     def layer(surface: Surface) -> _Layer | None:
-        sheet = sheet_of(surface.solid, view)
-        around = _around(sheet, view, surface.name)
+        sheet = project_surface(surface.solid, view)
+        around = _source_winding(sheet, view, surface.name)
         covers = sheet.rows[0] < sheet.rows[1] and sheet.cols[0] < sheet.cols[1]
-        densities = (None, None) if smooth else (surface.inside_density, surface.outside_density)
+        densities = (None, None) if textureless else (surface.inside_density, surface.outside_density)
         return _Layer(surface, densities, sheet, Caster(sheet, around)) if covers else None
 
     return [seen for seen in pool.map(layer, surfaces) if seen is not None]
 
 
-def _around(sheet: Sheet, view: View, name: str) -> int:
-    """How often a surface goes around the source, which the signs of every ray's crossings add up to."""
-    if not sheet.cut:
+def _source_winding(sheet: ProjectedSurface, view: View, name: str) -> int:
+    """Count how often a surface encloses the source; the signs of the crossings of every ray add up to this number."""
+    if not sheet.is_clipped:
         return 0
     bands = [
-        scanline.windings(sheet, max(first, sheet.rows[0]), min(first + BAND_ROWS, sheet.rows[1]))
+        scanline.sum_windings(sheet, max(first, sheet.rows[0]), min(first + BAND_ROWS, sheet.rows[1]))
         for first in range(sheet.rows[0] // BAND_ROWS * BAND_ROWS, sheet.rows[1], BAND_ROWS)
     ]
     sums = {float(edge(band)) for band in bands if band.size for edge in (np.min, np.max)}
     if (sheet.rows, sheet.cols) != ((0, view.rows), (0, view.cols)):
         sums.add(0.0)
     if len(sums) > 1:
-        raise InputError(f"{name}: the source lies on it, at {view.source_mm} mm; allowed: inside it or outside")
+        raise InputError(f"{name}: source_mm must be inside or outside the surface, got {view.source_mm} mm on it")
     return int(sums.pop())
 
 
-def _band(scene: Scene, view: View, layers: list[_Layer], path_mm: Mapping[str, Any], first: int) -> Audit:
-    """Fill the rows of one band, in every material; returns the audit of its rays."""
+def _trace_band(scene: Scene, view: View, layers: list[_Layer], path_mm: Mapping[str, Any], first: int) -> Audit:
+    """Fill the rows of one band in every material and return the audit of its rays."""
     stop = min(first + BAND_ROWS, view.rows)
     sums = {material: np.zeros((stop - first, view.cols)) for material in path_mm}
-    frame, touched, audits = frame_of(view), {scene.ambient}, [Audit()]
-    varying: _Varying = {}
+    frame, touched, audits = make_ray_frame(view), {scene.ambient}, [Audit()]
+    varying: _DensityGroups = {}
     for layer in layers:
         surface, sheet = layer.surface, layer.sheet
         top, bottom = max(first, sheet.rows[0]), min(stop, sheet.rows[1])
         if top >= bottom:
             continue
-        chord, crossings, audit = _cast(layer, top, bottom)
+        chord, crossings, audit = _cast_layer(layer, top, bottom)
         audits.append(audit)
         for material, density, sign in zip((surface.inside, surface.outside), layer.densities, (+1, -1), strict=True):
             if material not in sums:
@@ -242,31 +371,32 @@ def _band(scene: Scene, view: View, layers: list[_Layer], path_mm: Mapping[str, 
                 parts.append((crossings, sign))
                 names.append(surface.name)
             else:
-                _add(sums[material], chord, top - first, sheet.cols[0], sign)
+                _add_window(sums[material], chord, top - first, sheet.cols[0], sign)
     for (material, _), (density, parts, names) in varying.items():
-        # Surfaces that share a density are integrated over together, so that what lies between them is seen once.
-        whole = joined(parts)
+        # Surfaces that share a density are integrated together, so that each segment between them counts once.
+        whole = merge_crossings(parts)
         try:
-            integral = integrals(whole, frame, density)
+            integral = integrate_along_rays(whole, frame, density)
         except InputError as error:
             raise InputError(f"{', '.join(names)}: density of {material}: {error}") from None
-        _add(sums[material], integral, whole.window.row - first, whole.window.col, +1)
+        _add_window(sums[material], integral, whole.window.row - first, whole.window.col, +1)
     if scene.ambient in sums:
-        add_box(frame, scene.bounds_mm, first, sums[scene.ambient])
+        add_box_path(frame, scene.bounds_mm, first, sums[scene.ambient])
     for material in touched & sums.keys():
-        path_mm[material][first:stop] = to_mm(sums[material], frame, first)
-    return total(audits)
+        path_mm[material][first:stop] = convert_to_mm(sums[material], frame, first)
+    return sum_audits(audits)
 
 
-def _add(sums: Array, lengths: Array, row: int, col: int, sign: int) -> None:
+def _add_window(sums: Array, lengths: Array, row: int, col: int, sign: int) -> None:
+    """Add lengths (rows, cols) to a window of `sums`, or subtract them if `sign` is negative."""
     part = sums[row : row + lengths.shape[0], col : col + lengths.shape[1]]
     (np.add if sign > 0 else np.subtract)(part, lengths, out=part)
 
 
-def _cast(layer: _Layer, top: int, bottom: int) -> tuple[Array, Crossings | None, Audit]:
-    """Chords within a surface, its crossings if a density needs them, and the audit of its rays."""
+def _cast_layer(layer: _Layer, top: int, bottom: int) -> tuple[Array, Crossings | None, Audit]:
+    """Compute the chords of a surface, its crossings if it has a density, and the audit of its rays."""
     if layer.densities == (None, None):
-        chord, audit = layer.caster.chords(top, bottom)
+        chord, audit = layer.caster.trace_chords(top, bottom)
         return chord, None, audit
-    crossings, audit = layer.caster.crossings(top, bottom)
-    return chords(crossings), crossings, audit
+    crossings, audit = layer.caster.find_crossings(top, bottom)
+    return chord_fractions(crossings), crossings, audit

@@ -1,9 +1,9 @@
-"""What reaches the detector by another way than the straight one.
+"""Scattered radiation: Monte Carlo, the kernel fitted to it, and anti-scatter grids.
 
-kernel        fitted to the Monte Carlo; fast
-monte_carlo   photons followed one by one through voxels
-interactions  what they do in matter
-transport     the walk itself
-voxels        a scene as a grid of materials
-grid          strips of lead against it
+scatter_kernel       fast scatter model, fitted to the Monte Carlo
+monte_carlo          Monte Carlo estimate of the scatter
+photon_interactions  tables of the interactions of photons with matter
+photon_transport     transport of single photons through voxels
+voxel_grid           scene as a grid of materials
+antiscatter_grid     transmission of an anti-scatter grid
 """

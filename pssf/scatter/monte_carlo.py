@@ -1,4 +1,4 @@
-"""Scatter by following photons one by one: slow, and what the fast kernel is calibrated against."""
+"""Monte Carlo scatter, by transport of single photons; it is slow, and the fast kernel is fitted to it."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -7,93 +7,154 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ..core.blocks import enlarge
-from ..core.checks import Array, require_seed, require_whole, require_workers
+from ..core.checks import (
+    Array,
+    require_integer,
+    require_seed,
+    require_workers,
+)
+from ..core.resample import upsample_linear
 from ..geometry.scene import Scene
 from ..geometry.view import View
-from ..xray.collimator import field_half_mm
+from ..xray.collimator import field_half_size_mm
 from ..xray.materials import attenuation_per_mm
-from ..xray.spectrum import beam_of
-from ..xray.technique import Technique
-from .interactions import CUT_OFF_KEV, interactions_of
-from .transport import Setting, follow
-from .voxels import Voxels, voxels_of
+from ..xray.resolved_technique import Technique
+from ..xray.spectrum import compute_beam
+from .photon_interactions import CUT_OFF_KEV, make_interaction_tables
+from .photon_transport import TransportSetup, follow_photons
+from .voxel_grid import Voxels, voxelise_scene
 
-_COARSE_MM = 8.0
-# Standard deviation of the Gaussian that takes noise out of the map, in cells.
+# Side of a cell in which photons are counted, in mm.
+_CELL_MM = 8.0
+# Standard deviation of the Gaussian that smooths the map, in cells.
 _SMOOTH_CELLS = 1.0
+# Default voxel size, in mm.
 _VOXEL_MM = 2.0
-_MOST_VOXELS = 10e6
-# Work is cut into as many pieces, whatever the workers; the spread between them gives the error.
+# Number of voxels above which the default voxel size grows.
+_MAX_VOXELS = 10e6
+# Number of batches of photons, for any number of workers; the spread between batches gives the statistical error.
 _BATCHES = 32
-# Stream below the seed, beside those of shape, pose and noise.
-_STREAM = 4
-# Energies are drawn half by what they would leave in the panel, half by what of it passes so much muscle.
-_TYPICAL_MM = 60.0
+# Number of the random stream below the seed; shape, pose and noise have other streams.
+_SEED_STREAM = 4
+# Thickness of muscle in mm for the sampling of energies. One half of the energies is sampled by the signal of the open
+# beam, the other half by the signal behind this muscle.
+_MUSCLE_THICKNESS_MM = 60.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Counts:
-    """What came of the photons.
+class PhotonTally:
+    """Energy that the photons deposit.
 
-    primary_kev, scatter_kev  (batches, rows, cols)  energy absorbed by the panel in each cell, keV in all of the mAs;
-                              the mean of the batches is the estimate, their spread its error
-    pixels                    (rows, cols)  pixels in a cell; those at the lower and right edge may have fewer
-    step                      pixels along the side of a cell
-    energy_kev                (4,)  emitted, absorbed in the scene, fallen on the field, gone past it
+    Attributes
+    ----------
+    primary_kev, scatter_kev : (batches, rows, cols) float64 array
+        Energy absorbed by the panel per cell, in keV for the mAs of the protocol, from unscattered and from scattered
+        photons. The mean of the batches is the estimate, and their spread is its error.
+    pixels : (rows, cols) float64 array
+        Number of pixels per cell; cells at the lower and right edge may have fewer.
+    pixels_per_cell : int
+        Pixels along the side of a cell.
+    energy_kev : (4,) float64 array
+        Energy emitted, absorbed in the scene, incident on the detector, and missing the detector, in keV.
     """
 
     primary_kev: Array
     scatter_kev: Array
     pixels: Array
-    step: int
+    pixels_per_cell: int
     energy_kev: Array
 
 
-def scatter_monte_carlo(
+def compute_monte_carlo_scatter_kev(
     scene: Scene, technique: Technique, *, photons: int = 20_000_000, seed: int = 0, workers: int = 2
 ) -> tuple[NDArray[np.float32], float]:
-    """Scatter by Monte Carlo, in the units of `scatter.scatter_kev`, and how sure it is.
+    """Compute the scatter signal by Monte Carlo, with its statistical error.
 
-    What is irradiated is the collimator's field on the detector (`xray.collimator`), with sharp edges.
-    photons  aimed at what the field sees of the scene; the error falls as the root of their number
-    seed     the same seed gives the same bytes on any number of workers
-    returns  (rows, cols)  mean energy absorbed from scattered photons, keV a pixel, smoothed over 8 mm; and its
-             statistical error, root mean square over the field, relative to its mean
-    raises   InputError for a scene that cannot be traced, an unknown material or a number out of range
+    The irradiated area is the collimated field on the detector (see `xray.collimator`), with sharp edges.
+
+    Parameters
+    ----------
+    scene : Scene
+        Closed surfaces with their materials.
+    technique : Technique
+        Resolved protocol.
+    photons : int, default 20_000_000
+        Number of photons aimed at the part of the scene in the field. The error falls with the square root of this
+        number.
+    seed : int, default 0
+        Seed of the random numbers. The same seed gives the same bytes for any number of workers.
+    workers : int, default 2
+        Number of threads, from 1 to 256.
+
+    Returns
+    -------
+    scatter_kev : (rows, cols) float32 array
+        Mean energy absorbed from scattered photons, in keV per pixel, smoothed over 8 mm.
+    error : float
+        Statistical error: root mean square over the field, relative to the mean.
+
+    Raises
+    ------
+    InputError
+        If the scene cannot be traced, a material is unknown, or a number is out of range.
     """
-    counts = count(scene, technique, photons=photons, seed=seed, workers=workers)
-    # The same for each batch, so that their spread is that of the smoothed map.
-    maps = np.array([_smooth(batch) for batch in counts.scatter_kev]) / _smooth(counts.pixels)
+    counts = simulate_photons(scene, technique, photons=photons, seed=seed, workers=workers)
+    # Each batch is smoothed on its own, so that their spread is the error of the smoothed map.
+    maps = np.array([_smooth_cells(batch) for batch in counts.scatter_kev]) / _smooth_cells(counts.pixels)
     mean, error = maps.mean(axis=0), maps.std(axis=0, ddof=1) / np.sqrt(len(maps))
     relative = float(np.sqrt(np.mean(error**2)) / mean.mean()) if mean.any() else 0.0
-    return enlarge(mean, counts.step, (technique.view.rows, technique.view.cols)), relative
+    return upsample_linear(mean, counts.pixels_per_cell, (technique.view.rows, technique.view.cols)), relative
 
 
-def count(
+def simulate_photons(
     scene: Scene,
     technique: Technique,
     *,
     photons: int,
     seed: int = 0,
     workers: int = 2,
-    cell_mm: float = _COARSE_MM,
+    cell_mm: float = _CELL_MM,
     voxel_mm: float | None = None,
-) -> Counts:
-    """Follow photons from the source of a technique through a scene to its detector.
+) -> PhotonTally:
+    """Transport photons from the source of a technique through a scene to its detector.
 
-    Between source, scene and detector is vacuum. The source is a point without heel effect; every material has its own
-    density throughout. Arguments as `scatter_monte_carlo`.
-    cell_mm   wanted side of a cell; it is a whole number of pixels
-    voxel_mm  by default 2 mm, or more for a scene of over 10 million voxels
+    Source, scene and detector are in vacuum. The source is a point without heel effect. Every material has its own
+    constant density.
+
+    Parameters
+    ----------
+    scene : Scene
+        Closed surfaces with their materials.
+    technique : Technique
+        Resolved protocol.
+    photons : int
+        Number of photons, from 32 to 10**12.
+    seed : int, default 0
+        Seed of the random numbers.
+    workers : int, default 2
+        Number of threads, from 1 to 256.
+    cell_mm : float, default 8
+        Desired side of a cell, in mm; it is rounded to whole pixels.
+    voxel_mm : float, optional
+        Voxel size, in mm; by default 2 mm, or more for a scene of over 10 million voxels.
+
+    Returns
+    -------
+    PhotonTally
+        Energy absorbed per cell and batch.
+
+    Raises
+    ------
+    InputError
+        If the scene cannot be traced, a material is unknown, or a number is out of range.
     """
-    require_whole("photons", photons, _BATCHES, 10**12, "")
+    require_integer("photons", photons, _BATCHES, 10**12, "")
     require_seed(seed)
     require_workers(workers)
     view, step = technique.view, max(1, round(cell_mm / technique.view.pixel_mm))
-    voxels = _before_the_detector(scene, view, voxel_mm)
-    where = _setting(voxels, technique, step * view.pixel_mm)
-    what = interactions_of(
+    voxels = _voxelise_before_detector(scene, view, voxel_mm)
+    where = _make_transport_setup(voxels, technique, step * view.pixel_mm)
+    what = make_interaction_tables(
         tuple(technique.material(name) for name in voxels.names), float(where.energies.max()), technique.detector
     )
     shape = (-(-view.rows // step), -(-view.cols // step))
@@ -101,51 +162,52 @@ def count(
     each = -(-photons // _BATCHES)
 
     def batch(number: int) -> None:
-        stream = np.random.SeedSequence(seed, spawn_key=(_STREAM, number)).generate_state(4, np.uint64)
-        follow(each, stream.astype(np.uint64), where, what, counts[number], energy[number])
+        stream = np.random.SeedSequence(seed, spawn_key=(_SEED_STREAM, number)).generate_state(4, np.uint64)
+        follow_photons(each, stream.astype(np.uint64), where, what, counts[number], energy[number])
 
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(batch, range(_BATCHES)))
-    # Each photon stands for its share of the window.
+    # Each photon represents an equal part of the area that photons are aimed at.
     area = float(np.diff(where.window[:2])[0] * np.diff(where.window[2:])[0]) / each
     inside = [np.diff(np.append(np.arange(0, n, step), n)) for n in (view.rows, view.cols)]
-    return Counts(
+    return PhotonTally(
         primary_kev=counts[:, 0] * area,
         scatter_kev=counts[:, 1] * area,
         pixels=np.outer(*inside).astype(np.float64),
-        step=step,
+        pixels_per_cell=step,
         energy_kev=energy.mean(axis=0) * area,
     )
 
 
-def _before_the_detector(scene: Scene, view: View, voxel_mm: float | None) -> Voxels:
-    """The scene between source and detector as voxels."""
+def _voxelise_before_detector(scene: Scene, view: View, voxel_mm: float | None) -> Voxels:
+    """Voxelise the part of a scene between source and detector."""
     bounds = scene.bounds_mm.copy()
     bounds[:, 1] = np.clip(bounds[:, 1], view.source_mm[1], view.centre_mm[1])
-    # A scene that is not between them leaves a thin sheet of what is there.
+    # A scene that is not between them is reduced to a thin sheet.
     bounds[0, 1] = min(bounds[0, 1], bounds[1, 1] - 0.001)
-    size = voxel_mm or max(_VOXEL_MM, float(np.prod(np.ptp(bounds, axis=0)) / _MOST_VOXELS) ** (1 / 3))
-    return voxels_of(scene, bounds, voxel_mm=size)
+    size = voxel_mm or max(_VOXEL_MM, float(np.prod(np.ptp(bounds, axis=0)) / _MAX_VOXELS) ** (1 / 3))
+    return voxelise_scene(scene, bounds, voxel_mm=size)
 
 
-def _setting(voxels: Voxels, technique: Technique, cell_mm: float) -> Setting:
-    view, beam = technique.view, beam_of(technique)
+def _make_transport_setup(voxels: Voxels, technique: Technique, cell_mm: float) -> TransportSetup:
+    """Collect source, detector, energies and voxels for the photon transport."""
+    view, beam = technique.view, compute_beam(technique)
     kept = beam.energies_kev >= CUT_OFF_KEV
     energies, photons, signal = (v[kept] for v in (beam.energies_kev, beam.photons_per_mm2, beam.signal_kev))
     left = (photons if photons.any() else np.ones_like(photons)) * signal
-    passed = left * np.exp(-attenuation_per_mm(technique.material("muscle"), energies) * _TYPICAL_MM)
-    # The mixture bounds the weights, in thick parts and in thin ones.
+    passed = left * np.exp(-attenuation_per_mm(technique.material("muscle"), energies) * _MUSCLE_THICKNESS_MM)
+    # A mixture of both distributions bounds the weights in thick and in thin parts.
     chance = left / left.sum() / 2 + passed / passed.sum() / 2
     chosen = np.cumsum(chance)
     chosen[-1] = 1.0
-    field = _field_mm(view)
-    return Setting(
+    field = _detector_bounds_mm(view)
+    return TransportSetup(
         source=np.array(view.source_mm),
-        plane=view.centre_mm[1],
-        window=_window_mm(voxels, view, _lit_mm(technique, field)),
+        detector_y_mm=view.centre_mm[1],
+        window=_aim_bounds_mm(voxels, view, _irradiated_bounds_mm(technique, field)),
         field=np.array([*field, cell_mm]),
         energies=energies,
-        chosen=chosen,
+        energy_cdf=chosen,
         weights=photons / chance,
         material=voxels.index,
         origin=voxels.origin_mm,
@@ -153,23 +215,23 @@ def _setting(voxels: Voxels, technique: Technique, cell_mm: float) -> Setting:
     )
 
 
-def _field_mm(view: View) -> Array:
-    """(4,)  x from, x to, z from, z to of the detector, with the whole of its outer pixels"""
+def _detector_bounds_mm(view: View) -> Array:
+    """Compute the bounds (4,) of the detector in mm, outer pixels included: x from, x to, z from, z to."""
     half_x, half_z = view.cols * view.pixel_mm / 2, view.rows * view.pixel_mm / 2
     x, _, z = view.centre_mm
     return np.array([x - half_x, x + half_x, z - half_z, z + half_z])
 
 
-def _lit_mm(technique: Technique, field: Array) -> Array:
-    """(4,)  as `field`: what the collimator, whose edges are sharp here, leaves of it"""
+def _irradiated_bounds_mm(technique: Technique, field: Array) -> Array:
+    """Compute the bounds (4,) of the irradiated part of the detector in mm; collimator edges are sharp here."""
     x, _, z = technique.view.centre_mm
-    half_x, half_z = field_half_mm(technique)
+    half_x, half_z = field_half_size_mm(technique)
     lit = np.array([x - half_x, x + half_x, z - half_z, z + half_z])
     return np.where([1, 0, 1, 0], np.maximum(lit, field), np.minimum(lit, field))
 
 
-def _window_mm(voxels: Voxels, view: View, field: Array) -> Array:
-    """(4,)  as `field`: the part of the detector that lies in the shadow of the grid"""
+def _aim_bounds_mm(voxels: Voxels, view: View, field: Array) -> Array:
+    """Compute the bounds (4,) of the part of the field in the shadow of the voxels, in mm."""
     source, corners = np.array(view.source_mm), np.array([voxels.origin_mm, voxels.upper_mm])
     depth = (corners[:, 1] - source[1]) / (view.centre_mm[1] - source[1])
     if depth.min() < 1e-6:
@@ -182,6 +244,6 @@ def _window_mm(voxels: Voxels, view: View, field: Array) -> Array:
     return field if empty else window
 
 
-def _smooth(cells: Array) -> Array:
-    """(rows, cols)  cells shared out among their neighbours; nothing comes from outside the field"""
+def _smooth_cells(cells: Array) -> Array:
+    """Smooth a map of cells (rows, cols); nothing enters from outside the field."""
     return np.asarray(ndimage.gaussian_filter(cells, _SMOOTH_CELLS, mode="constant"))

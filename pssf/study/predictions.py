@@ -1,4 +1,7 @@
-"""The form in which predictions go from training to statistics. An arm: fitted on what, tested on what."""
+"""Predictions as tables, passed from training to statistics.
+
+An arm is one combination of task, scenario, training protocols, test protocols, model and feature selection.
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -7,53 +10,97 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from .tasks import TASKS, Classes
+from .design.classification_tasks import TASKS, Classes
 
-ARM = ["task", "scenario", "trained_on", "tested_on", "model", "selection"]
-# What a model of the image must do better than, as further models of an arm; their selection is NONE.
+ARM_COLUMNS = ["task", "scenario", "trained_on", "tested_on", "model", "selection"]
+# Baselines that an image model must outperform; they are further models of an arm, with the selection "none".
 BASELINES = {"chance": "Chance", "body": "Age, sex, stature", "jsw": "JSW (true)"}
-NONE = "none"
+NO_SELECTION = "none"
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """Of one split.
+class SplitOutcome:
+    """Hold everything that one split of the subjects produces.
 
-    predictions  ARM, repeat, radiograph, knee, subject, protocol, truth (class index), p0, p1 and so on, one a class
-    importances  ARM without `tested_on`, repeat, feature, share
-    offered      task, trained_on, selection, repeat, feature: what pruning left to select from
-    permutation  model, selection, repeat, feature, drop: within protocol, 0 vs 2
-    tuning       task, trained_on, model, selection, repeat, parameter, value: what the validation subjects chose
-    stable       how many features were stable across protocols in the training subjects; None with one protocol
-    subjects     repeat, subject, part
+    Attributes
+    ----------
+    predictions : DataFrame
+        `ARM_COLUMNS`, repeat, radiograph, knee, subject, protocol, truth (class index), and one probability per class:
+        p0, p1 and so on.
+    importances : DataFrame
+        `ARM_COLUMNS` without ``tested_on``, repeat, feature, share.
+    selection_candidates : DataFrame
+        Features left after pruning, from which a selection chooses: task, trained_on, selection, repeat, feature.
+    permutation : DataFrame
+        Permutation importance within protocol for 0 vs 2: model, selection, repeat, feature, drop.
+    tuning : DataFrame
+        Hyperparameters chosen on the validation subjects: task, trained_on, model, selection, repeat, parameter, value.
+    stable_feature_count : int or None
+        Number of features that are stable across protocols in the training subjects; None with one protocol.
+    subjects : DataFrame
+        Part of each subject: repeat, subject, part.
     """
 
     predictions: pd.DataFrame
     importances: pd.DataFrame
-    offered: pd.DataFrame
+    selection_candidates: pd.DataFrame
     permutation: pd.DataFrame
     tuning: pd.DataFrame
-    stable: int | None
+    stable_feature_count: int | None
     subjects: pd.DataFrame
 
 
-def class_of(grades: NDArray[np.int64], classes: Classes) -> NDArray[np.int64]:
-    """(rows,) class index of grades that the classes have.
+def find_class_indices(grades: NDArray[np.int64], classes: Classes) -> NDArray[np.int64]:
+    """Convert grades to class indices.
 
-    grades  (rows,)
+    Parameters
+    ----------
+    grades : (rows,) int64 array
+        Grade of each row; every grade must belong to a class.
+    classes : tuple of tuple of int
+        Grades of each class.
+
+    Returns
+    -------
+    (rows,) int64 array
+        Index of the class of each row.
     """
     index = {grade: place for place, one in enumerate(classes) for grade in one}
     return np.array([index[int(grade)] for grade in grades], np.int64)
 
 
-def truth_and_probability(predictions: pd.DataFrame) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """(rows,) class index and (rows, classes) probability of predictions of one task."""
+def extract_truth_and_probability(predictions: pd.DataFrame) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Extract true classes and predicted probabilities.
+
+    Parameters
+    ----------
+    predictions : DataFrame
+        Predictions of one task.
+
+    Returns
+    -------
+    truth : (rows,) int64 array
+        True class index.
+    probability : (rows, classes) float64 array
+        Predicted probability of each class.
+    """
     columns = [f"p{k}" for k in range(len(TASKS[predictions["task"].iloc[0]]))]
-    # Column by column: a table of a few columns took four times as long as its values.
+    # Columns are extracted one by one, because a table of a few columns takes four times as long to convert.
     probability = np.array([predictions[column].to_numpy(np.float64) for column in columns]).T
     return predictions["truth"].to_numpy(np.int64), probability
 
 
-def joined(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
-    """The tables one below the other."""
+def concatenate_tables(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
+    """Stack tables below each other with a new index.
+
+    Parameters
+    ----------
+    tables : iterable of DataFrame
+        Tables to stack, in order.
+
+    Returns
+    -------
+    DataFrame
+        All rows.
+    """
     return pd.concat(tables, ignore_index=True)

@@ -1,8 +1,9 @@
-"""The collimator: what part of the beam its leaves let through.
+"""Collimator: the irradiated field, and the penumbra at its edges.
 
-What is irradiated is the collimated field, and never more than the detector: an open collimator covers the detector to
-its edge, as the automatic collimation of a real system does (IEC 60601-1-3; 21 CFR 1020.31 allows 3 % of the distance).
-Primary, the kernel of scatter and the Monte Carlo share this definition, so a smaller detector has less scatter.
+The irradiated field is the collimated field, and never more than the detector. An open collimator covers the detector
+to its edge, like the automatic collimation of a real system (IEC 60601-1-3; 21 CFR 1020.31 allows 3 % of the
+source-image distance). The primary signal, the scatter kernel and the Monte Carlo share this definition, so that a
+smaller detector has less scatter.
 """
 
 import numpy as np
@@ -10,48 +11,106 @@ from numpy.typing import NDArray
 
 from ..core.checks import Array
 from ..model.protocol import Protocol
-from .technique import Technique
+from .resolved_technique import Technique
 
-# From the source to the leaves (judgement: 200 to 350 mm).
-_LEAVES_MM = 300.0
+# Distance from the source to the collimator leaves, in mm (assumed; 200 to 350 mm are plausible).
+_SOURCE_TO_COLLIMATOR_MM = 300.0
 
 
 def is_collimated(protocol: Protocol) -> bool:
-    """Whether leaves are in the beam."""
+    """Check whether collimator leaves are in the beam.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        Technique and geometry.
+
+    Returns
+    -------
+    bool
+        True if the width or the height of the field is limited.
+    """
     return protocol.field_width_mm > 0 or protocol.field_height_mm > 0
 
 
 def penumbra_mm(protocol: Protocol) -> float:
-    """Give the width on the detector of the half-shadow of a leaf, which the focal spot's size makes, in mm."""
-    return protocol.focal_spot_mm * max(protocol.sdd_mm / _LEAVES_MM - 1.0, 0.0)
+    """Compute the width of the penumbra of a collimator leaf on the detector.
 
+    Parameters
+    ----------
+    protocol : Protocol
+        Technique and geometry; the size of the focal spot makes the penumbra.
 
-def field_of_view(technique: Technique) -> NDArray[np.float32]:
-    """(rows, cols)  share of the focal spot that a pixel sees between the leaves
-
-    The leaves are black. About the edge of the field, which is where half of the spot is seen, the share falls in
-    proportion over the shadow of the spot.
+    Returns
+    -------
+    float
+        Width in mm.
     """
-    rows, cols = open_shares(technique, 1)
+    return protocol.focal_spot_mm * max(protocol.sdd_mm / _SOURCE_TO_COLLIMATOR_MM - 1.0, 0.0)
+
+
+def compute_collimator_transmission(technique: Technique) -> NDArray[np.float32]:
+    """Compute the fraction of the focal spot that each pixel sees between the leaves.
+
+    The leaves are opaque. At the edge of the field, a pixel sees half of the focal spot. The fraction falls linearly
+    across the penumbra.
+
+    Parameters
+    ----------
+    technique : Technique
+        Resolved protocol.
+
+    Returns
+    -------
+    (rows, cols) float32 array
+        Fraction from 0 to 1.
+    """
+    rows, cols = compute_transmission_factors(technique, 1)
     return np.outer(rows, cols).astype(np.float32)
 
 
-def open_shares(technique: Technique, step: int) -> tuple[Array, Array]:
-    """(ceil(rows/step),), (ceil(cols/step),)  shares of the spot seen from rows and columns of cells of pixels"""
+def compute_transmission_factors(technique: Technique, step: int) -> tuple[Array, Array]:
+    """Compute the visible fraction of the focal spot for rows and for columns of cells of pixels.
+
+    Parameters
+    ----------
+    technique : Technique
+        Resolved protocol.
+    step : int
+        Pixels along the side of a cell.
+
+    Returns
+    -------
+    rows : (ceil(rows / step),) float64 array
+        Fraction per row of cells, from 0 to 1.
+    cols : (ceil(cols / step),) float64 array
+        Fraction per column of cells, from 0 to 1.
+    """
     protocol, view = technique.protocol, technique.view
     penumbra = penumbra_mm(protocol)
     shares = []
     for count, wide_mm in ((view.rows, protocol.field_height_mm), (view.cols, protocol.field_width_mm)):
         places = np.minimum((np.arange(-(-count // step)) + 0.5) * step - 0.5, count - 1)
         from_edge = wide_mm / 2 - np.abs(places - (count - 1) / 2) * view.pixel_mm
-        # A point casts a sharp shadow; a pixel has a width all the same.
+        # A point source casts a sharp shadow, but the edge is at least a pixel wide.
         share = np.clip(from_edge / max(penumbra, view.pixel_mm) + 0.5, 0.0, 1.0)
         shares.append(share if wide_mm > 0 else np.ones(len(places)))
     return shares[0], shares[1]
 
 
-def field_half_mm(technique: Technique) -> tuple[float, float]:
-    """Half the width and half the height of the irradiated field: of the collimator's, or of the detector if less."""
+def field_half_size_mm(technique: Technique) -> tuple[float, float]:
+    """Compute half the width and half the height of the irradiated field.
+
+    Parameters
+    ----------
+    technique : Technique
+        Resolved protocol.
+
+    Returns
+    -------
+    half_width_mm, half_height_mm : float
+        Half sizes on the detector, in mm: of the collimated field, or of the detector if that is smaller.
+    """
     protocol, view = technique.protocol, technique.view
     sizes = (
         (view.cols * view.pixel_mm, protocol.field_width_mm),

@@ -1,4 +1,4 @@
-"""Attenuation of tissues, metals and compounds (xraylib)."""
+"""Attenuation of tissues, metals and compounds (cross sections from xraylib)."""
 
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
@@ -8,42 +8,71 @@ from typing import NamedTuple
 import numpy as np
 import xraylib
 
-from ..core.checks import Array, InputError, require, require_choice
-from ..data.tissues import Tissue
+from ..core.checks import (
+    Array,
+    InputError,
+    require_choice,
+    require_in_range,
+)
+from ..data.anatomy.tissue_table import Tissue
 
+# Centimetres per millimetre.
 _CM_PER_MM = 0.1
-_FORMULA = "a formula and a density in g/cm3, such as Ti@4.51, or percent by mass, such as Ti=90,Al=6,V=4@4.43"
-# How far percentages by mass may be from 100 in all; they are brought to it.
-_OFF_PERCENT = 1.0
-# Californium, the last that xraylib has cross sections of.
-_LAST_ELEMENT = 98
+# Allowed form of a material name, for error messages.
+_FORMULA_HINT = "a formula and a density in g/cm3, such as Ti@4.51, or percent by mass, such as Ti=90,Al=6,V=4@4.43"
+# Tolerance of the sum of percentages by mass around 100; they are then normalised to 100.
+_PERCENT_SUM_TOLERANCE = 1.0
+# Atomic number of californium, the last element with cross sections in xraylib.
+_MAX_ATOMIC_NUMBER = 98
 
 
 class Material(NamedTuple):
-    """What attenuates: its density, and atomic number and mass fraction of each of its elements."""
+    """Attenuating material.
+
+    Attributes
+    ----------
+    density_g_per_cm3 : float
+        Density in g/cm3.
+    elements : tuple of (int, float)
+        Atomic number and mass fraction of each element.
+    """
 
     density_g_per_cm3: float
     elements: tuple[tuple[int, float], ...]
 
 
-def material_of(name: str, tissues: Mapping[str, Tissue]) -> Material:
-    """The material that a name stands for.
+def resolve_material(name: str, tissues: Mapping[str, Tissue]) -> Material:
+    """Resolve the name of a material into its density and elements.
 
-    name     a tissue or metal, a compound of NIST's list by its name, such as "Gypsum", or "FORMULA@DENSITY" in g/cm3;
-             a name of NIST's too may have a density of its own, such as "Polyethylene@0.94". A formula counts atoms;
-             "Ti=90,Al=6,V=4@4.43" gives percent by mass, as alloys are named
-    tissues  name -> tissue or metal
-    raises   InputError for what is neither
+    Parameters
+    ----------
+    name : str
+        One of these: a tissue or metal of the table; a compound of the NIST list, such as ``"Gypsum"``; or
+        ``"FORMULA@DENSITY"`` in g/cm3, such as ``"Ti@4.51"``. A formula counts atoms. ``"Ti=90,Al=6,V=4@4.43"`` states
+        percent by mass, the usual way for alloys. A NIST name may have its own density, such as
+        ``"Polyethylene@0.94"``.
+    tissues : mapping of str to Tissue
+        Known tissues and metals.
+
+    Returns
+    -------
+    Material
+        Density and mass fractions of the elements.
+
+    Raises
+    ------
+    InputError
+        If the name is none of these.
     """
-    if "@" in name or name in _nist():
-        return compound_of(name)
-    others = ("a name of NIST's compounds (xraylib)", "FORMULA@DENSITY", "Ti=90,Al=6,V=4@4.43")
+    if "@" in name or name in _nist_compound_names():
+        return parse_compound(name)
+    others = ("the name of a NIST compound (xraylib)", "FORMULA@DENSITY", "Ti=90,Al=6,V=4@4.43")
     require_choice("material", name, (*tissues, *others))
     if name not in tissues:
-        raise InputError(f"material = {name!r}; allowed: {_FORMULA}")
+        raise InputError(f"material must be {_FORMULA_HINT}, got {name!r}")
     tissue = tissues[name]
     if tissue.mix is not None:
-        return _mixture(tissue.mix, tissues)
+        return _mix_tissues(tissue.mix, tissues)
     assert tissue.composition is not None, name
     assert tissue.density is not None, name
     total = sum(tissue.composition.values())
@@ -51,50 +80,95 @@ def material_of(name: str, tissues: Mapping[str, Tissue]) -> Material:
     return Material(tissue.density, tuple(weights))
 
 
-def compound_of(name: str) -> Material:
-    """The compound of NIST's list, with a density of its own if it is given one, or of "FORMULA@DENSITY" in
-    g/cm3, by atoms or by mass.
+def parse_compound(name: str) -> Material:
+    """Parse a compound of the NIST list, or ``"FORMULA@DENSITY"``, by atoms or by mass.
 
-    raises  InputError for neither
+    Parameters
+    ----------
+    name : str
+        NIST name, with or without a density of its own, or formula and density in g/cm3.
+
+    Returns
+    -------
+    Material
+        Density and mass fractions of the elements.
+
+    Raises
+    ------
+    InputError
+        If the name is neither, or names an element beyond californium.
     """
     formula = name.partition("@")[0]
-    if formula in _nist():
+    if formula in _nist_compound_names():
         compound = xraylib.GetCompoundDataNISTByName(formula)
-        density = _density(name) if "@" in name else float(compound["density"])
+        density = _parse_density(name) if "@" in name else float(compound["density"])
         return Material(density, tuple(zip(compound["Elements"], compound["massFractions"], strict=True)))
     if "=" in formula:
-        return Material(_density(name), _by_mass(formula))
+        return Material(_parse_density(name), _parse_mass_percents(formula))
     try:
         parsed = xraylib.CompoundParser(formula)
     except ValueError:
-        raise InputError(f"material = {name!r}; allowed: {_FORMULA}") from None
-    beyond = [xraylib.AtomicNumberToSymbol(z) for z in parsed["Elements"] if z > _LAST_ELEMENT]
+        raise InputError(f"material must be {_FORMULA_HINT}, got {name!r}") from None
+    beyond = [xraylib.AtomicNumberToSymbol(z) for z in parsed["Elements"] if z > _MAX_ATOMIC_NUMBER]
     if beyond:
         raise InputError(
-            f"material {name!r} must be of elements up to Cf ({_LAST_ELEMENT}), got {', '.join(beyond)}: xraylib has "
-            "no cross sections beyond"
+            f"material {name!r} must contain only elements up to Cf ({_MAX_ATOMIC_NUMBER}), got {', '.join(beyond)}: "
+            "xraylib has no cross sections for it"
         )
-    return Material(_density(name), tuple(zip(parsed["Elements"], parsed["massFractions"], strict=True)))
+    return Material(_parse_density(name), tuple(zip(parsed["Elements"], parsed["massFractions"], strict=True)))
 
 
 def attenuation_per_mm(material: Material, energies_kev: Array) -> Array:
-    """(bins,)  linear attenuation with coherent scattering, 1/mm
+    """Compute the linear attenuation coefficient, coherent scattering included.
 
-    energies_kev  (bins,)  keV
+    Parameters
+    ----------
+    material : Material
+        Density and elements.
+    energies_kev : (bins,) array, keV
+        Photon energies.
+
+    Returns
+    -------
+    (bins,) float64 array
+        Attenuation in 1/mm.
     """
-    return material.density_g_per_cm3 * _mass_attenuation(material.elements, energies_kev) * _CM_PER_MM
+    return material.density_g_per_cm3 * _mass_attenuation_cm2_per_g(material.elements, energies_kev) * _CM_PER_MM
 
 
-def edges_kev(materials: Iterable[Material]) -> tuple[float, ...]:
-    """List the energies of the K and L absorption edges of all elements of some materials, in keV, ascending."""
+def absorption_edges_kev(materials: Iterable[Material]) -> tuple[float, ...]:
+    """List the K and L absorption edges of all elements of some materials.
+
+    Parameters
+    ----------
+    materials : iterable of Material
+        Materials whose elements count.
+
+    Returns
+    -------
+    tuple of float
+        Energies in keV, in ascending order.
+    """
     numbers = {z for material in materials for z, _ in material.elements}
-    return tuple(sorted({energy for z in numbers for energy in _edges_of(z)}))
+    return tuple(sorted({energy for z in numbers for energy in _element_edges_kev(z)}))
 
 
 def absorbed_fraction(formula: str, mg_per_cm2: float, energies_kev: Array) -> Array:
-    """(bins,)  photons that interact, other than coherently, in a layer of a compound
+    """Compute the fraction of photons that interact in a layer of a compound, other than by coherent scattering.
 
-    energies_kev  (bins,)
+    Parameters
+    ----------
+    formula : str
+        Chemical formula of the layer.
+    mg_per_cm2 : float
+        Mass per area of the layer, in mg/cm2.
+    energies_kev : (bins,) array, keV
+        Photon energies.
+
+    Returns
+    -------
+    (bins,) float64 array
+        Fraction from 0 to 1.
     """
     compound = xraylib.CompoundParser(formula)
     parts = zip(compound["Elements"], compound["massFractions"], strict=True)
@@ -103,8 +177,8 @@ def absorbed_fraction(formula: str, mg_per_cm2: float, energies_kev: Array) -> A
 
 
 @cache
-def _edges_of(z: int) -> tuple[float, ...]:
-    """K and L edges of an element, in keV; light elements have no L edges in xraylib's tables."""
+def _element_edges_kev(z: int) -> tuple[float, ...]:
+    """List the K and L edges of an element, in keV; light elements have no L edges in the tables of xraylib."""
     energies = []
     for shell in (xraylib.K_SHELL, xraylib.L1_SHELL, xraylib.L2_SHELL, xraylib.L3_SHELL):
         with suppress(ValueError):
@@ -113,24 +187,26 @@ def _edges_of(z: int) -> tuple[float, ...]:
 
 
 @cache
-def _nist() -> frozenset[str]:
+def _nist_compound_names() -> frozenset[str]:
+    """Return the names of the NIST compounds in xraylib."""
     return frozenset(xraylib.GetCompoundDataNISTList())
 
 
-def _mixture(volumes: Mapping[str, float], tissues: Mapping[str, Tissue]) -> Material:
+def _mix_tissues(volumes: Mapping[str, float], tissues: Mapping[str, Tissue]) -> Material:
+    """Mix tissues by volume fraction."""
     density, masses = 0.0, dict[int, float]()
     for name, share in volumes.items():
-        part = material_of(name, tissues)
+        part = resolve_material(name, tissues)
         density += share * part.density_g_per_cm3
         for z, w in part.elements:
             masses[z] = masses.get(z, 0.0) + share * part.density_g_per_cm3 * w
     return Material(density, tuple((z, mass / density) for z, mass in masses.items()))
 
 
-def _by_mass(listed: str) -> tuple[tuple[int, float], ...]:
-    """Atomic numbers and mass fractions of a list such as "Ti=90,Al=6,V=4".
+def _parse_mass_percents(listed: str) -> tuple[tuple[int, float], ...]:
+    """Parse a list such as ``"Ti=90,Al=6,V=4"`` into atomic numbers and mass fractions.
 
-    raises  InputError for what is no element, an element twice, or percentages that do not add up to 100
+    Raises InputError for an unknown element, an element that occurs twice, or percentages that do not add up to 100.
     """
     percents: dict[int, float] = {}
     for part in listed.split(","):
@@ -139,25 +215,27 @@ def _by_mass(listed: str) -> tuple[tuple[int, float], ...]:
             z, percent = xraylib.SymbolToAtomicNumber(symbol.strip()), float(text)
         except ValueError:
             raise InputError(f"material must be percent by mass, such as Ti=90,Al=6,V=4@4.43, got {part!r}") from None
-        require(f"percent by mass of {symbol.strip()}", percent, 0, 100, "%")
+        require_in_range(f"percent by mass of {symbol.strip()}", percent, 0, 100, "%")
         if z in percents:
             raise InputError(f"material must name each element once, got {symbol.strip()} twice in {listed!r}")
         percents[z] = percent
     total = sum(percents.values())
-    if not abs(total - 100) <= _OFF_PERCENT:
+    if not abs(total - 100) <= _PERCENT_SUM_TOLERANCE:
         raise InputError(f"percent by mass of {listed!r} must add up to 100, got {total:g}")
     return tuple((z, percent / total) for z, percent in percents.items() if percent > 0)
 
 
-def _density(material: str) -> float:
+def _parse_density(material: str) -> float:
+    """Parse the density after the @ of a material name, in g/cm3."""
     name, _, text = material.partition("@")
     try:
         density = float(text)
     except ValueError:
-        raise InputError(f"material = {material!r}; allowed: {_FORMULA}") from None
-    require(f"density of {name}", density, 1e-6, 30, "g/cm3")
+        raise InputError(f"material must be {_FORMULA_HINT}, got {material!r}") from None
+    require_in_range(f"density of {name}", density, 1e-6, 30, "g/cm3")
     return density
 
 
-def _mass_attenuation(weights: tuple[tuple[int, float], ...], energies_kev: Array) -> Array:
+def _mass_attenuation_cm2_per_g(weights: tuple[tuple[int, float], ...], energies_kev: Array) -> Array:
+    """Compute the mass attenuation coefficient (bins,) of a mixture of elements, in cm2/g."""
     return np.sum([w * np.array([xraylib.CS_Total(z, float(e)) for e in energies_kev]) for z, w in weights], axis=0)

@@ -1,4 +1,4 @@
-// The page: what is changed on the left is asked of the server, shown in the middle and on the right.
+// Entry point of the page: send every change of a parameter to the server, then update image, figures and 3D view.
 
 import { fieldWords, find, options, words } from "./dom.js";
 import { groups, items, shapes } from "./fields.js";
@@ -18,17 +18,17 @@ let maskedAs = "", solidsAs = "", windowedAs = "", probing = 0;
 const told = (text) => { find("#status").textContent = text; };
 function failed(error) {
   if (error instanceof server.Superseded) return;
-  told(film.present ? "What is shown is of before." : "");
+  told(film.present ? "The image shown is out of date." : "");
   find("#error").hidden = false;
   find("#error").textContent = error.message;
 }
-const asked = (side) => ({ knee: store.now.knee, protocol: store.now.protocol, seed: store.now.seed, look: store.now.look, side });
-/** What the solids, the masks and the labels depend on. */
+const asked = (side) => ({ knee: store.now.knee, protocol: store.now.protocol, seed: store.now.seed, processing: store.now.processing, side });
+/** Key of the parameters that affect the 3D view, the masks and the labels. */
 const shapeOf = ({ knee, protocol }) => JSON.stringify([knee, ["projection", "flexion_deg", "tibia_forward_deg", "rotation_deg",
   "tilt_deg", "beam_along", "beam_angle_deg", "sdd_mm", "sod_mm", "centre_x_mm", "centre_z_mm", "rows", "cols", "pixel_mm",
 ].map((name) => protocol[name])]);
 
-/** One picture: "whole" or "coarse" as it was shown, "" where it was not. */
+/** Request and show one image. Return "whole" at full resolution, "coarse" for a preview, "" after an error. */
 async function picture(side) {
   const began = performance.now(), state = asked(side), key = JSON.stringify({ ...state, side: 0 });
   try {
@@ -43,8 +43,8 @@ async function picture(side) {
     showFigures(made, (performance.now() - began) / 1000);
     coarse = key;
     const { rows, cols, whole } = made.header;
-    told(`${whole ? "Whole" : "Coarse"} picture, ${rows} × ${cols}`);
-    // For who waits for a picture: how many came, and of what kind the last one is.
+    told(`${whole ? "Full resolution" : "Preview"}, ${rows} × ${cols}`);
+    // Tests wait for this attribute: number of images so far, and kind of the last one.
     document.documentElement.dataset.picture = `${++pictures} ${whole ? "whole" : "coarse"}`;
     showCursorNow();
     return whole ? "whole" : "coarse";
@@ -54,7 +54,7 @@ async function picture(side) {
   }
 }
 
-/** While a slider is dragged: one coarse picture at a time, then that of where the slider is by then. */
+/** While a slider is dragged: show one preview at a time, then a preview of the latest position. */
 async function drag() {
   if (busy) { again = true; return; }
   busy = true;
@@ -65,10 +65,10 @@ async function drag() {
   busy = false;
 }
 
-/** The hand is off: a coarse picture where none is there, and the whole one. */
+/** When a slider is released: show a preview unless it is shown already, then full resolution. */
 async function rest() {
   again = false;
-  told("Making the picture …");
+  told("Simulating …");
   if (coarse !== JSON.stringify(asked(0))) {
     const shown = await picture(COARSE_PX);
     if (shown !== "coarse") {
@@ -79,7 +79,7 @@ async function rest() {
   if (await picture(0)) settled();
 }
 
-/** Beside the picture, once it is whole: masks, solids, lines of Python. */
+/** After an image at full resolution: update masks, Python code and 3D view. */
 async function settled() {
   const state = asked(0), shape = shapeOf(state);
   try {
@@ -88,7 +88,7 @@ async function settled() {
     if (find("#solids-open").open && solidsAs !== shape) {
       const frame = find("#solids-frame"), page = await server.solids(state);
       let hash = "";
-      try { hash = frame.contentWindow.location.hash; } catch { /* Not there yet. */ }
+      try { hash = frame.contentWindow.location.hash; } catch { /* The frame is not loaded yet. */ }
       frame.src = `${page}${hash}`;
       solidsAs = shape;
       document.documentElement.dataset.solids = page;
@@ -99,21 +99,22 @@ async function settled() {
 async function masksOf(state, shape) {
   const wanted = find("#show-masks").checked ? shape : "";
   if (wanted === maskedAs) return;
-  if (wanted) told("Outlining bones and osteophytes …");
+  if (wanted) told("Rendering masks …");
   const names = drawMasks(film, wanted ? await server.masks(state) : null);
-  if (wanted) told("Bones and osteophytes are outlined.");
+  if (wanted) told("Masks are shown.");
   tellColours(names);
   document.documentElement.dataset.masks = names.join(" ");
   maskedAs = wanted;
 }
 
-/** In what the present picture differs from the pinned one, and what the colours of the difference mean. */
+/** Describe how current and pinned image differ, and what the colours of the difference mean. */
 function tellCompared() {
   if (!film.pinned) return;
   const names = differingFields(film.present.state, film.pinned.state).map(fieldWords);
   const more = names.length > MOST_NAMES ? ` and ${names.length - MOST_NAMES} more` : "";
-  const what = names.length ? `B differs from A in ${names.slice(0, MOST_NAMES).join(", ")}${more}.` : "B is A.";
-  find("#compared").textContent = film.differs ? `${what} Orange: B larger; blue: B smaller; dark: alike.` : what;
+  const what = names.length ? `The current image differs from the pinned one in ${names.slice(0, MOST_NAMES).join(", ")}${more}.`
+    : "Both images have the same parameters.";
+  find("#compared").textContent = film.differs ? `${what} Orange: current larger; blue: current smaller; dark: equal.` : what;
 }
 
 function showCursorNow() {
@@ -135,7 +136,7 @@ function showCursorNow() {
 
 function changed(whole) {
   show();
-  // Another technique's signals lie elsewhere: a window that was kept would be black or white all over.
+  // Another protocol has another signal range. Keeping the window could make the image all black or all white.
   if (store.now.from !== windowedAs) film.anew = true;
   windowedAs = store.now.from;
   if (!whole) { drag(); return; }
@@ -155,12 +156,12 @@ function wire(listing) {
     parts.forEach(([part, of]) => part(of(store.now)));
     find("#protocol-name").value = store.now.from;
     find("#seed").value = store.now.seed;
-    find("#look").value = store.now.look;
+    find("#processing").value = store.now.processing;
     find("#undo").disabled = !store.before.length;
     find("#redo").disabled = !store.after.length;
   };
   const named = (names) => names.map((name) => [name, words(name)]);
-  options(find("#preset"), [["", "choose …"], ...named(Object.keys(listing.presets))]);
+  options(find("#preset"), [["", "select …"], ...named(Object.keys(listing.presets))]);
   options(find("#protocol-name"), named(Object.keys(listing.protocols)));
   options(find("#draw-table"), named(Object.keys(listing.tables)));
   const grades = () => options(find("#draw-grade"), listing.tables[find("#draw-table").value].map((grade) => [grade, grade]));
@@ -180,15 +181,15 @@ function wire(listing) {
     else target.reportValidity();
   };
   find("#another").onclick = () => store.change({ seed: store.now.seed + 1 }, true);
-  find("#look").onchange = ({ target }) => store.change({ look: target.value }, true);
+  find("#processing").onchange = ({ target }) => store.change({ processing: target.value }, true);
   find("#undo").onclick = () => store.undo();
   find("#redo").onclick = () => store.redo();
   find("#reset").onclick = () => { film.anew = true; store.change(store.start(), true); };
   find("#link").onclick = async () => {
     try {
       await navigator.clipboard.writeText(location.href);
-      told("The link is copied; it holds the state, for this run of pssf explore.");
-    } catch { told("The link is in the browser's address."); }
+      told("Link copied. It holds all parameters and works while this server runs.");
+    } catch { told("Copy the link from the address bar."); }
   };
   find("#draw").onclick = async () => {
     const seed = Math.floor(Math.random() * 2 ** 32);
@@ -234,7 +235,7 @@ async function start() {
   window.onhashchange = () => {
     const read = store.read(location.hash);
     if (read) store.change(read, true);
-    else failed(new Error("the link holds no state"));
+    else failed(new Error("The link must hold parameters of this page, got something else"));
   };
   changed(true);
 }

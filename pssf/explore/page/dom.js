@@ -1,4 +1,4 @@
-// Small helpers to make and find elements.
+// Helpers that create and find elements.
 
 export const find = (selector) => document.querySelector(selector);
 
@@ -17,20 +17,20 @@ const SPOKEN = { jsw: "JSW", ap: "AP", bmi: "BMI", sdd: "SDD", sod: "SOD", kv: "
   salvati: "Salvati", lyon: "Lyon", schuss: "Schuss", rosenberg: "Rosenberg",
   gos: "GOS" };
 
-/** A name as it is read, with abbreviations as radiographers write them. */
+/** Convert an identifier to words, with the usual spelling of abbreviations and names. */
 export const words = (name) => name.split("_").map((word) => (Object.hasOwn(SPOKEN, word) ? SPOKEN[word] : word)).join(" ");
 
-/** A field's name as it is read: its unit stands beside it. */
+/** Convert the name of a field to words without its unit, which is shown next to it. */
 export const fieldWords = (name) =>
   (name === "tube_kv" ? "tube voltage" : words(name.replace(/_(mm|deg|kev|mm_al|years|px|per_cm)$/, "")));
 
-/** Options of a select; values and words as pairs. */
+/** Fill a select with options, given as pairs of value and text. */
 export function options(select, pairs) {
   select.textContent = "";
   for (const [value, text] of pairs) make(select, "option", { value }, text);
 }
 
-/** A table of two columns. */
+/** Append a table with two columns. */
 export function table(parent, caption, rows) {
   const made = make(parent, "table");
   make(made, "caption", {}, caption);

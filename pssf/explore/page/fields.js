@@ -1,4 +1,4 @@
-// Controls of fields: a slider with a number, a list of words, a name; each with unit, range and sentence.
+// Controls of fields: a slider with a number box, a list or a text box, each with unit, range and description.
 
 import { fieldWords, make, words } from "./dom.js";
 
@@ -11,7 +11,7 @@ const stepOf = ([low, high], whole) => {
 
 function heading(parent, field) {
   const id = `f${++count}`, label = make(parent, "label", { for: id });
-  // As Python calls it, for who points at it.
+  // The tooltip shows the name of the field in Python.
   label.title = field.name;
   label.append(fieldWords(field.name));
   if (field.unit) label.append(" "), make(label, "span", { class: "unit" }, field.unit);
@@ -20,8 +20,9 @@ function heading(parent, field) {
 
 function hint(parent, field, id) {
   const round = (value) => value.toLocaleString("en", { maximumFractionDigits: 6 });
-  // A whole number that a browser would round is told by its digits.
-  const range = field.low === null ? "" : field.text ? "whole, up to 19 digits" : `${round(field.low)} to ${round(field.high)}`;
+  // A browser would round such an integer, so the hint gives the number of digits instead of a range.
+  const range = field.low === null ? ""
+    : field.text ? "whole number, up to 19 digits" : `${round(field.low)} to ${round(field.high)}`;
   const told = [field.what, range && `(${range})`].filter(Boolean).join(" ");
   make(parent, "p", { class: "hint", id: `${id}h` }, told).title = field.source ?? "";
 }
@@ -36,8 +37,8 @@ function numeric(parent, field, id, told) {
   let open = null;
   if (field.optional) {
     const label = make(parent, "label", { class: "open" });
-    open = make(label, "input", { type: "checkbox", "aria-label": `given: ${fieldWords(field.name)}` });
-    label.append("given");
+    open = make(label, "input", { type: "checkbox", "aria-label": `specify ${fieldWords(field.name)}` });
+    label.append("specify");
     open.onchange = () => told(open.checked ? +slider.value : null, true);
   }
   slider.oninput = () => { box.value = slider.value; told(+slider.value, false); };
@@ -70,7 +71,7 @@ function written(parent, field, id, told) {
   return (value) => { box.value = value; };
 }
 
-/** A control; `told(value, whole)` hears of changes. Returns what shows a value. */
+/** Create a control that calls `told(value, whole)` on a change. Return a function that shows a value. */
 export function control(parent, field, told) {
   const box = make(parent, "div", { class: "field", "data-field": field.name }), id = heading(box, field);
   const kind = field.choices ? chosen : field.named || field.text ? written : numeric;
@@ -79,7 +80,7 @@ export function control(parent, field, told) {
   return show;
 }
 
-/** Groups of fields of "knee" or "protocol"; returns what shows all values. */
+/** Create groups of fields of "knee" or "protocol". Return a function that shows all values. */
 export function groups(parent, listed, kind, store) {
   const shows = [];
   listed.forEach(({ title, fields }, place) => {
@@ -93,13 +94,13 @@ export function groups(parent, listed, kind, store) {
   return (values) => shows.forEach((show) => show(values));
 }
 
-/** Scores of the bones' shape, by name. */
+/** Create controls for the scores of the bone shape model. */
 export function shapes(parent, modes, store) {
   const box = make(parent, "details", { class: "group", "data-group": "knee Shape" });
   make(box, "summary", {}, "Shape scores");
   const shows = modes.map((mode, place) => {
-    const field = { name: `shape_${place}`, what: mode.also && `with it: ${mode.also}`, unit: "SD", low: mode.low, high: mode.high,
-      slider: [mode.low, mode.high], whole: false, choices: null };
+    const field = { name: `shape_${place}`, what: mode.also && `correlates with: ${mode.also}`, unit: "SD",
+      low: mode.low, high: mode.high, slider: [mode.low, mode.high], whole: false, choices: null };
     return control(box, { ...field, name: mode.name }, (value, whole) => {
       const scores = modes.map((_, k) => store.now.knee.shape[k] ?? 0);
       scores[place] = value;
@@ -109,7 +110,7 @@ export function shapes(parent, modes, store) {
   return (scores) => shows.forEach((show, place) => show(scores[place] ?? 0));
 }
 
-/** Osteophytes or cysts: any number, each with its fields. */
+/** Create a list of osteophytes or cysts, each with its fields. */
 export function items(parent, name, fields, most, store) {
   const box = make(parent, "details", { class: "group", "data-group": `knee ${name}` });
   const title = make(box, "summary"), list = make(box, "div");
@@ -124,7 +125,7 @@ export function items(parent, name, fields, most, store) {
   return (given) => {
     title.textContent = `${name[0].toUpperCase()}${name.slice(1)} (${given.length})`;
     add.disabled = given.length >= most;
-    // Made anew only where their number changed, so that a slider stays under the hand.
+    // Create the controls again only if their number has changed. Otherwise a dragged slider would disappear.
     if (shown !== given.length) {
       list.textContent = "";
       shows = given.map((_, place) => {

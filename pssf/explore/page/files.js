@@ -1,9 +1,9 @@
-// Out: files of what is shown, and the lines of Python that make it again.
+// Export: files of the current image and knee, and Python code that reproduces the image.
 
 import { find, make } from "./dom.js";
 
 const KINDS = [["tif", "TIFF, 16 bit"], ["dcm", "DICOM, for processing"], ["presentation.dcm", "DICOM, for presentation"],
-  ["png", "PNG"], ["json", "Parameters"], ["stl", "STL"], ["ply", "PLY"], ["glb", "GLB"], ["3mf", "3MF"],
+  ["png", "PNG"], ["json", "Parameters, JSON"], ["stl", "STL"], ["ply", "PLY"], ["glb", "GLB"], ["3mf", "3MF"],
   ["knee.toml", "Knee, TOML"], ["protocol.toml", "Protocol, TOML"], ["py", "Python"]];
 
 const sized = (bytes) => (bytes < 1e6 ? `${(bytes / 1e3).toFixed(1)} kB` : `${(bytes / 1e6).toFixed(1)} MB`);
@@ -24,18 +24,18 @@ export function listFiles(asked, film, told, failed) {
       try {
         const { name, blob } = await asked(kind);
         handed(name, blob);
-        told(`${name} is written, ${sized(blob.size)}.`);
+        told(`${name} saved, ${sized(blob.size)}.`);
       } catch (error) { failed(error); } finally { button.disabled = false; }
     };
   }
-  const view = make(find("#files"), "button", { type: "button", "data-kind": "view" }, "This view, PNG");
+  const view = make(find("#files"), "button", { type: "button", "data-kind": "view" }, "Current view, PNG");
   view.onclick = () => film.canvas.toBlob((blob) => {
     handed("view.png", blob);
-    told(`view.png is written, ${sized(blob.size)}.`);
+    told(`view.png saved, ${sized(blob.size)}.`);
   });
   find("#copy-lines").onclick = async () => {
     await navigator.clipboard.writeText(find("#lines").textContent);
-    told("The lines are copied.");
+    told("Code copied.");
   };
 }
 

@@ -1,4 +1,5 @@
-// The radiograph: window and level, zoom and pan, cursor, measure. Places on it are shares of its width and height.
+// Display of the radiograph: window and level, zoom and pan, cursor, distance. Positions are fractions of its width and
+// height.
 
 import { find } from "./dom.js";
 import { automatic, differences, greys, histogram, painted, reduced, subtract } from "./pixels.js";
@@ -11,7 +12,7 @@ export class Film {
     this.viewport = find("#viewport");
     this.present = this.pinned = null;
     this.width = this.level = null;
-    // Whether the next picture gets a window of its own, up to the first whole one.
+    // Whether the next images get an automatic window, until the first one at full resolution.
     this.anew = false;
     this.zoom = 1;
     this.middle = [0.5, 0.5];
@@ -23,7 +24,7 @@ export class Film {
     new ResizeObserver(() => this.place()).observe(this.viewport);
   }
 
-  /** What is drawn: the present, the pinned one, or their difference on the present one's pixels. */
+  /** Image that is displayed: the pinned one if it is selected, else the current one. */
   get shown() {
     const which = find("#compare").value;
     if (which === "a" && this.pinned) return this.pinned;
@@ -33,7 +34,7 @@ export class Film {
   get differs() { return find("#compare").value === "difference" && this.pinned !== null; }
 
   show(picture) {
-    const turned = this.present && this.present.header.look !== picture.header.look;
+    const turned = this.present && this.present.header.processing !== picture.header.processing;
     this.present = picture;
     const first = this.width === null;
     if (turned || first) this.auto(true);
@@ -47,9 +48,9 @@ export class Film {
   auto(turned = false) {
     const picture = this.shown;
     if (!picture) return;
-    // A signal is low behind bone; a rendering for eyes shows it bright already.
-    if (turned) find("#invert").checked = picture.header.look === "linear";
-    const { width, level } = picture.header.look === "linear" ? automatic(picture.pixels) : { width: 65535, level: 32768 };
+    // The linear signal is low behind bone. Display processing already makes bone bright.
+    if (turned) find("#invert").checked = picture.header.processing === "linear";
+    const { width, level } = picture.header.processing === "linear" ? automatic(picture.pixels) : { width: 65535, level: 32768 };
     this.window(width, level);
   }
 
@@ -74,7 +75,7 @@ export class Film {
     this.drawHistogram(picture.pixels);
   }
 
-  /** Size in pixels of the page, and where its upper left corner is. */
+  /** Size and upper left corner of the image on the page, in CSS pixels. */
   get box() {
     const { rows, cols } = this.shown.header, { clientWidth: wide, clientHeight: high } = this.viewport;
     const scale = Math.min(wide / cols, high / rows) * this.zoom, size = [scale * cols, scale * rows];
@@ -92,7 +93,7 @@ export class Film {
     this.moved();
   }
 
-  /** Place on the page, in pixels of the viewport, of a share of width and height. */
+  /** Convert fractions of width and height to a position in the viewport, in CSS pixels. */
   at([x, y]) {
     const { size, left, top } = this.box;
     return [left + x * size[0], top + y * size[1]];
@@ -103,13 +104,13 @@ export class Film {
     return [(event.clientX - own.left - left) / size[0], (event.clientY - own.top - top) / size[1]];
   }
 
-  /** Row and column of the pixel at a place; null beside the film. */
+  /** Row and column of the pixel at a position; null outside the image. */
   pixelAt([x, y]) {
     const { rows, cols } = this.shown.header, row = Math.floor(y * rows), col = Math.floor(x * cols);
     return row >= 0 && row < rows && col >= 0 && col < cols ? [row, col] : null;
   }
 
-  /** Value of the pinned picture at a place. */
+  /** Value of the pinned image at a position. */
   pinnedAt([x, y]) {
     const { rows, cols } = this.pinned.header;
     return this.pinned.pixels[Math.floor(y * rows) * cols + Math.floor(x * cols)];
@@ -138,7 +139,7 @@ export class Film {
     this.point(place);
   }
 
-  /** Length of the measure at the joint plane, mm; null where there is none. */
+  /** Measured distance in the joint plane, in mm; null if there is none. */
   get measuredMm() {
     if (this.measured.length < 2 || !this.shown) return null;
     const { rows, cols, joint_mm_per_px: mm } = this.shown.header, [[x1, y1], [x2, y2]] = this.measured;
@@ -160,7 +161,7 @@ export class Film {
       context.fillRect((k * width) / 256, height - tall, width / 256, tall);
     });
     canvas.setAttribute("aria-label",
-      `Histogram of the pixel values; window ${this.width} about ${this.level}, of 0 to 65535`);
+      `Histogram of the pixel values from 0 to 65535; window ${this.width}, level ${this.level}`);
   }
 
   listen() {

@@ -1,8 +1,8 @@
-// What is known, over the radiograph: landmarks, joint spaces, masks; the cursor and the measure.
+// Overlay on the radiograph: landmarks, JSW, masks, cursor and measured distance.
 
 import { find, make, words } from "./dom.js";
 
-// Colours that the colour-blind tell apart (Okabe and Ito).
+// Colours that colour-blind readers can distinguish (Okabe and Ito).
 const COLOURS = { femur: [230, 159, 0], tibia: [86, 180, 233], fibula: [0, 158, 115], patella: [240, 228, 66],
   fabella: [204, 121, 167], osteophyte: [213, 94, 0], cyst: [0, 114, 178] };
 const EDGE_PX = 2;
@@ -11,7 +11,7 @@ export function drawOverlay(film, truth) {
   const svg = find("#overlay");
   svg.textContent = "";
   if (!film.shown) return;
-  // Of the whole picture, whose size its places are in.
+  // Landmarks are in pixels at full resolution.
   const at = ([row, col]) => film.at([(col + 0.5) / truth.cols, (row + 0.5) / truth.rows]);
   const spots = truth?.landmarks_px ?? {};
   if (find("#show-landmarks").checked) for (const [name, place] of Object.entries(spots)) {
@@ -22,12 +22,12 @@ export function drawOverlay(film, truth) {
   if (find("#show-spaces").checked) for (const side of ["medial", "lateral"]) {
     const mm = truth?.[`jsw_${side}_mm`];
     if (mm === null || mm === undefined) continue;
-    // From contour to contour where the joint space is smallest.
+    // Draw a line between both contours where the JSW is smallest.
     const femur = spots[`${side}_jsw_femur`], col = femur[1];
     const [[x, top], [foot, bottom]] = [at(femur), at(spots[`${side}_jsw_tibia`])];
     make(svg, "path", { class: "space", d: `M${x - 8} ${top}h16M${x} ${top}L${foot} ${bottom}M${foot - 8} ${bottom}h16`,
       "data-space": side });
-    // Beside the joint, each on its own side.
+    // Write the value beside the joint, on the side of its compartment.
     const left = col < spots.joint_centre[1];
     make(svg, "text", { x: left ? x - 11 : x + 11, y: (top + bottom) / 2 + 4, "text-anchor": left ? "end" : "start" },
       `${side} ${mm.toFixed(1)} mm`);
@@ -50,19 +50,19 @@ function drawHands(film, svg) {
   }
 }
 
-/** What each colour is; nothing where no mask is shown. */
+/** Show the legend of the mask colours; hide it without masks. */
 export function tellColours(names) {
   const legend = find("#legend");
   legend.hidden = !names.length;
   legend.textContent = "";
-  // The style sheet alone may style: a property is set by script, not by an attribute.
+  // The security policy forbids style attributes, so the script sets a style property.
   for (const name of names)
     make(legend, "span", {}, words(name)).style.setProperty("--colour", `rgb(${colourOf(name).join(" ")})`);
 }
 
 const colourOf = (name) => COLOURS[name] ?? COLOURS[name.split("_").at(-1)] ?? [255, 255, 255];
 
-/** Outlines of masks, a bit a pixel, on a canvas over the film; returns what each colour is. */
+/** Draw the outlines of masks (one bit per pixel) on a canvas over the image. Return the names of the masks. */
 export function drawMasks(film, found) {
   find("#masks")?.remove();
   if (!found) return film.place(), [];

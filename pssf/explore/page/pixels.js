@@ -1,6 +1,6 @@
-// Pixels: window and level, histogram, differences. Plain functions on arrays.
+// Functions on pixel arrays: window and level, histogram, differences.
 
-/** Grey of each of 65536 values, as RGBA in a Uint32: the window's lower edge black, its upper edge white. */
+/** Return the grey level of each of 65536 values as RGBA in a Uint32: black below the window, white above it. */
 export function greys(width, level, invert) {
   const table = new Uint32Array(65536), low = level - width / 2;
   for (let value = 0; value < 65536; value++) {
@@ -11,7 +11,7 @@ export function greys(width, level, invert) {
   return table;
 }
 
-/** Blue below nothing, orange above it: colours that the colour-blind tell apart; index 32768 + difference. */
+/** Return the colour of each difference: blue if negative, orange if positive. The index is 32768 + difference. */
 export function differences(width) {
   const table = new Uint32Array(65536);
   for (let k = 0; k < 65536; k++) {
@@ -23,14 +23,14 @@ export function differences(width) {
   return table;
 }
 
-/** B - A, held within 16 bits; 32768 is none. */
+/** Return 32768 + b - a, clipped to 16 bits. */
 export function subtract(b, a) {
   const out = new Uint16Array(b.length);
   for (let k = 0; k < out.length; k++) out[k] = Math.min(65535, Math.max(0, 32768 + b[k] - a[k]));
   return out;
 }
 
-/** Every so-manieth pixel, for a picture that is compared with a coarser one. */
+/** Subsample an image to the size of a preview. */
 export function reduced({ header, pixels }, rows, cols) {
   if (header.rows === rows && header.cols === cols) return pixels;
   const out = new Uint16Array(rows * cols), down = header.rows / rows, across = header.cols / cols;
@@ -47,7 +47,7 @@ export function histogram(pixels, bins) {
   return counts;
 }
 
-/** Value below which a share of the pixels of a histogram (65536 bins) lies, of those below `most`. */
+/** Return a quantile of a histogram with 65536 bins, of the values below `most`. */
 function quantile(counts, share, most = 65536) {
   const wanted = share * counts.subarray(0, most).reduce((sum, value) => sum + value, 0);
   let sum = 0;
@@ -55,15 +55,15 @@ function quantile(counts, share, most = 65536) {
   return 65535;
 }
 
-/** Width and level of a window for bone: up to what most of the limb lets through, which is less than half of the open
- *  beam; linear signals of soft tissue reach so far that bone would be one white else. */
+/** Return width and level of a window for bone in a linear image. It uses only values below half of the open beam. With
+ *  the wide range of soft tissue, bone would be uniformly white. */
 export function automatic(pixels) {
   const counts = histogram(pixels, 65536), open = Math.max(2, Math.round(quantile(counts, 0.999) / 2));
   const low = quantile(counts, 0.005, open), high = quantile(counts, 0.6, open);
   return { width: Math.max(1, high - low), level: Math.round((low + high) / 2) };
 }
 
-/** RGBA of pixels by a table of colours. */
+/** Convert pixels to RGBA by a colour table. */
 export function painted(pixels, table, image) {
   const out = new Uint32Array(image.data.buffer);
   for (let k = 0; k < out.length; k++) out[k] = table[pixels[k]];

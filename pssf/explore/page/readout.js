@@ -1,20 +1,20 @@
-// Numbers: under the cursor, and of the exposure.
+// Readout: values under the cursor, and tables of exposure, rays, computing time and labels.
 
 import { find, table, words } from "./dom.js";
 
-const number = (value, digits) => (value === null || value === undefined ? "not known" : value.toFixed(digits));
+const number = (value, digits) => (value === null || value === undefined ? "not available" : value.toFixed(digits));
 
-/** What is under the cursor; paths in mm by material where they are known. */
+/** Show the values under the cursor, with path lengths per material in mm if available. */
 export function showCursor(film, path) {
   const box = find("#cursor");
   const place = film.cursor && film.shown ? film.pixelAt(film.cursor) : null;
   if (!place) { box.textContent = ""; return null; }
-  const { cols, look } = film.shown.header, [row, col] = place, value = film.shown.pixels[row * cols + col];
-  const parts = [`Row ${row}, column ${col}: ${value}${look === "linear" ? "" : ` (${look})`}`];
-  if (film.differs) parts[0] += `, A ${film.pinnedAt(film.cursor)}`;
-  if (film.measuredMm !== null) parts.push(`measure ${film.measuredMm.toFixed(2)} mm`);
+  const { cols, processing } = film.shown.header, [row, col] = place, value = film.shown.pixels[row * cols + col];
+  const parts = [`Row ${row}, column ${col}: ${value}${processing === "linear" ? "" : ` (${processing})`}`];
+  if (film.differs) parts[0] += `, pinned ${film.pinnedAt(film.cursor)}`;
+  if (film.measuredMm !== null) parts.push(`distance ${film.measuredMm.toFixed(2)} mm`);
   const along = Object.entries(path ?? {}).map(([name, mm]) => `${words(name)} ${mm.toFixed(2)} mm`);
-  if (path) parts.push(along.join(", ") || "air alone");
+  if (path) parts.push(along.join(", ") || "air only");
   box.textContent = parts.join("; ");
   return place;
 }
@@ -25,24 +25,24 @@ export function showFigures({ header }, roundTripS) {
   table(box, "Exposure", [
     ["exposure index", number(header.exposure_index, 0)],
     ["entrance air kerma, µGy", number(header.entrance_kerma_ugy, 1)],
-    ["scatter over primary, limb", number(header.spr_limb, 3)],
-    ["scatter over primary, joint", number(header.spr_joint, 3)],
-    ["mm a pixel at the joint", number(header.joint_mm_per_px, 4)],
+    ["scatter-to-primary ratio, limb", number(header.spr_limb, 3)],
+    ["scatter-to-primary ratio, joint", number(header.spr_joint, 3)],
+    ["mm per pixel in the joint plane", number(header.joint_mm_per_px, 4)],
     ["beam angle, deg", number(header.beam_angle_deg, 2)],
   ]);
   table(box, "Rays", [
-    ["traced for this picture", header.rays_traced.toLocaleString("en")],
+    ["cast for this image", header.rays_traced.toLocaleString("en")],
     ...Object.entries(audit).map(([name, count]) => [name, count.toLocaleString("en")]),
   ]);
-  table(box, "Seconds", [
+  table(box, "Computing time, s", [
     ...Object.entries(seconds).map(([name, value]) => [name, value.toFixed(3)]),
-    ["processor, all threads", header.cpu_s.toFixed(3)],
-    ["from request to picture", roundTripS.toFixed(3)],
+    ["CPU time, all threads", header.cpu_s.toFixed(3)],
+    ["from request to image", roundTripS.toFixed(3)],
   ]);
-  if (truth) table(box, "Truth", [
-    ["minimum medial joint space, mm", number(truth.jsw_medial_mm, 2)],
-    ["minimum lateral joint space, mm", number(truth.jsw_lateral_mm, 2)],
-    ["grade", truth.grade === null ? "none" : String(truth.grade)],
+  if (truth) table(box, "Labels", [
+    ["minimum medial JSW, mm", number(truth.jsw_medial_mm, 2)],
+    ["minimum lateral JSW, mm", number(truth.jsw_lateral_mm, 2)],
+    ["KL grade", truth.grade === null ? "none" : String(truth.grade)],
     ...Object.entries(truth.attrition_mm).map(([side, mm]) => [`attrition ${side}, mm`, number(mm, 2)]),
   ]);
 }

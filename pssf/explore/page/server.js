@@ -1,9 +1,9 @@
-// Requests to the server that the page came from. The token is part of every address, since all are relative.
+// Requests to the server of the page. All addresses are relative and therefore contain the token.
 
 const tab = Array.from(crypto.getRandomValues(new Uint8Array(12)), (byte) => byte.toString(16).padStart(2, "0")).join("");
 const running = new Map();
 
-/** A newer request took this one's place; nothing is wrong. */
+/** A newer request has superseded this one; this is not a failure. */
 export class Superseded extends Error {}
 
 async function sent(address, body, signal) {
@@ -13,7 +13,7 @@ async function sent(address, body, signal) {
       method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body), signal,
     });
   } catch {
-    throw new Error("pssf explore does not answer; is it still running?");
+    throw new Error("pssf explore does not respond: check that it is still running");
   }
   if (answer.ok) return answer;
   if (answer.status === 409) throw new Superseded();
@@ -21,7 +21,7 @@ async function sent(address, body, signal) {
   throw new Error(told.error);
 }
 
-/** The latest request of a kind wins: the one before it is aborted, however much of its answer has come. */
+/** Send a request and abort the previous one of the same kind, even if part of its answer has arrived. */
 async function latest(kind, address, body, read) {
   running.get(kind)?.abort();
   const control = new AbortController(), { signal } = control;
@@ -44,10 +44,10 @@ async function unpacked(answer) {
   return { header, content: bytes.slice(4 + length) };
 }
 
-/** Header and pixels (Uint16Array, row by row) of a state. */
+/** Request the radiograph of a state: header and pixels (Uint16Array, row by row). */
 export async function radiograph(state) {
   const { header, content } = await latest("radiograph", "answer/radiograph", state, unpacked);
-  // The bytes are little-endian, as are all machines that browsers run on today.
+  // The bytes are little-endian, like all machines with current browsers.
   return { header, pixels: new Uint16Array(content) };
 }
 

@@ -1,17 +1,17 @@
-// The state: fields of a knee and of a protocol, seed, look; undo and redo; and the link that holds it.
+// State of the page: knee, protocol, noise seed and display processing, with undo, redo and a link that stores it.
 
 const DEPTH = 200;
 
-/** What differs from a state of the same shape, by name. */
+/** Return the entries that differ from those of another table. */
 function differing(values, from) {
   return Object.fromEntries(Object.entries(values).filter(([name, value]) =>
     JSON.stringify(value) !== JSON.stringify(from[name])));
 }
 
-/** Names of the fields in which two pictures' states differ. */
+/** Return the names of the fields in which two states differ. */
 export function differingFields(one, other) {
   const parts = ["knee", "protocol"].flatMap((part) => Object.keys(differing(one[part], other[part])));
-  return [...parts, ...["seed", "look"].filter((name) => one[name] !== other[name])];
+  return [...parts, ...["seed", "processing"].filter((name) => one[name] !== other[name])];
 }
 
 export class Store {
@@ -26,10 +26,10 @@ export class Store {
   start() {
     const { default: first, protocols } = this.listing;
     return { knee: structuredClone(first.knee), protocol: structuredClone(protocols[first.protocol]), from: first.protocol,
-      seed: 0, look: "linear" };
+      seed: 0, processing: "linear" };
   }
 
-  /** A change; `whole` says that the hand is off the slider, and what was before can be had back. */
+  /** Apply a change. If `whole` is true the slider is released, and the change becomes one step of undo. */
   change(changes, whole) {
     const next = { ...this.now, ...changes };
     if (whole) {
@@ -59,15 +59,15 @@ export class Store {
     this.listeners.forEach((listener) => listener(true));
   }
 
-  /** As a fragment of an address: what differs from the start, and from the protocol that is named. */
+  /** Return the state as an address fragment: the values that differ from the default knee and the named protocol. */
   link() {
-    const { knee, protocol, from, seed, look } = this.now, first = this.start();
+    const { knee, protocol, from, seed, processing } = this.now, first = this.start();
     const content = { from, knee: differing(knee, first.knee), protocol: differing(protocol, this.listing.protocols[from]),
-      seed, look };
+      seed, processing };
     return `#${encodeURIComponent(JSON.stringify(content))}`;
   }
 
-  /** The state of a fragment; null where it is none. Values are the server's to check. */
+  /** Read a state from an address fragment; null if it is invalid. The server checks the values. */
   read(fragment) {
     let content;
     try { content = JSON.parse(decodeURIComponent(fragment.replace(/^#/, ""))); } catch { return null; }
@@ -79,6 +79,6 @@ export class Store {
     return { from: content.from, knee: { ...first.knee, ...known(content.knee, first.knee) },
       protocol: { ...protocol, ...known(content.protocol, protocol) },
       seed: Number.isSafeInteger(content.seed) && content.seed >= 0 ? content.seed : 0,
-      look: ["linear", "processed", "film"].includes(content.look) ? content.look : "linear" };
+      processing: ["linear", "processed", "film"].includes(content.processing) ? content.processing : "linear" };
   }
 }

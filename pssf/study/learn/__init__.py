@@ -1,1 +1,1 @@
-"""From features to predictions: splits, selections, models, baselines, scenarios."""
+"""Training and prediction from features: splits, feature selection, classifiers, baselines and scenarios."""

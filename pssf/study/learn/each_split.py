@@ -1,33 +1,57 @@
-"""One function on every split of a cohort, in parallel."""
+"""Run one function on every split of a cohort in parallel."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
-from ...core.execution import Execution
-from ...core.parallel import ordered_map
-from ...data.code import code_digest
+from ...core.processes.execution import Execution
+from ...core.processes.parallel_map import map_in_parallel
+from ...data.code_hash import compute_code_hashes
 
 Job = TypeVar("Job")
-Given = TypeVar("Given")
+Result = TypeVar("Result")
 
-CODE = ("core", "radiomics", "study")  # what the outcome of a split depends on
+# Parts of the package that the outcome of a split depends on.
+CODE_PACKAGES = ("core", "radiomics", "study")
 
 
-def each_split(
-    function: Callable[..., Given], jobs: Sequence[Job], shared: Mapping[str, Any], execution: Execution, stage: str
-) -> list[Given]:
-    """What a function gives for each job, in their order; whoever runs it, by the code that is here.
+def map_splits(
+    function: Callable[..., Result], jobs: Sequence[Job], shared: Mapping[str, Any], execution: Execution, stage: str
+) -> list[Result]:
+    """Call a function for each job in parallel and return the results in order.
 
-    function  of a job, of what is shared and of `code`, of `code_digest`, by name; one that processes can import
-    stage     of the execution's timer
-    raises    WorkersLostError when workers keep being killed
+    Every worker checks that it runs the same code as this process.
+
+    Parameters
+    ----------
+    function : callable
+        Function of a job, with the keywords of `shared` and ``code``. Other processes must be able to import it.
+    jobs : sequence
+        First argument of each call, such as the number of a split.
+    shared : mapping of str to Any
+        Keyword arguments of all calls.
+    execution : Execution
+        Workers, scheduler, timer and progress bar.
+    stage : str
+        Name of the stage in the timer.
+
+    Returns
+    -------
+    list
+        Result of each job.
+
+    Raises
+    ------
+    InputError
+        A worker runs other code.
+    WorkersLostError
+        Worker processes are killed repeatedly.
     """
     with execution.stage(stage, "splits", len(jobs)) as shown:
-        return ordered_map(
+        return map_in_parallel(
             function,
             jobs,
-            shared={**shared, "code": code_digest(CODE)},
+            shared={**shared, "code": compute_code_hashes(CODE_PACKAGES)},
             workers=execution.workers,
             scheduler=execution.scheduler,
-            arrived=lambda *_: shown.advance(),
+            on_result=lambda *_: shown.advance(),
         )

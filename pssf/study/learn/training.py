@@ -1,38 +1,78 @@
-"""All splits of a cohort, trained and tested in parallel."""
+"""Train and test the models of all splits in parallel."""
 
 from collections.abc import Mapping
 
 import pandas as pd
 
-from ...core.execution import Execution
-from ...data.code import require_code
-from ..predictions import Outcome
-from ..settings import StudySettings
-from .baselines import measures_of
-from .each_split import each_split
-from .scenarios import one_split
+from ...core.processes.execution import Execution
+from ...data.code_hash import require_same_code
+from ..design.study_settings import StudySettings
+from ..predictions import SplitOutcome
+from .each_split import map_splits
+from .models.trivial_baselines import find_baseline_columns
+from .protocol_scenarios import evaluate_split
 
 
-def train(usable: pd.DataFrame, names: list[str], settings: StudySettings, execution: Execution) -> list[Outcome]:
-    """`scenarios.one_split` of every repeat, in their order.
+def train_all_splits(
+    usable: pd.DataFrame, names: list[str], settings: StudySettings, execution: Execution
+) -> list[SplitOutcome]:
+    """Run `protocol_scenarios.evaluate_split` for every split.
 
-    usable   radiographs with a region found: radiograph, knee, subject, grade, protocol, features, measures
-    names    of the features
-    raises   InputError for too few subjects of a grade, or a worker with other code; WorkersLostError when workers keep
-             being killed
+    Parameters
+    ----------
+    usable : DataFrame
+        Radiographs with a located region: radiograph, knee, subject, grade, protocol, features and baseline columns.
+    names : list of str
+        Names of the features.
+    settings : StudySettings
+        Settings of models and splits.
+    execution : Execution
+        Workers, scheduler, timer and progress bar.
+
+    Returns
+    -------
+    list of SplitOutcome
+        Outcome of each split, in order.
+
+    Raises
+    ------
+    InputError
+        A grade has too few subjects, or a worker runs other code.
+    WorkersLostError
+        Worker processes are killed repeatedly.
     """
-    table = usable[["radiograph", "knee", "subject", "grade", "protocol", *measures_of(usable), *names]]
+    table = usable[["radiograph", "knee", "subject", "grade", "protocol", *find_baseline_columns(usable), *names]]
     shared = {"table": table, "names": names, "settings": settings}
-    return each_split(one_job, range(settings.repeats), shared, execution, "training and testing")
+    return map_splits(train_split, range(settings.repeats), shared, execution, "training and testing")
 
 
-def one_job(
+def train_split(
     repeat: int, *, table: pd.DataFrame, names: list[str], settings: StudySettings, code: Mapping[str, str]
-) -> Outcome:
-    """The outcome of a split.
+) -> SplitOutcome:
+    """Train and test the models of one split.
 
-    code    of `code_digest` where the run started
-    raises  InputError where the code is another here
+    Parameters
+    ----------
+    repeat : int
+        Number of the split.
+    table : DataFrame
+        Radiographs, as for `train_all_splits`.
+    names : list of str
+        Names of the features.
+    settings : StudySettings
+        Settings of models and splits.
+    code : mapping of str to str
+        Hashes of the code where the run started.
+
+    Returns
+    -------
+    SplitOutcome
+        Outcome of the split.
+
+    Raises
+    ------
+    InputError
+        The code of this process differs from `code`, or a grade has too few subjects.
     """
-    require_code(code)
-    return one_split(repeat, table=table, names=names, settings=settings)
+    require_same_code(code)
+    return evaluate_split(repeat, table=table, names=names, settings=settings)

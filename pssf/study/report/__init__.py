@@ -1,1 +1,1 @@
-"""From numbers to figures and a page."""
+"""Report of a study: figures, summary, checklist, environment and the HTML page."""

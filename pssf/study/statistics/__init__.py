@@ -1,1 +1,1 @@
-"""From predictions and features to numbers with intervals."""
+"""Statistics of predictions and features: estimates with 95 % intervals."""

@@ -1,0 +1,129 @@
+r"""
+4. The radiomics study and its report
+=====================================
+
+In this lesson you run a small radiomics study and read its report. The study has 8 knees and two families of
+features, so that this page is built in one or two minutes. Its numbers mean nothing. **For the full size, run the
+command of the last section.**
+"""
+
+# %%
+# What a study does
+# -----------------
+#
+# A study makes a cohort, finds the medial joint line in every radiograph, measures radiomic features of a region
+# there, trains and tests models, and writes tables and a report. Subjects are split, never radiographs, so that both
+# knees of a subject are in one part.
+#
+# Run it
+# ------
+#
+# ``make_experiment`` makes the radiographs, ``run_experiment`` runs the study. ``knees`` are the numbers of knees of
+# grade 0, 1 and 2. Whatever is left out costs no time: here one protocol, one selection of features and one
+# classifier.
+
+# sphinx_gallery_thumbnail_path = '../examples/robustness.png'
+import re
+import tempfile
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import pandas as pd
+
+from pssf.core.processes.execution import Execution
+from pssf.experiment import make_experiment, run_experiment
+
+MATRIX = 512
+work = Path(tempfile.mkdtemp())
+execution = Execution(workers=1)
+experiment = make_experiment(
+    work,
+    execution,
+    preset="quick",
+    seed=0,
+    engine="scanline",
+    cohort={"knees": [4, 0, 4], "protocols": ["reference"], "matrix": MATRIX, "retested": 0, "repeats": 3},
+    settings={
+        "families": ("firstorder", "shape2D"),
+        "selections": ("l1",),
+        "models": ("lr",),
+        "region_px": MATRIX // 4,
+        "replicates": 100,
+    },
+)
+result = run_experiment(experiment, execution)
+print("report:", result.report.name)
+
+# %%
+# What it writes
+# --------------
+#
+# The folder has the report, one CSV per table, and the figures. Every column is described in
+# :doc:`/reference/columns`.
+
+for _, path in sorted(result.tables.items()):
+    print(f"{path.name:32}", *list(pd.read_csv(path, nrows=0).columns)[:5], "...")
+
+# %%
+# Where the joint was found
+# -------------------------
+#
+# The true position of the joint line is known, so that the error of the localisation is measured. The models do not
+# use the true position.
+
+print(result.localisation.iloc[:, :8].to_string())
+
+# %%
+# Scores
+# ------
+#
+# Each row is one arm: task, training and test protocol, classifier and selection. The 95 % intervals come from the
+# variation over the splits. With so few subjects they are wide or missing.
+
+columns = ["task", "trained_on", "tested_on", "model", "selection", "auc", "auc_low", "auc_high", "test_subjects"]
+print(result.scores[columns].head(6).round(2).to_string())
+
+# %%
+# Features and parameters
+# -----------------------
+#
+# Only a simulator knows the parameters of every knee. The table of correlations shows which parameter a feature
+# follows.
+
+follows = pd.read_csv(next(path for path in result.tables.values() if "correlations" in path.name))
+strongest = follows.reindex(follows["rho"].abs().sort_values(ascending=False).index)
+print(strongest.head(8).round(2).to_string(index=False))
+
+# %%
+# The report
+# ----------
+#
+# ``report.html`` is one page that needs no network. It has the sections below; :doc:`/explanation/statistics`
+# explains how its intervals are computed and when a claim counts as decided.
+
+text = result.report.read_text(encoding="utf-8")
+for heading in re.findall(r"<h2[^>]*>(.*?)</h2>", text, re.DOTALL):
+    print("-", re.sub(r"<[^>]+>", "", heading).strip())
+
+# %%
+# Its figures are also files. This one shows how the importance of the features is distributed:
+
+print(*sorted(result.pictures))
+figure, axis = plt.subplots(figsize=(8, 5), layout="constrained")
+axis.imshow(plt.imread(result.pictures["importance" if "importance" in result.pictures else min(result.pictures)]))
+axis.set_axis_off()
+
+# %%
+# The full size
+# -------------
+#
+# On the command line, ``quick`` has 24 knees under three protocols and takes some minutes. ``paper`` has the 780
+# radiographs of the paper. ``population`` has 250 subjects of KL 0 to 4:
+#
+# .. code-block:: console
+#
+#    $ pssf study --preset quick --out runs/quick
+#    $ pssf study --preset paper --out runs/paper
+#    $ pssf study --preset population --curve-knees 24 --sobol-samples 64 --sensitivity-knees 20 --out runs/population
+#
+# Give the same command again to continue a run that was stopped.

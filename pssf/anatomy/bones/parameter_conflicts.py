@@ -1,0 +1,122 @@
+"""Parameter conflicts: name the parameters of a knee that leave its solids no clearance when a check fails."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from ...core.checks import InputError
+from ...data.knees.field_definitions import FieldSpec, load_field_specs
+from ...model.knee import Knee
+from ...model.protocol import Posture
+
+# Specifications of the fields of a knee, by name.
+Laws = Mapping[str, FieldSpec]
+# Fields that change the size of bones.
+_SIZE_PARAMETERS = ("bone_scale", "stature_mm")
+# Fields that may cause each fault; the keys are words of the error messages of the checks.
+_PARAMETERS_BY_FAULT = {
+    "cortex": ("limb_ap_mm", "fat_mm", *_SIZE_PARAMETERS),
+    "trabecular bone": ("cortex_scale", "subchondral_plate", "notch_growth_mm", *_SIZE_PARAMETERS),
+    "marrow": ("cortex_scale", *_SIZE_PARAMETERS),
+    "overlap": (
+        *("jsw_medial_mm", "jsw_lateral_mm", "varus_deg", "subluxation_mm", "lean_deg", "tibial_slope_deg"),
+        *("notch_growth_mm", "rotation_deg"),
+    ),
+}
+# Fields that affect only one bone.
+_PARAMETERS_BY_BONE = {
+    "patella": ("insall_salvati", "patellar_shift_mm", "patellar_tilt_deg"),
+    "fibula": ("fibular_tip_mm",),
+    "fabella": ("fabella_mm",),
+}
+# A field is named only if it differs from its usual value by at least this fraction of half its range.
+_LEAST_SHARE = 0.25
+# An osteophyte is named only from this size on, mm.
+_LEAST_MM = 2.0
+# A shape score is named only from this magnitude on, in standard deviations.
+_LEAST_SD = 1.5
+# Largest number of named fields.
+_MAX_NAMED = 5
+# Flexion is named only above this angle, degrees.
+_MIN_FLEXION_DEG = 20.0
+
+
+class SolidConflictError(InputError):
+    """Error of a solid that extends beyond the solid around it, or that overlaps another one.
+
+    Its message names solids; `explain_conflicts` adds the parameters of the knee.
+    """
+
+
+@contextmanager
+def explain_conflicts(knee: Knee, posture: Posture) -> Iterator[None]:
+    """Convert an error about solids into one that names the conflicting parameters and their usual values.
+
+    Parameters
+    ----------
+    knee : Knee
+        Knee that is built inside the ``with`` block.
+    posture : Posture
+        Posture in which it is built.
+
+    Yields
+    ------
+    None
+        Control to the ``with`` block.
+
+    Raises
+    ------
+    InputError
+        A check of solids has failed. An error that names parameters already is raised unchanged.
+    """
+    try:
+        yield
+    except InputError as error:
+        text = str(error)
+        if not isinstance(error, SolidConflictError) and not text.startswith("solid "):
+            raise
+        raise InputError(_format_conflict(knee, posture, text, load_field_specs("knee"))) from None
+
+
+def _format_conflict(knee: Knee, posture: Posture, text: str, laws: Laws) -> str:
+    """Format the message: conflicting parameters, with the failed check."""
+    names = next(
+        (fields for fault, fields in _PARAMETERS_BY_FAULT.items() if fault in text),
+        sum(_PARAMETERS_BY_FAULT.values(), ()),
+    )
+    own = [name for bone, fields in _PARAMETERS_BY_BONE.items() if bone in text for name in fields]
+    usual = Knee(sex=knee.sex)
+    departures = {name: _compute_departure(knee, usual, name, laws) for name in dict.fromkeys((*names, *own))}
+    blamed = sorted((name for name, share in departures.items() if share >= _LEAST_SHARE), key=departures.__getitem__)
+    said = [
+        _format_parameter(knee, usual, name, laws[name].unit) for name in blamed[::-1][:_MAX_NAMED]
+    ] + _list_other_causes(knee, posture)
+    what = ", ".join(said) or "the parameters of this knee"
+    return f"{what} must be compatible, got a failed check ({text}): move one of them towards its usual value"
+
+
+def _compute_departure(knee: Knee, usual: Knee, name: str, laws: Laws) -> float:
+    """Return the difference between a value and the usual one, in half ranges of its field."""
+    bounds = laws[name].range
+    assert bounds is not None
+    return abs(getattr(knee, name) - getattr(usual, name)) / (bounds[1] - bounds[0]) * 2
+
+
+def _format_parameter(knee: Knee, usual: Knee, name: str, unit: str) -> str:
+    """Format the name, the value and the usual value of a field."""
+    value = f"{getattr(knee, name):.4g} {unit.replace('(relative)', '')}".strip()
+    return f"{name} = {value} (usual {getattr(usual, name):.4g})"
+
+
+def _list_other_causes(knee: Knee, posture: Posture) -> list[str]:
+    """List other possible causes: large osteophytes, a shape far from the mean, a flexed knee."""
+    large = [f"{one.site} {one.size_mm:.3g} mm" for one in knee.osteophytes if one.size_mm >= _LEAST_MM]
+    far: Any = np.flatnonzero(np.abs(knee.shape) >= _LEAST_SD) if knee.shape else ()
+    bent = knee.flexion_deg + posture.flexion_deg
+    return [
+        *([f"osteophytes ({', '.join(large)})"] if large else []),
+        *([f"shape (scores {', '.join(f'{knee.shape[n]:.3g}' for n in far)})"] if len(far) else []),
+        *([f"flexion of {bent:.3g} deg in this posture"] if bent > _MIN_FLEXION_DEG else []),
+    ]

@@ -1,0 +1,469 @@
+"""Built knee: the parameters of a knee, its closed surfaces and its labels in one object."""
+
+from collections.abc import Mapping
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from manifold3d import Manifold
+
+from ..core.checks import InputError
+from ..core.keyword_arguments import check_keywords, renamed_attribute
+from ..core.processes.worker_processes import limit_to_one_blas_thread
+from ..data.anatomy.anatomy_tables import load_anatomy_tables
+from ..data.knees.field_definitions import beam_angle_range_deg
+from ..data.knees.oarsi_table import OarsiThresholds, load_oarsi_thresholds
+from ..data.table_records import Pair
+from ..geometry.density import Density
+from ..geometry.mesh import Mesh
+from ..geometry.scene import Scene, Surface
+from ..geometry.view import View, resolve_view
+from ..model.knee import Knee
+from ..model.limb_axes import compute_alignment
+from ..model.oarsi_grades import compute_oarsi_grades
+from ..model.protocol import Posture, Protocol
+from ..model.radiograph import Truth
+from ..model.sampling.acquisition import describe_acquisition
+from .bones import bone_shells
+from .bones.bone_shells import Bone
+from .bones.parameter_conflicts import explain_conflicts
+from .bones.shell_checks import check_nesting
+from .knee_trabeculae import build_bone_texture
+from .labels.lateral_axial_labels import measure_lateral_axial_labels
+from .labels.radiograph_labels import build_osteophyte_meshes, measure_jsw_mm, measure_labels
+from .labels.surgery_labels import (
+    compute_labels_after_surgery,
+    find_lost_joint_spaces,
+    find_replaced_sides,
+    require_visible_bone,
+)
+from .meshing.solids import extract_mesh, require_valid_solid
+from .posture.attrition import measure_attrition_mm
+from .posture.knee_assembly import KneeAssembly, assemble_knee, load_jsw_protocol
+from .posture.placed_bones import PlacedBone, place_bones
+from .posture.plateau_margins import align_beam_with_plateau, measure_inter_margin_mm
+from .soft_tissue import limb_layers
+from .soft_tissue.joint_tissues import CoveredBone, build_cartilage, build_joint_tissues
+from .subchondral_cysts import CystSolids, build_cyst_meshes, place_cysts
+from .surgery import SurgicalMethods, SurgicalStep, apply_surgery_to_parts
+from .template.bone_builder import resolve_bone_parameters
+from .trabeculae.trabecular_density import BONES
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BuiltKnee(SurgicalMethods):
+    """A knee with its surfaces, from which all labels are measured.
+
+    Construct it with `build`. The object is immutable: its labels always belong to its scene.
+
+    Attributes
+    ----------
+    knee : Knee
+        Parameters of the knee.
+    scene : Scene
+        Closed surfaces between named materials in the knee frame, in mm.
+    assembly : KneeAssembly
+        Bones at template size and their pose.
+    bones : dict of str to Bone
+        Solids of femur, tibia, fibula and patella, and of the fabella if present. They are in the frame of the leg, in
+        mm, before it is rotated and mirrored as `assembly` specifies. Surgery does not change them.
+    cysts : dict of str to list of CystSolids
+        Cysts of each bone in the frame of the leg, before surgery.
+    attrition : Mapping of str to float, or None
+        Depth of wear of the medial and lateral plateau, in mm; None if it has not been measured yet.
+    beam_range_deg : tuple of float
+        Least and greatest tilt of the central ray, in degrees.
+    oarsi_thresholds : OarsiThresholds
+        Thresholds that convert measurements to OARSI grades.
+    surgery : tuple of SurgicalStep
+        Insertions and resections in their order.
+    """
+
+    knee: Knee
+    scene: Scene
+    assembly: KneeAssembly
+    bones: dict[str, bone_shells.Bone]
+    cysts: dict[str, list[CystSolids]]
+    attrition: Mapping[str, float] | None
+    beam_range_deg: Pair
+    oarsi_thresholds: OarsiThresholds
+    surgery: tuple[SurgicalStep, ...] = ()
+
+    # Earlier names, for one version.
+    truth_in = renamed_attribute("compute_truth_in_view")
+    measured_jsw_mm = renamed_attribute("measure_jsw_mm")
+    osteophytes = renamed_attribute("osteophyte_meshes")
+    solids = renamed_attribute("part_meshes")
+
+    def truth(self, protocol: Protocol) -> Truth:
+        """Measure labels and landmarks for a radiograph of this knee.
+
+        Parameters
+        ----------
+        protocol : Protocol
+            Acquisition protocol.
+
+        Returns
+        -------
+        Truth
+            Labels without masks; `simulate` renders the masks.
+
+        Raises
+        ------
+        InputError
+            If the protocol aligns the beam with the plateau and no beam angle achieves this.
+        """
+        aimed = self.aim_beam(protocol)
+        return replace(
+            self.compute_truth_in_view(resolve_view(aimed)), acquisition=describe_acquisition(self.knee, aimed)
+        )
+
+    def compute_truth_in_view(self, view: View) -> Truth:
+        """Measure labels and landmarks in a view.
+
+        Parameters
+        ----------
+        view : View
+            Source and detector.
+
+        Returns
+        -------
+        Truth
+            Labels without masks and without acquisition parameters.
+
+        Warns
+        -----
+        SurgeryNotice
+            If surgery makes labels meaningless; they are absent.
+        """
+        return (
+            compute_labels_after_surgery(self, view)
+            if self.surgery
+            else self.compute_labels(self.scene, self.bones, view)
+        )
+
+    def compute_labels(self, scene: Scene, solids: dict[str, Bone], view: View) -> Truth:
+        """Measure the labels in a view for given surfaces and bones, without regard to surgery.
+
+        Parameters
+        ----------
+        scene : Scene
+            Scene that holds the outer femur and tibia.
+        solids : dict of str to Bone
+            Solids of the bones in the frame of the leg, in mm.
+        view : View
+            Source and detector.
+
+        Returns
+        -------
+        Truth
+            Labels without masks and without acquisition parameters.
+        """
+        readings = self._grade_readings
+        if self.assembly.posture.is_frontal:
+            truth = measure_labels(self.knee, self.assembly, scene, view)
+            margin_mm = measure_inter_margin_mm(self.assembly, extract_mesh(solids["tibia"].outer), view)
+            readings = {**readings, **truth.readings, "inter_margin_mm": round(margin_mm, 4)}
+        else:
+            truth = measure_lateral_axial_labels(self.knee, self.assembly, solids, view)
+        return replace(truth, grade=int(readings["XRKL"]), attrition_mm=self._attrition_by_side_mm, readings=readings)
+
+    @cached_property
+    def _grade_readings(self) -> dict[str, float]:
+        """OARSI grades and alignment angles, which do not depend on the view."""
+        form = self.assembly.bone_parameters.tables
+        return {
+            **compute_oarsi_grades(self.knee, self._attrition_by_side_mm, self.oarsi_thresholds, form.trabecular_bone),
+            **compute_alignment(self.knee, form.template.femur),
+        }
+
+    def aim_beam(self, protocol: Protocol) -> Protocol:
+        """Align the beam of a protocol with the medial plateau of this knee, if the protocol asks for it.
+
+        Parameters
+        ----------
+        protocol : Protocol
+            Acquisition protocol.
+
+        Returns
+        -------
+        Protocol
+            Protocol with the beam angle for this knee, or the same protocol if its beam is horizontal.
+
+        Raises
+        ------
+        InputError
+            If no beam angle within `beam_range_deg` follows the plateau.
+        """
+        if protocol.beam_along == "horizontal":
+            return protocol
+        return align_beam_with_plateau(
+            self.assembly, extract_mesh(self.bones["tibia"].outer), protocol, self.beam_range_deg
+        )
+
+    def inter_margin_mm(self, protocol: Protocol) -> float:
+        """Measure how far the anterior margin of the medial plateau is above its posterior margin.
+
+        Parameters
+        ----------
+        protocol : Protocol
+            Acquisition protocol with a frontal view.
+
+        Returns
+        -------
+        float
+            Vertical distance on the radiograph, in mm, scaled to the joint plane.
+
+        Raises
+        ------
+        InputError
+            If the view is not frontal, or if surgery has replaced the plateau.
+        """
+        require_visible_bone(self, find_replaced_sides(self), "plateau")
+        return measure_inter_margin_mm(
+            self.assembly, extract_mesh(self.bones["tibia"].outer), resolve_view(self.aim_beam(protocol))
+        )
+
+    @cached_property
+    def _attrition_by_side_mm(self) -> Mapping[str, float]:
+        """Depth of wear per side, in mm."""
+        # It is measured in the pose that defines JSW and is therefore the same for every protocol.
+        return measure_attrition_mm(self.assembly) if self.attrition is None else self.attrition
+
+    def measure_jsw_mm(self, protocol: Protocol) -> tuple[float, float]:
+        """Measure the JSW on the projected contours, including osteophytes.
+
+        Parameters
+        ----------
+        protocol : Protocol
+            Acquisition protocol with a frontal view.
+
+        Returns
+        -------
+        tuple of float
+            Medial and lateral JSW, in mm, scaled to the joint plane.
+
+        Raises
+        ------
+        InputError
+            If the view is not frontal, or if surgery has changed or covered the joint space.
+        """
+        if not self.assembly.posture.is_frontal:
+            raise InputError(f"projection must be AP or PA to measure JSW, got {self.assembly.posture.projection!r}")
+        view = resolve_view(self.aim_beam(protocol))
+        require_visible_bone(self, find_lost_joint_spaces(self, view), "joint space")
+        return measure_jsw_mm(self.knee, self.assembly, self.scene, view)
+
+    def osteophyte_meshes(self) -> dict[str, Mesh]:
+        """Build a mesh of the bone that the osteophytes add at each site, before surgery.
+
+        Returns
+        -------
+        dict of str to Mesh
+            Closed surface per site in the knee frame, in mm.
+        """
+        return build_osteophyte_meshes(self.knee, self.assembly)
+
+    def cyst_meshes(self) -> dict[str, Mesh]:
+        """Build a mesh of the cysts at each site, before surgery.
+
+        Returns
+        -------
+        dict of str to Mesh
+            Closed surface per site in the knee frame, in mm.
+        """
+        return build_cyst_meshes(self.cysts, self.assembly)
+
+    def part_meshes(self) -> dict[str, Mesh]:
+        """Build the meshes from which masks are rendered.
+
+        Returns
+        -------
+        dict of str to Mesh
+            Closed surface of each bone, osteophyte, site with cysts and implant in the knee frame, in mm. Bones are as
+            surgery leaves them; a bone that is removed entirely is absent.
+        """
+        solids = {surface.name: surface.mesh_arrays for surface in self.scene.surfaces if surface.name in BONES}
+        solids |= {f"{site}_osteophyte": mesh for site, mesh in self.osteophyte_meshes().items()}
+        solids |= {f"{site}_cyst": mesh for site, mesh in self.cyst_meshes().items()}
+        return apply_surgery_to_parts(solids, self.scene, self.surgery)
+
+    def __copy__(self) -> "BuiltKnee":
+        return self
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "BuiltKnee":
+        return self  # The object is immutable.
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Solids of manifold3d cannot be pickled. The other process builds them again by the same steps, to the same
+        # bytes. A scene is pickled only if it differs from the one that `build` makes.
+        own = self.__dict__.get("_scene_as_built") is self.scene
+        return build_in_posture, (self.knee, self.assembly.posture, None if own else self.scene, self.surgery)
+
+    def __repr__(self) -> str:
+        after = "".join(f", {step.name}" for step in self.surgery)
+        return f"BuiltKnee({self.knee!r}, {len(self.scene.surfaces)} surfaces{after})"
+
+
+@check_keywords()
+def build(knee: Knee, protocol: Protocol | None = None) -> BuiltKnee:
+    """Build a knee as closed surfaces.
+
+    The surfaces are skin, fat, muscle, cartilage, menisci and tendons, and cortical bone, trabecular bone and marrow of
+    each bone. They are named ``"femur"``, ``"femur_trabecular"``, ``"femur_marrow"``, ``"skin"`` and so on.
+
+    Parameters
+    ----------
+    knee : Knee
+        Parameters of the knee.
+    protocol : Protocol, optional
+        Protocol that sets the posture. None means the default posture: extended and frontal, as in most protocols.
+
+    Returns
+    -------
+    BuiltKnee
+        Knee with its scene in the knee frame, in mm.
+
+    Raises
+    ------
+    InputError
+        If `knee` is not a Knee or `protocol` is not a Protocol. Also if parameters leave too little room for a solid;
+        the message names these parameters.
+
+    Examples
+    --------
+    >>> import pssf
+    >>> built = pssf.build(pssf.Knee())
+    >>> built.scene.surfaces[0].name
+    'skin'
+    """
+    if not isinstance(knee, Knee):
+        raise InputError(f"knee must be a Knee, got {knee!r}")
+    if not isinstance(protocol, Protocol | None):
+        raise InputError(f"protocol must be a Protocol or None, got {protocol!r}: use load_protocol")
+    posture = Posture() if protocol is None else protocol.posture
+    with explain_conflicts(knee, posture):
+        return build_in_posture(knee, posture)
+
+
+@limit_to_one_blas_thread()
+def build_in_posture(
+    knee: Knee, posture: Posture, replacement_scene: Scene | None = None, surgery: tuple[SurgicalStep, ...] = ()
+) -> BuiltKnee:
+    """Build a knee in a posture, optionally with another scene and its surgery.
+
+    Parameters
+    ----------
+    knee : Knee
+        Parameters of the knee.
+    posture : Posture
+        Posture and projection.
+    replacement_scene : Scene, optional
+        Scene that replaces the one that is built. None keeps the built scene and ignores `surgery`.
+    surgery : tuple of SurgicalStep, optional
+        Surgical steps that led to `replacement_scene`.
+
+    Returns
+    -------
+    BuiltKnee
+        Knee with its scene in the knee frame, in mm.
+
+    Raises
+    ------
+    InputError
+        If the parameters leave too little room for a solid.
+    """
+    form = resolve_bone_parameters(knee, load_anatomy_tables())
+    bone_shells.prepare_template_bones(form)
+    # The pool runs only work that creates no solid of the scene. With solids from two threads, the order of their
+    # triangles would vary from run to run.
+    with ThreadPoolExecutor(2) as aside:
+        shells = aside.submit(bone_shells.compute_cortex_depths_mm, form)
+        assembly = assemble_knee(knee, form, posture, load_jsw_protocol(knee))
+        cartilage = aside.submit(build_cartilage, knee, assembly)
+        placed = place_bones(knee, assembly, shells.result(), aside)
+        solids = {name: part.solids for name, part in placed.items()}
+        attrition = _find_attrition_mm(knee, assembly, placed["tibia"].is_worn)
+        cysts = place_cysts(knee, assembly, solids, attrition)
+        scene = Scene(_build_surfaces(knee, assembly, placed, cysts, cartilage, aside))
+    built = BuiltKnee(
+        knee=knee,
+        scene=scene,
+        assembly=assembly,
+        bones=solids,
+        cysts=cysts,
+        attrition=attrition,
+        beam_range_deg=beam_angle_range_deg(),
+        oarsi_thresholds=load_oarsi_thresholds(),
+    )
+    object.__setattr__(built, "_scene_as_built", scene)
+    return built if replacement_scene is None else replace(built, scene=replacement_scene, surgery=surgery)
+
+
+def _find_attrition_mm(knee: Knee, assembly: KneeAssembly, is_worn: bool) -> Mapping[str, float] | None:
+    """Measure the wear of each side, in mm, if cysts need it or no bone is worn; otherwise return None."""
+    now, defined = assembly.pose.femur_to_tibia_transform(), assembly.jsw_pose.femur_to_tibia_transform()
+    if not is_worn and np.array_equal(now, defined):
+        return {"medial": 0.0, "lateral": 0.0}
+    return measure_attrition_mm(assembly) if knee.cysts else None
+
+
+def _build_surfaces(
+    knee: Knee,
+    assembly: KneeAssembly,
+    placed_bones: dict[str, PlacedBone],
+    cysts: dict[str, list[CystSolids]],
+    cartilage: "Future[tuple[CoveredBone, CoveredBone]]",
+    executor: Executor,
+) -> list[Surface]:
+    """Build all surfaces of the scene; containers come before their contents."""
+    shape, pose = assembly.bone_parameters, assembly.pose
+    solids = {name: part.solids for name, part in placed_bones.items()}
+    points_mm = np.vstack([part.outer.to_mesh64().vert_properties[:, :3] for part in solids.values()])
+    limb = limb_layers.build_soft_tissue_layers(
+        knee, shape, pose.flexion_deg, points_mm @ pose.soft_tissue_transform()[:, :3]
+    )
+    wraps = {name: solid.transform(pose.soft_tissue_transform()) for name, solid in limb.items()}
+    sound = executor.submit(check_nesting, solids, wraps["muscle"])
+    surfaces = [
+        _make_surface(wraps["skin"], "skin", "air", "skin", assembly),
+        _make_surface(wraps["adipose"], "adipose", "skin", "adipose", assembly),
+        _make_surface(wraps["muscle"], "muscle", "adipose", "muscle", assembly),
+    ]
+    within = build_joint_tissues(
+        knee, assembly, solids, cartilage.result(), wraps["muscle"], wraps["intermuscular_fat"]
+    )
+    sound.result()
+    for tissue in within:
+        surfaces.append(_make_oriented_surface(tissue.mesh, tissue.material, "muscle", tissue.name, assembly))
+    for name, part in solids.items():
+        density = build_bone_texture(knee, name, shape.tables.trabecular_bone, assembly, placed_bones[name].frame)
+        surfaces.append(_make_surface(part.outer, "cortical_bone", "muscle", name, assembly))
+        spongy = ("trabecular_bone", "cortical_bone", f"{name}_trabecular")
+        surfaces.append(_make_surface(part.inner, *spongy, assembly, inside_density=density))
+        if part.canal is not None:
+            canal = ("marrow", "trabecular_bone", f"{name}_marrow")
+            surfaces.append(_make_surface(part.canal, *canal, assembly, outside_density=density))
+        for number, cyst in enumerate(cysts.get(name, ()), start=1):
+            wall = ("cortical_bone", "trabecular_bone", f"{name}_cyst_{number}_wall")
+            surfaces.append(_make_surface(cyst.wall, *wall, assembly, outside_density=density))
+            surfaces.append(_make_surface(cyst.contents, "marrow", "cortical_bone", f"{name}_cyst_{number}", assembly))
+    return surfaces
+
+
+def _make_surface(
+    solid: Manifold, inside: str, outside: str, name: str, assembly: KneeAssembly, **densities: Density
+) -> Surface:
+    """Check a solid and convert it to a surface of the scene."""
+    return _make_oriented_surface(
+        extract_mesh(require_valid_solid(solid, name)), inside, outside, name, assembly, **densities
+    )
+
+
+def _make_oriented_surface(
+    mesh: Mesh, inside: str, outside: str, name: str, assembly: KneeAssembly, **densities: Density
+) -> Surface:
+    """Make a surface from a mesh, rotated and mirrored for the view and side of the knee."""
+    return Surface(assembly.orient_mesh(mesh), inside=inside, outside=outside, name=name, **densities)

@@ -1,0 +1,279 @@
+"""Labels of a frontal radiograph: JSW, landmarks and the meshes of the osteophytes."""
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+from manifold3d import Manifold, OpType
+
+from ...core.checks import Array
+from ...data.table_records import Pair
+from ...geometry.mesh import Mesh
+from ...geometry.scene import Scene
+from ...geometry.view import View, project_points
+from ...model.knee import Knee
+from ...model.radiograph import Truth
+from ..meshing.implicit_shapes import project_solid
+from ..meshing.solids import extract_mesh, find_closed_mesh_edges
+from ..outlines.contour_landmarks import find_contour_landmarks, find_plateau_floor
+from ..outlines.projected_contours import (
+    COMPARTMENT_RANGE,
+    Gap,
+    measure_gap,
+    rotate_px,
+)
+from ..posture.knee_assembly import KneeAssembly
+
+# JSW(x) is measured at these fractions of the femoral width from its medial edge (Neumann et al. 2009). The width is
+# that of the femur, as CFWDTH in the table of the Osteoarthritis Initiative. It is measured between the epicondyles,
+# which osteophytes do not move (assumed). The fractions then cover the range in which the minimum JSW is searched.
+JSW_FRACTIONS = (0.15, 0.175, 0.2, 0.225, 0.25, 0.275, 0.3, 0.7, 0.725, 0.75, 0.775, 0.8, 0.825, 0.85, 0.875, 0.9)
+# Range of JSW(x) in fractions of half the plateau width. It includes femurs that overhang the edge of the plateau.
+_JSW_FRACTION_RANGE = (0.2, 1.0)
+# Height range in which the edges of the condyles are searched, in mm at template size in the frame of the femur.
+_CONDYLES = (1.0, 12.0)
+# Height range in which the epicondyles are searched, in mm at template size in the frame of the femur.
+_EPICONDYLES = (22.0, 42.0)
+# Height range in which the edges of the plateau are searched, in mm at template size in the frame of the tibia.
+_PLATEAU = (-9.0, 1.0)
+# Bone that protrudes by more than this from the surface without osteophytes belongs to an osteophyte, in mm.
+_MIN_OSTEOPHYTE_MM = 0.05
+# Landmarks of the joint space: its centre in each compartment, the centre of both, and the ends of the minimum JSW.
+_JOINT_LANDMARKS = (
+    "medial_joint_line", "lateral_joint_line", "joint_centre",
+    "medial_jsw_femur", "medial_jsw_tibia", "lateral_jsw_femur", "lateral_jsw_tibia",
+)  # fmt: skip
+
+
+def measure_labels(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> Truth:
+    """Measure JSW and landmarks on the radiograph of a knee.
+
+    Parameters
+    ----------
+    knee : Knee
+        Parameters of the knee.
+    assembly : KneeAssembly
+        Bones of the knee in their pose.
+    scene : Scene
+        Surfaces of the knee, of which the outer femur and tibia are used.
+    view : View
+        Source and detector of a frontal view.
+
+    Returns
+    -------
+    Truth
+        JSW in mm, scaled to the joint plane; landmarks in pixels; and the reader grade.
+    """
+    (medial, lateral), wide = _measure_gaps(knee, assembly, scene, view, (COMPARTMENT_RANGE, _JSW_FRACTION_RANGE))
+    spots = _find_widest_px(knee, assembly, view)
+    return Truth(
+        jsw_medial_mm=round(medial.jsw_mm, 4),
+        jsw_lateral_mm=round(lateral.jsw_mm, 4),
+        jsw_at_mm=_measure_jsw_at_mm(spots, wide, view, _lean_deg(knee, assembly)),
+        reader_grade=knee.reader_grade,
+        landmarks_px=_find_joint_line_landmarks((medial, lateral), view, _lean_deg(knee, assembly))
+        | spots
+        | _find_landmarks_on_contours(knee, assembly, scene, view),
+    )
+
+
+def measure_jsw_mm(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View) -> tuple[float, float]:
+    """Measure the medial and lateral JSW in a view, including osteophytes.
+
+    Parameters
+    ----------
+    knee : Knee
+        Parameters of the knee; `Knee.jsw_definition` selects how JSW is measured.
+    assembly : KneeAssembly
+        Bones of the knee in their pose.
+    scene : Scene
+        Surfaces of the knee, of which the outer femur and tibia are used.
+    view : View
+        Source and detector of a frontal view.
+
+    Returns
+    -------
+    tuple of float
+        Medial and lateral JSW, in mm, scaled to the joint plane.
+    """
+    medial, lateral = _measure_gaps(knee, assembly, scene, view)[0]
+    return medial.jsw_mm, lateral.jsw_mm
+
+
+def build_osteophyte_meshes(knee: Knee, assembly: KneeAssembly) -> dict[str, Mesh]:
+    """Build a mesh of the bone that the osteophytes add at each site.
+
+    Parameters
+    ----------
+    knee : Knee
+        Parameters of the knee, which list its osteophytes.
+    assembly : KneeAssembly
+        Bones of the knee in their pose.
+
+    Returns
+    -------
+    dict of str to Mesh
+        Closed surface per site in the knee frame, in mm. It holds bone that protrudes by more than 0.05 mm.
+    """
+    build = assembly.bone_parameters
+    bones = (
+        (build.template_femur, assembly.femur, assembly.place_femur_points),
+        (build.template_tibia, assembly.tibia, assembly.place_tibia_points),
+    )
+    meshes = {}
+    for mean, grown, move in bones:
+        sites = [one.site for one in knee.osteophytes if one.bone == mean.name]
+        if not sites:
+            continue
+        bare = project_solid(mean.outer, mean.field, depth_mm=lambda points: np.full(len(points), -_MIN_OSTEOPHYTE_MM))
+        # Move both solids before the subtraction. The cuts then stay on the moved triangles, and the osteophyte
+        # stays within its bone.
+        outer, bare = (_warp_solid(solid, move) for solid in (grown.outer, bare))
+        tips = move(np.array([shape.tip for shape in grown.shapes]))
+        for site, added in _split_by_site(outer - bare, sites, tips).items():
+            meshes[site] = assembly.orient_mesh(extract_mesh(added))
+    return meshes
+
+
+def _warp_solid(solid: Manifold, move: Callable[[Array], Array]) -> Manifold:
+    """Move the vertices of a solid by a function of points (n, 3), in mm."""
+    return solid.warp_batch(lambda points: move(np.array(points)))
+
+
+def _split_by_site(added: Manifold, sites: list[str], tips: Array) -> dict[str, Manifold]:
+    """Assign the bone that osteophytes add to the site of the nearest tip.
+
+    `tips` (n, 3) are the tips of the osteophytes at `sites`. A piece that has grown together from several sites,
+    such as both tibial spines, is cut half way between their tips.
+    """
+    pieces: dict[str, list[Manifold]] = {site: [] for site in sites}
+    for piece in added.decompose():
+        low, high = np.array(piece.bounding_box()).reshape(2, 3)
+        owners = np.flatnonzero(((tips >= low) & (tips <= high)).all(axis=1)).tolist()
+        if len({sites[owner] for owner in owners}) < 2:
+            owners = [int(np.linalg.norm(tips - (low + high) / 2, axis=1).argmin())]
+        for owner in owners:
+            others = [other for other in owners if sites[other] != sites[owner]]
+            pieces[sites[owner]].append(_trim_to_nearest_tip(piece, tips[owner], tips[others]))
+    return {site: Manifold.batch_boolean(parts, OpType.Add) for site, parts in pieces.items()}
+
+
+def _trim_to_nearest_tip(piece: Manifold, tip: Array, others: Array) -> Manifold:
+    """Trim a piece to the part that is nearer to its tip (3,) than to the other tips (n, 3)."""
+    for other in others:
+        way = (tip - other) / np.linalg.norm(tip - other)
+        piece = piece.trim_by_plane(way, way @ (tip + other) / 2)
+    return piece
+
+
+def _measure_gaps(
+    knee: Knee, assembly: KneeAssembly, scene: Scene, view: View, ranges: Sequence[Pair] = (COMPARTMENT_RANGE,)
+) -> list[tuple[Gap, Gap]]:
+    """Measure the medial and lateral joint space in a view, for each range of fractions of half the plateau width."""
+    meshes = _select_outer_meshes(scene)
+    femur, tibia = ((mesh.vertices, find_closed_mesh_edges(mesh.faces)) for mesh in meshes)
+    medial, half, lean = _medial_sign(knee), assembly.bone_parameters.half_ml_mm, _lean_deg(knee, assembly)
+    upper = find_plateau_floor(meshes[1], view, medial, lean) if knee.jsw_definition == "read" else tibia
+
+    def seen(side: int, between: Pair) -> Gap:
+        return measure_gap(femur, upper, view, side * medial, half, lean, between)
+
+    return [(seen(+1, between), seen(-1, between)) for between in ranges]
+
+
+def _select_outer_meshes(scene: Scene) -> tuple[Mesh, Mesh]:
+    """Return the outer surfaces of femur and tibia."""
+    meshes = {s.name: s.mesh_arrays for s in scene.surfaces if s.name in ("femur", "tibia")}
+    return meshes["femur"], meshes["tibia"]
+
+
+def _find_landmarks_on_contours(
+    knee: Knee, assembly: KneeAssembly, scene: Scene, view: View
+) -> dict[str, tuple[float, float]]:
+    """Find the sixteen contour landmarks and repeat ``notch_top`` under its older name ``notch``."""
+    spots = find_contour_landmarks(*_select_outer_meshes(scene), view, _medial_sign(knee), _lean_deg(knee, assembly))
+    return {**spots, "notch": spots["notch_top"]}
+
+
+def _find_joint_line_landmarks(gaps: tuple[Gap, Gap], view: View, lean_deg: float) -> dict[str, tuple[float, float]]:
+    """Return the pixel positions of the landmarks of the joint space in both compartments."""
+    lines = rotate_px(np.array([gap.middle_px() for gap in gaps]), view, lean_deg)
+    narrowest = rotate_px(np.array([place for gap in gaps for place in gap.narrowest_px()]), view, lean_deg)
+    places = (*lines, lines.mean(axis=0), *narrowest)
+    return {name: _convert_to_pixel(place) for name, place in zip(_JOINT_LANDMARKS, places, strict=True)}
+
+
+def _measure_jsw_at_mm(
+    edges: dict[str, tuple[float, float]], gaps: tuple[Gap, Gap], view: View, lean_deg: float
+) -> dict[float, float]:
+    """Measure JSW(x) by the fraction of the femoral width from the medial epicondyle.
+
+    `edges` holds the epicondyles from `_find_widest_px`. `gaps` are the medial and lateral joint space.
+    """
+    epicondyles = np.array([edges["medial_epicondyle"], edges["lateral_epicondyle"]])
+    medial, lateral = rotate_px(epicondyles, view, -lean_deg)[:, 1]
+    spaces = {}
+    for fraction in JSW_FRACTIONS:
+        gap = gaps[0] if fraction < 0.5 else gaps[1]
+        col = medial + fraction * (lateral - medial)
+        wide_px = np.interp(col, gap.columns_px, gap.tibia_px - gap.femur_px)
+        spaces[fraction] = float(wide_px * gap.mm_per_pixel)
+    return spaces
+
+
+def _find_widest_px(knee: Knee, assembly: KneeAssembly, view: View) -> dict[str, tuple[float, float]]:
+    """Return row and column of the widest points of the bones without osteophytes."""
+    return {name: _convert_to_pixel(seen) for name, seen, _ in _find_widest_vertices(knee, assembly, view)}
+
+
+def find_widest_points_mm(knee: Knee, assembly: KneeAssembly, view: View) -> dict[str, Array]:
+    """Find the widest points of the bones in a view, without osteophytes.
+
+    Parameters
+    ----------
+    knee : Knee
+        Parameters of the knee.
+    assembly : KneeAssembly
+        Bones of the knee in their pose.
+    view : View
+        Source and detector of a frontal view.
+
+    Returns
+    -------
+    dict of str to (3,) float64 array
+        Position of each epicondyle, condyle edge and plateau edge in the knee frame, in mm.
+    """
+    return {name: place for name, _, place in _find_widest_vertices(knee, assembly, view)}
+
+
+def _find_widest_vertices(knee: Knee, assembly: KneeAssembly, view: View) -> Iterator[tuple[str, Array, Array]]:
+    """Yield the name, the pixel position (2,) and the position (3,) in the knee frame, in mm, of each widest point."""
+    build, medial, lean = assembly.bone_parameters, _medial_sign(knee), _lean_deg(knee, assembly)
+    femur, tibia = (extract_mesh(bone.outer) for bone in (build.template_femur, build.template_tibia))
+    for side, sign in (("medial", +1), ("lateral", -1)):
+        for name, mesh, band, move in (
+            ("epicondyle", femur, _EPICONDYLES, assembly.place_femur_points),
+            ("condyle_edge", femur, _CONDYLES, assembly.place_femur_points),
+            ("plateau_edge", tibia, _PLATEAU, assembly.place_tibia_points),
+        ):
+            points = mesh.vertices
+            near = (points[:, 2] > band[0]) & (points[:, 2] < band[1]) & (points[:, 0] * sign > 0)
+            places = move(points[near]) * assembly.mirror
+            seen = project_points(places, view)
+            upright = rotate_px(seen, view, -lean)
+            number = (upright[:, 1] * sign * medial).argmax()
+            yield f"{side}_{name}", seen[number], places[number]
+
+
+def _convert_to_pixel(position_px: Array) -> tuple[float, float]:
+    """Convert an array (2,) to a tuple of row and column."""
+    return (float(position_px[0]), float(position_px[1]))
+
+
+def _lean_deg(knee: Knee, assembly: KneeAssembly) -> float:
+    """Return the lean of the leg in the image, in degrees, clockwise positive."""
+    return assembly.pose.lean_deg * _medial_sign(knee)
+
+
+def _medial_sign(knee: Knee) -> int:
+    """Return +1 if medial is towards +x, else -1."""
+    return 1 if knee.side == "right" else -1

@@ -1,0 +1,315 @@
+"""Labels of a knee after surgery, without those that implants or resections make meaningless.
+
+A landmark is kept if the remaining bones give the same position as the intact bones. The JSW of a side is absent
+in a view in which its contours have changed or an implant covers them. A side counts as replaced if surgery has
+changed the contours on which its JSW is defined. The readings of a replaced side and the grade of the knee are then
+absent in every view.
+"""
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from manifold3d import Manifold
+
+from ...core.checks import Array, InputError
+from ...geometry.mesh import Indices, Mesh
+from ...geometry.mesh_topology import Faces, label_bodies
+from ...geometry.scene import Scene, Surface
+from ...geometry.view import View, project_points, resolve_view
+from ...model.radiograph import Truth
+from ..bones.bone_shells import Bone
+from ..meshing.solids import build_solid, extract_mesh, find_closed_mesh_edges
+from ..outlines.contour_landmarks import find_plateau_floor
+from ..outlines.projected_contours import (
+    Gap,
+    compute_outline_rows,
+    measure_gap,
+    rotate_px,
+)
+from ..surgery import SurgicalMethods
+from .radiograph_labels import find_widest_points_mm
+
+SIDES = ("medial", "lateral")
+# Contours that differ by no more than this on the detector are equal, in pixels.
+_TOLERANCE_PX = 1e-6
+# A landmark is lost if a surgical step intersects a cube with this edge around it, in mm.
+_LANDMARK_BOX_MM = 0.01
+# Letters that denote side and bone in the names of OARSI readings, such as XROSFM.
+_OARSI_LETTERS = {"medial": "M", "lateral": "L", "femur": "F", "tibia": "T"}
+
+
+class SurgeryNotice(UserWarning):
+    """Warning that labels are absent because implants or resections make them meaningless."""
+
+
+def compute_labels_after_surgery(built: SurgicalMethods, view: View) -> Truth:
+    """Compute the labels of a knee that remain valid after its surgery.
+
+    Parameters
+    ----------
+    built : BuiltKnee
+        Knee with its surgical steps.
+    view : View
+        Source and detector.
+
+    Returns
+    -------
+    Truth
+        Labels; those that surgery makes meaningless are None or absent.
+
+    Warns
+    -----
+    SurgeryNotice
+        If a JSW or the grade is absent.
+    """
+    truth, cut = _compute_labels(built, built.bones, view), _find_cut_sites(built)
+    try:
+        altered = _compute_labels(built, built.remaining_bones, view)
+    except (ValueError, KeyError, IndexError):  # Too little bone remains for a contour.
+        altered = replace(truth, landmarks_px={}, readings={}, jsw_at_mm={})
+    replaced = find_replaced_sides(built)
+    hidden = [side for side in find_lost_joint_spaces(built, view) if side not in replaced]
+    _warn_absent_labels(replaced, hidden)
+    lost = [*replaced, *hidden]
+    return replace(
+        truth,
+        jsw_medial_mm=None if "medial" in lost else truth.jsw_medial_mm,
+        jsw_lateral_mm=None if "lateral" in lost else truth.jsw_lateral_mm,
+        jsw_at_mm={
+            at: mm
+            for at, mm in truth.jsw_at_mm.items()
+            if SIDES[int(at > 0.5)] not in lost and _is_unchanged(mm, altered.jsw_at_mm.get(at))
+        },
+        attrition_mm={side: mm for side, mm in truth.attrition_mm.items() if side not in replaced},
+        readings={
+            name: value
+            for name, value in truth.readings.items()
+            if _is_unchanged(value, altered.readings.get(name)) and not _is_reading_lost(name, replaced, cut)
+        },
+        landmarks_px={
+            name: place
+            for name, place in _select_unchanged_landmarks(built, truth, altered, view).items()
+            if not any(name.startswith(f"{side}_jsw_") for side in lost)
+        },
+        grade=None if replaced else truth.grade,
+        reader_grade=None if replaced else truth.reader_grade,
+    )
+
+
+def find_replaced_sides(built: SurgicalMethods) -> list[str]:
+    """Find the sides on which surgery has changed the contours that define JSW.
+
+    Parameters
+    ----------
+    built : BuiltKnee
+        Knee with its surgical steps.
+
+    Returns
+    -------
+    list of str
+        ``"medial"``, ``"lateral"``, both or none.
+    """
+    if not built.surgery:
+        return []
+    view = resolve_view(built.assembly.jsw_protocol)
+    before, after = (
+        _BoneContours(built, bones, view, in_leg_frame=True) for bones in (built.bones, built.remaining_bones)
+    )
+    return [side for side in SIDES if not before.has_same_gap(after, side)]
+
+
+def find_lost_joint_spaces(built: SurgicalMethods, view: View) -> list[str]:
+    """Find the sides whose JSW a view does not show because surgery has changed or covered its contours.
+
+    Parameters
+    ----------
+    built : BuiltKnee
+        Knee with its surgical steps.
+    view : View
+        Source and detector.
+
+    Returns
+    -------
+    list of str
+        ``"medial"``, ``"lateral"``, both or none; always empty for lateral and axial views.
+    """
+    if not built.surgery or not built.assembly.posture.is_frontal:
+        return []
+    before, after = (_BoneContours(built, bones, view) for bones in (built.bones, built.remaining_bones))
+    implants = {step.name for step in built.surgery if step.material is not None}
+    bodies_of = [surface.solid for surface in built.scene.surfaces if surface.name in implants]
+    parts = [
+        Mesh(solid.points, faces) for solid in bodies_of for faces in _split_into_bodies(solid.faces, len(solid.points))
+    ]
+    return [
+        side
+        for side in SIDES
+        if not before.has_same_gap(after, side) or any(before.is_covered(part, side) for part in parts)
+    ]
+
+
+def require_visible_bone(built: SurgicalMethods, sides: list[str], what: str) -> None:
+    """Raise an error if surgery has changed or covered the bones of a measurement.
+
+    Parameters
+    ----------
+    built : BuiltKnee
+        Knee with its surgical steps.
+    sides : list of str
+        Sides on which bones are changed or covered.
+    what : str
+        Name of the measurement for the error message.
+
+    Raises
+    ------
+    InputError
+        If `sides` is not empty.
+    """
+    if sides:
+        steps = ", ".join(step.name for step in built.surgery)
+        raise InputError(
+            f"{what} must be visible and unchanged by surgery, got changed or covered bone on the "
+            f"{' and '.join(sides)} side after {steps}"
+        )
+
+
+@dataclass(frozen=True)
+class _BoneContours:
+    """Contours of femur and tibia of a built knee with the given bones in a view.
+
+    If `in_leg_frame` is True the view shows the leg before it is rotated and mirrored.
+    """
+
+    built: SurgicalMethods
+    bones: Mapping[str, Bone]
+    view: View
+    in_leg_frame: bool = False
+
+    @property
+    def medial_sign(self) -> int:
+        """+1 if medial is towards +x, else -1."""
+        return 1 if self.in_leg_frame or self.built.knee.side == "right" else -1
+
+    @property
+    def lean_deg(self) -> float:
+        """Lean of the leg in the image, in degrees, clockwise positive."""
+        return self.built.assembly.pose.lean_deg * self.medial_sign
+
+    def measure_side_gap(self, side: str, *, floor: bool = False) -> Gap:
+        """Measure the joint space of a side; with `floor`, down to the floor of the plateau, as readers measure it."""
+        meshes = [extract_mesh(self.bones[name].outer) for name in ("femur", "tibia")]
+        femur, tibia = meshes if self.in_leg_frame else map(self.built.assembly.orient_mesh, meshes)
+        sign = self.medial_sign if side == "medial" else -self.medial_sign
+        upper = (
+            find_plateau_floor(tibia, self.view, self.medial_sign, self.lean_deg)
+            if floor
+            else _list_vertices_and_edges(tibia)
+        )
+        half = self.built.assembly.bone_parameters.half_ml_mm
+        return measure_gap(_list_vertices_and_edges(femur), upper, self.view, sign, half, self.lean_deg)
+
+    def has_same_gap(self, other: "_BoneContours", side: str) -> bool:
+        """Report whether both have equal contours along the joint space of a side."""
+        for floor in {False, self.built.knee.jsw_definition == "read"}:
+            try:
+                one, two = (contours.measure_side_gap(side, floor=floor) for contours in (self, other))
+            except (ValueError, IndexError):  # Too little bone remains for a contour.
+                return False
+            for first, second in ((one.femur_px, two.femur_px), (one.tibia_px, two.tibia_px)):
+                if not np.allclose(first, second, rtol=0, atol=_TOLERANCE_PX):
+                    return False
+        return True
+
+    def is_covered(self, body: Mesh, side: str) -> bool:
+        """Report whether a connected body, in the frame of the view, covers the joint space of a side."""
+        gap = self.measure_side_gap(side)
+        finer = round(1 / (gap.columns_px[1] - gap.columns_px[0]))
+        seen = rotate_px(project_points(body.vertices, self.view), self.view, -self.lean_deg) * (1, finer)
+        first, edges = round(gap.columns_px[0] * finer), find_closed_mesh_edges(body.faces)
+        low, high = (compute_outline_rows(seen, edges, first, len(gap.columns_px), end) for end in (1.0, -1.0))
+        return bool(((low > gap.femur_px) & (high < gap.tibia_px)).any())
+
+
+def _compute_labels(built: SurgicalMethods, bones: Mapping[str, Bone], view: View) -> Truth:
+    """Compute the labels of a knee as if it had the given bones."""
+    outer = {name: built.assembly.orient_mesh(extract_mesh(bones[name].outer)) for name in ("femur", "tibia")}
+    scene = Scene([Surface(mesh, "cortical_bone", "muscle", name) for name, mesh in outer.items()])
+    return built.compute_labels(scene, dict(bones), view)
+
+
+def _select_unchanged_landmarks(
+    built: SurgicalMethods, truth: Truth, altered: Truth, view: View
+) -> dict[str, tuple[float, float]]:
+    """Select the landmarks whose position on the bones remains after surgery."""
+    gone = set()
+    if built.assembly.posture.is_frontal:
+        # These landmarks are found on the bones without osteophytes, which surgery does not cut. Test their positions.
+        for name, place_mm in find_widest_points_mm(built.knee, built.assembly, view).items():
+            about = Manifold.cube((_LANDMARK_BOX_MM,) * 3, True).translate(tuple(place_mm))
+            if any(not (about ^ step.solid).is_empty() for step in built.surgery):
+                gone.add(name)
+    others = {name: place for name, place in altered.landmarks_px.items() if name not in gone}
+    return {
+        name: place
+        for name, place in truth.landmarks_px.items()
+        if name in others and np.allclose(place, others[name], rtol=0, atol=_TOLERANCE_PX)
+    }
+
+
+def _find_cut_sites(built: SurgicalMethods) -> set[str]:
+    """Find the osteophytes and cysts that surgery has cut, as ``<site>_osteophyte`` and ``<site>_cyst``."""
+    cut = set()
+    for kind, meshes in (("osteophyte", built.osteophyte_meshes()), ("cyst", built.cyst_meshes())):
+        for site, mesh in meshes.items():
+            if not len(mesh.faces):  # The osteophyte does not protrude from its bone.
+                continue
+            whole = build_solid(mesh.vertices, mesh.faces, f"{site}_{kind}")
+            if any(not (whole ^ step.solid).is_empty() for step in built.surgery):
+                cut.add(f"{site}_{kind}")
+    return cut
+
+
+def _is_reading_lost(name: str, replaced: list[str], cut_sites: set[str]) -> bool:
+    """Report whether surgery makes a reading meaningless."""
+    if name == "XRKL" and replaced:
+        return True
+    # The last letter is the side: XROSFM grades the osteophytes of the medial femur.
+    of_side = {_OARSI_LETTERS[side] for side in replaced}
+    if name.startswith("XR") and name != "XRKL" and name[-1] in of_side:
+        return True
+    names = set()
+    for site in cut_sites:
+        side, bone, kind = site.split("_")
+        if side in SIDES and bone in ("femur", "tibia"):
+            names.add(f"XR{'OS' if kind == 'osteophyte' else 'CY'}{_OARSI_LETTERS[bone]}{_OARSI_LETTERS[side]}")
+    return name in names
+
+
+def _is_unchanged(value: float, other: float | None) -> bool:
+    """Report whether both values exist and are equal within the tolerance."""
+    return other is not None and bool(np.isclose(value, other, rtol=0, atol=_TOLERANCE_PX))
+
+
+def _list_vertices_and_edges(mesh: Mesh) -> tuple[Array, Indices]:
+    """Return the vertices (n, 3) and edges (m, 2) of a closed mesh."""
+    return mesh.vertices, find_closed_mesh_edges(mesh.faces)
+
+
+def _split_into_bodies(faces: Faces, count: int) -> list[Faces]:
+    """Split faces (m, 3) into those of each connected body of a mesh with `count` vertices."""
+    body, number = label_bodies(faces, count)
+    return [faces[body[faces[:, 0]] == one] for one in range(number)]
+
+
+def _warn_absent_labels(replaced: list[str], hidden: list[str]) -> None:
+    """Warn of labels that are absent on replaced sides and on sides that an implant covers."""
+    if replaced:
+        sides = f"the {' and '.join(replaced)} joint contours"
+        message = f"surgery replaces {sides}; the labels have no grade, and no JSW or OARSI readings of these sides"
+        warnings.warn(f"{message}; use knee.jsw_{replaced[0]}_mm for the specified JSW", SurgeryNotice, stacklevel=4)
+    if hidden:
+        what = " and ".join(hidden)
+        message = f"an implant covers the {what} joint space in this view; the labels have no JSW there"
+        warnings.warn(f"{message}; move the implant or change the view to measure it", SurgeryNotice, stacklevel=4)

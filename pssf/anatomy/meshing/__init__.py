@@ -1,0 +1,1 @@
+"""Closed triangle meshes and solids: implicit shapes, lofts, remeshing, noise fields."""

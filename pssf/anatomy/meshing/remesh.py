@@ -1,0 +1,409 @@
+"""Remeshing: smooth and refine meshes on the zero level set of a distance field, and remove inverted faces."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from manifold3d import Manifold
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csr_array, diags_array
+
+from ...core.checks import Array
+from ...geometry.mesh import Indices, Mesh
+from .implicit_shapes import (
+    ScalarField,
+    evaluate_with_gradient,
+    lengths,
+    project_to_surface,
+    squared_lengths,
+)
+from .solids import (
+    build_solid,
+    dilate_rings,
+    extract_mesh,
+    split_selected_edges,
+)
+
+# Maps vertices (n, 3), in mm, to booleans (n,).
+VertexSelector = Callable[[Array], NDArray[np.bool_]]
+
+# Smoothing rounds for the mesh of a whole bone.
+_ROUNDS = 6
+# Rounds of edge splitting where a whole bone is curved.
+_SPLITS = 4
+# Distance from z = 0 at which the shaft of a whole bone begins, mm.
+_SHAFT_FROM_MM = 70.0
+# Rings of vertices around the movable ones that may move too while inverted faces at the border are flattened.
+_BORDER_RINGS = 8
+# Faces beyond this height need no repair, because shafts are cut off before it, mm.
+_USED_MM = 200.0
+# Attempts to flatten inverted faces, each with a wider neighbourhood.
+_STARTS = 5
+# Turns per attempt.
+_TURNS = 5
+# Smoothing iterations per turn.
+_FLATTENINGS = 10
+# Radius of the neighbourhood of a tip, mm.
+_TIP_MM = 4.0
+# Largest distance of an edge midpoint from the field surface near a tip, mm.
+_TIP_TOLERANCE_MM = 0.02
+# Rounds of edge splitting near a tip.
+_TIP_SPLITS = 3
+# A tip that is this far from the nearest triangle is inserted as a vertex, mm.
+_CUT_MM = 1e-4
+
+
+def refine_bone(solid: Manifold, edge_mm: float, shaft_from_mm: float) -> Manifold:
+    """Refine a solid to a maximum edge length, with edges up to four times as long along the shaft.
+
+    Parameters
+    ----------
+    solid : Manifold
+        Solid with its long axis along z, in mm.
+    edge_mm : float
+        Maximum edge length at the joint end, in mm.
+    shaft_from_mm : float
+        Distance from z = 0 at which the shaft begins, in mm.
+
+    Returns
+    -------
+    Manifold
+        The refined solid.
+    """
+
+    def pressed(factor: float) -> Callable[[Array], Array]:
+        def move(points: Array) -> Array:
+            places = np.array(points)
+            beyond = np.maximum(np.abs(places[:, 2]) - shaft_from_mm, 0.0)
+            places[:, 2] += np.sign(places[:, 2]) * beyond * (factor - 1)
+            return places
+
+        return move
+
+    short = solid.simplify(0.02).warp_batch(pressed(0.25))
+    return short.refine_to_length(edge_mm).warp_batch(pressed(4.0))
+
+
+def mesh_bone(
+    csg_solid: Manifold, field: ScalarField, edge_mm: float, tolerances_mm: Sequence[float]
+) -> list[Manifold]:
+    """Mesh a bone on its distance field, evenly and finer where it is curved, once per tolerance.
+
+    Parameters
+    ----------
+    csg_solid : Manifold
+        The same bone as a Boolean combination of parts, with hard creases.
+    field : callable
+        Distance field of the bone: points (n, 3), in mm, to values (n,), in mm.
+    edge_mm : float
+        Maximum edge length away from the shaft, in mm.
+    tolerances_mm : sequence of float
+        Maximum distance of edge midpoints from the surface of the field, in mm.
+
+    Returns
+    -------
+    list of Manifold
+        One solid per tolerance, in the same order.
+
+    Raises
+    ------
+    InputError
+        A mesh is not a valid solid.
+    """
+    even = build_solid(
+        *laplacian_smooth(extract_mesh(refine_bone(csg_solid, edge_mm, _SHAFT_FROM_MM)), field, _ROUNDS),
+        "smoothed bone",
+    )
+    # Simplification removes about a tenth of the triangles, those in flat regions.
+    return [
+        refine_to_tolerance(even, field, tolerance_mm, _SPLITS).simplify(0.4 * tolerance_mm)
+        for tolerance_mm in tolerances_mm
+    ]
+
+
+def laplacian_smooth(
+    mesh: Mesh,
+    field: ScalarField,
+    rounds: int,
+    select_movable: VertexSelector | None = None,
+    tips: Sequence[Array] = (),
+) -> Mesh:
+    """Move a closed mesh onto a field surface, space its vertices evenly and remove slivers left by CSG.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Closed mesh near the surface of the field, vertices (n, 3) in mm.
+    field : callable
+        Distance field: points (n, 3), in mm, to values (n,), in mm.
+    rounds : int
+        Number of smoothing rounds.
+    select_movable : callable or None
+        Maps vertices (n, 3) to booleans (n,): True where a vertex may move. None means that all may move.
+    tips : sequence of (3,) float64 array
+        Points of the field surface, in mm, that a coarse mesh would cut off. The mesh gets a vertex at each of them.
+
+    Returns
+    -------
+    Mesh
+        The smoothed mesh. The original vertices keep their order; new ones follow.
+    """
+    all_places, all_faces = np.array(mesh.vertices), np.asarray(mesh.faces)
+    may_move = np.ones(len(all_places), np.bool_) if select_movable is None else select_movable(all_places)
+    # Inverted faces at the border need space beyond it to be flattened. The rest, most of a bone, stays untouched.
+    with_border = dilate_rings(may_move, all_faces, _BORDER_RINGS)
+    touched = with_border[all_faces].any(axis=1)
+    used, numbers = np.unique(all_faces[touched], return_inverse=True)
+    places, free = all_places[used], may_move[used]
+    faces: Indices = numbers.reshape(-1, 3).astype(np.int64)
+    neighbour_mean_matrix = build_neighbour_averaging(faces, len(places))[free]
+    places[free] = project_to_surface(places[free], field, None, 5)
+    for _ in range(rounds):
+        places[free] = project_to_surface((places[free] + neighbour_mean_matrix @ places) / 2, field, None, 2)
+    places, faces = _fix_inverted_faces(places, faces, with_border[used], field, free)
+    places, faces = _insert_tips(places, faces, field, tips)
+    all_places[used] = places[: len(used)]
+    added = np.arange(len(places) - len(used)) + len(all_places)
+    number = np.concatenate((used, added))
+    faces = np.vstack((all_faces[~touched], number[faces]))
+    return Mesh(np.vstack((all_places, places[len(used) :])), faces)
+
+
+def build_neighbour_averaging(faces: Indices, count: int) -> csr_array:
+    """Build the sparse matrix that averages vertex values over the neighbours of each vertex.
+
+    Parameters
+    ----------
+    faces : (m, 3) int array, vertex numbers
+        Triangles.
+    count : int
+        Number of vertices.
+
+    Returns
+    -------
+    (count, count) csr_array
+        Multiplied by values at the vertices, it gives the mean over the vertices that share an edge with each.
+    """
+    ends = np.vstack((faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]))
+    beside = coo_array((np.ones(len(ends)), ends.T), shape=(count, count)).tocsr()
+    return csr_array(diags_array(1.0 / beside.sum(axis=1)) @ beside)
+
+
+def _insert_tips(places: Array, faces: Indices, field: ScalarField, tips: Sequence[Array]) -> tuple[Array, Indices]:
+    """Insert tips of the field surface that the mesh cuts off, and return the new vertices and faces.
+
+    Edges near these tips are split first. The triangle below each tip then gets a vertex at the tip.
+    """
+    tips = [tip for tip in tips if _find_nearest_face(places, faces, tip)[1] >= _CUT_MM]
+    if tips:
+
+        def about(points: Array) -> NDArray[np.bool_]:
+            return np.asarray(np.any([_is_near_tip(tip, points) for tip in tips], axis=0))
+
+        places, faces = _split_edges_off_surface(places, faces, field, _TIP_TOLERANCE_MM, _TIP_SPLITS, about)
+    for tip in tips:
+        below, away = _find_nearest_face(places, faces, tip)
+        if away >= _CUT_MM:
+            one, two, three = faces[below]
+            new = len(places)
+            pieces = [[one, two, new], [two, three, new], [three, one, new]]
+            places, faces = np.vstack((places, tip)), np.vstack((np.delete(faces, below, axis=0), pieces))
+    return places, faces
+
+
+def _find_nearest_face(places: Array, faces: Indices, tip: Array) -> tuple[int, float]:
+    """Find the triangle nearest to a tip (3,), and return its number and its distance in mm."""
+    one, two, three = places[faces.T]
+    about = np.flatnonzero(_is_near_tip(tip, (one + two + three) / 3))
+    away = _compute_triangle_distances_mm(places[faces[about]], tip)
+    return int(about[away.argmin()]), float(away.min())
+
+
+def _compute_triangle_distances_mm(triangles: Array, point: Array) -> Array:
+    """Compute the distances (n,) of a point (3,) from triangles (n, 3, 3), mm."""
+    # trimesh offers this too, but importing it takes a quarter of a second.
+    sides, away = np.roll(triangles, -1, axis=1) - triangles, point - triangles
+    along = np.clip((away * sides).sum(axis=2) / np.maximum((sides**2).sum(axis=2), 1e-300), 0.0, 1.0)
+    beside = np.sqrt(((away - along[..., None] * sides) ** 2).sum(axis=2)).min(axis=1)
+    normals = np.cross(sides[:, 0], sides[:, 1])
+    above = ((np.cross(sides, away) * normals[:, None]).sum(axis=2) > 0).all(axis=1)
+    height = np.abs((away[:, 0] * normals).sum(axis=1)) / np.maximum(lengths(normals), 1e-300)
+    return np.where(above, height, beside)
+
+
+def _is_near_tip(tip: Array, points: Array) -> NDArray[np.bool_]:
+    """Select the points (n, 3) within 4 mm of a tip (3,)."""
+    return np.asarray(squared_lengths(points - tip) < _TIP_MM**2)
+
+
+def _fix_inverted_faces(
+    places: Array,
+    faces: Indices,
+    movable: NDArray[np.bool_],
+    field: ScalarField,
+    has_moved: NDArray[np.bool_] | None = None,
+) -> tuple[Array, Indices]:
+    """Flatten faces that point inwards, by flipping edges of slivers and by smoothing around the remaining ones.
+
+    Edge flips come first. Each attempt then smooths a patch around the inverted faces and widens it turn by turn. A
+    narrow patch around a tip would leave no space to move. The vertices with the fewest inverted faces are kept, and
+    the next attempt starts from them with a wider patch. Edge flips come last too. `movable` (n,) marks vertices that
+    may move. `has_moved` (n,) marks those whose faces may be inverted; None means the movable ones.
+    """
+    best, faces, fewest, used = _repair_slivers(places, faces, movable, field, has_moved)
+    if not len(fewest):
+        return best, faces
+    neighbour_mean_matrix = build_neighbour_averaging(faces, len(places))
+    for rings in range(1, 1 + _STARTS):
+        laid, folded = best.copy(), fewest
+        for turn in range(_TURNS):
+            if not len(folded):
+                return best, faces
+            around = np.zeros(len(places), np.bool_)
+            around[folded] = True
+            around = movable & dilate_rings(around, faces, rings + turn)
+            laid[around] = _relax_around_fold(laid, around, neighbour_mean_matrix[around], field)
+            suspect = used[around[used].any(axis=1)]  # all other faces are known to point outwards and have not moved
+            folded = suspect[_is_facing_inwards(laid[suspect], field)]
+            if len(folded) < len(fewest):
+                best, fewest = laid.copy(), folded
+    return _repair_slivers(best, faces, movable, field)[:2]
+
+
+def _repair_slivers(
+    places: Array,
+    faces: Indices,
+    movable: NDArray[np.bool_],
+    field: ScalarField,
+    has_moved: NDArray[np.bool_] | None = None,
+) -> tuple[Array, Indices, Indices, Indices]:
+    """Flip edges of inverted slivers; return vertices, faces, faces still inverted and all candidate faces.
+
+    The last two hold only faces with a movable corner.
+    """
+    used = _select_movable_faces(places, faces, movable)
+    suspect = used if has_moved is None else used[has_moved[used].any(axis=1)]
+    folded = suspect[_is_facing_inwards(places[suspect], field)]
+    if not len(folded):
+        return places, faces, folded, used
+    faces, folded = _flip_edges(places, faces, folded, field)
+    # A corner shared by only three triangles moves to the mean of their other corners, where none can be inverted.
+    lonely = [corner for corner in np.unique(folded) if movable[corner] and (faces == corner).sum() == 3]
+    places = places.copy()
+    for corner in lonely:
+        others = np.setdiff1d(faces[(faces == corner).any(axis=1)], corner)
+        places[corner] = project_to_surface(places[others].mean(axis=0, keepdims=True), field, None, 2)[0]
+    return (
+        places,
+        faces,
+        folded[_is_facing_inwards(places[folded], field)],
+        _select_movable_faces(places, faces, movable),
+    )
+
+
+def _select_movable_faces(places: Array, faces: Indices, movable: NDArray[np.bool_]) -> Indices:
+    """Select the faces with a movable corner, except those on the part of the shaft that is cut off."""
+    return faces[movable[faces].any(axis=1) & (np.abs(places[faces, 2]) < _USED_MM).all(axis=1)]
+
+
+def _flip_edges(places: Array, faces: Indices, folded: Indices, field: ScalarField) -> tuple[Indices, Indices]:
+    """Flip edges between inverted faces (k, 3) and their neighbours where the new pair points outwards.
+
+    Returns all faces and those that stay inverted.
+    """
+    all_faces, mended = faces.copy(), np.zeros(len(folded), np.bool_)
+    # Every face that matters here shares a corner with an inverted one.
+    touched = np.zeros(len(places), np.bool_)
+    touched[folded] = True
+    about = touched[faces].any(axis=1)
+    faces = faces[about]
+    for number, corners in enumerate(folded):
+        still = np.flatnonzero((faces == corners).all(axis=1))
+        mended[number] = not len(still)  # already changed, as the neighbour of another inverted face
+        if mended[number]:
+            continue
+        mine = int(still[0])
+        for turn in range(3):
+            one, two, mine_far = np.roll(corners, -turn)
+            both = np.flatnonzero((faces == one).any(axis=1) & (faces == two).any(axis=1))
+            if len(both) < 2:
+                continue  # an edge at the border of the selected faces
+            across = int(both[both != mine][0])
+            its_far = next(corner for corner in faces[across] if corner not in (one, two))
+            pair = np.array([[one, its_far, mine_far], [its_far, two, mine_far]])
+            joined = ((faces == its_far).any(axis=1) & (faces == mine_far).any(axis=1)).any()
+            if not joined and not _is_facing_inwards(places[pair], field).any():
+                faces[[mine, across]], mended[number] = pair, True
+                break
+    all_faces[about] = faces
+    return all_faces, folded[~mended]
+
+
+def _relax_around_fold(
+    places: Array, around: NDArray[np.bool_], neighbour_mean_matrix: csr_array, field: ScalarField
+) -> Array:
+    """Distribute the selected vertices evenly over the field surface and return their positions, mm."""
+    laid = places.copy()
+    for _ in range(_FLATTENINGS):
+        laid[around] = project_to_surface(neighbour_mean_matrix @ laid, field, None, 1)
+    return project_to_surface(laid[around], field, None, 5)
+
+
+def _is_facing_inwards(triangles: Array, field: ScalarField) -> NDArray[np.bool_]:
+    """Test which triangles (n, 3, 3) have a vertex order that points inwards, against the field gradient."""
+    one, two, three = (triangles[:, k] for k in range(3))
+    _, outward = evaluate_with_gradient(field, (one + two + three) / 3)
+    return np.asarray((np.cross(two - one, three - one) * outward).sum(axis=1) <= 0)
+
+
+def refine_to_tolerance(solid: Manifold, field: ScalarField, tolerance_mm: float, rounds: int) -> Manifold:
+    """Split the edges of a solid whose midpoints are farther from a field surface than a tolerance.
+
+    Parameters
+    ----------
+    solid : Manifold
+        Solid whose vertices are on the surface of the field.
+    field : callable
+        Distance field: points (n, 3), in mm, to values (n,), in mm.
+    tolerance_mm : float
+        Maximum distance of an edge midpoint from the surface, in mm.
+    rounds : int
+        Maximum number of rounds of splitting.
+
+    Returns
+    -------
+    Manifold
+        The refined solid.
+
+    Raises
+    ------
+    InputError
+        The refined mesh is not a valid solid.
+    """
+    mesh = extract_mesh(solid)
+    places, faces = np.array(mesh.vertices), np.asarray(mesh.faces)
+    places, faces = _split_edges_off_surface(places, faces, field, tolerance_mm, rounds)
+    places, faces = _fix_inverted_faces(places, faces, np.ones(len(places), np.bool_), field)
+    return build_solid(places, faces, "refined bone")
+
+
+def _split_edges_off_surface(
+    places: Array,
+    faces: Indices,
+    field: ScalarField,
+    tolerance_mm: float,
+    rounds: int,
+    select_vertices: VertexSelector | None = None,
+) -> tuple[Array, Indices]:
+    """Split edges with midpoints too far from the field surface, and return vertices and faces.
+
+    `select_vertices` maps vertices (n, 3) to booleans (n,). Only edges with both ends selected are split; None selects
+    all vertices.
+    """
+
+    def off(places: Array, edges: Indices) -> tuple[Indices, Array]:
+        middles = places[edges].mean(axis=1)
+        settled = project_to_surface(middles, field, None, 3)
+        away = np.linalg.norm(settled - middles, axis=1) > tolerance_mm
+        return edges[away], settled[away]
+
+    return split_selected_edges(places, faces, rounds, off, select_vertices)

@@ -1,0 +1,1 @@
+"""Projected outlines of femur and tibia: contour landmarks and the joint space between both contours."""

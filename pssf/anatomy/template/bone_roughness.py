@@ -1,0 +1,119 @@
+"""Local displacements of the bone surface: roughness and growth.
+
+Roughness adds ridges and pits where the bone bears no cartilage; they give faint lines on radiographs. It also adds
+variation of shape that is too fine for the shape modes.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.checks import Array
+from ...data.anatomy.bone_tables import GrowthZone, RoughnessZone
+from ..meshing.wave_noise import compute_wave_noise
+
+# Largest displacement, in standard deviations (values beyond it are clipped).
+_MAX_SD = 2.0
+
+
+class Seeds(NamedTuple):
+    """Seeds of the roughness of one knee.
+
+    Attributes
+    ----------
+    texture : int
+        Seed of the surface texture.
+    form : int
+        Seed of the variation of shape that the shape modes do not resolve.
+    """
+
+    texture: int
+    form: int
+
+
+# Seeds of a bone without roughness zones.
+NO_SEEDS = Seeds(0, 0)
+
+
+def compute_roughness_mm(points: Array, zones: tuple[RoughnessZone, ...], seeds: Seeds, shaft_sign: int) -> Array:
+    """Compute the displacement of bone points by surface roughness.
+
+    Parameters
+    ----------
+    points : (n, 3) float64 array, mm
+        Points of the template bone.
+    zones : tuple of RoughnessZone
+        Zones with a rough surface.
+    seeds : Seeds
+        Seeds of the knee.
+    shaft_sign : int
+        +1 for the femur, -1 for the tibia.
+
+    Returns
+    -------
+    (n, 3) float64 array
+        Displacement in mm; 0 outside the zones, rising smoothly towards the centre of each zone.
+    """
+    moves = np.zeros_like(points)
+    for number, zone in enumerate(zones):
+        within = 1.0 - _compute_squared_zone_distance(points, zone)
+        some = np.flatnonzero(within > 0)
+        if not len(some):
+            continue
+        seed = getattr(seeds, zone.seed_stream)
+        waves = compute_wave_noise(points[some], zone.lengths_mm, seed, (102, shaft_sign + 1, number)).clip(
+            -_MAX_SD, _MAX_SD
+        )
+        moves[some] += (zone.sd_mm * within[some] ** 2 * waves)[:, None] * np.array(zone.direction)
+    return moves
+
+
+def compute_growth_mm(points: Array, zones: tuple[GrowthZone, ...], bone_growth_mm: float) -> Array:
+    """Compute the displacement of bone points by bone growth.
+
+    Parameters
+    ----------
+    points : (n, 3) float64 array, mm
+        Points of the template bone.
+    zones : tuple of GrowthZone
+        Zones in which bone grows.
+    bone_growth_mm : float
+        Amount of growth, in mm.
+
+    Returns
+    -------
+    (n, 3) float64 array
+        Displacement in mm; 0 outside the zones.
+    """
+    moves = np.zeros_like(points)
+    for zone in zones if bone_growth_mm else ():
+        within = np.maximum(1.0 - _compute_squared_zone_distance(points, zone), 0.0)
+        moves += (bone_growth_mm * within**2)[:, None] * np.array(zone.direction)
+    return moves
+
+
+def is_in_zones(points: Array, zones: tuple[RoughnessZone, ...]) -> NDArray[np.bool_]:
+    """Test which points of the template bone are inside a roughness zone.
+
+    Parameters
+    ----------
+    points : (n, 3) float64 array, mm
+        Points of the template bone.
+    zones : tuple of RoughnessZone
+        Zones with a rough surface.
+
+    Returns
+    -------
+    (n,) bool array
+        True where roughness may displace the point.
+    """
+    return np.any(
+        [_compute_squared_zone_distance(points, zone) < 1 for zone in zones] or [np.zeros(len(points), bool)], axis=0
+    )
+
+
+def _compute_squared_zone_distance(points: Array, zone: RoughnessZone | GrowthZone) -> Array:
+    """Compute the squared distance (n,) from the centre of a zone, relative to its edge: 1 on the edge."""
+    x, y, z = (((points[:, axis] - zone.centre[axis]) / zone.half[axis]) ** 2 for axis in range(3))
+    return np.asarray(x + y + z)

@@ -1,0 +1,39 @@
+"""Variation of cortical thickness along a bone of one person, around its mean thickness."""
+
+import numpy as np
+
+from ...core.checks import Array
+from ...data.anatomy.bone_tables import CorticalThicknessVariation
+from ..meshing.wave_noise import compute_wave_noise
+
+# Values beyond this number of standard deviations are clipped.
+MAX_SD = 2.0
+
+
+def compute_thickness_factor(
+    points: Array, thickness_mm: Array, table: CorticalThicknessVariation, seed: int, bone: str
+) -> Array:
+    """Compute the local thickness of the cortex relative to its mean at the same point.
+
+    Parameters
+    ----------
+    points : (n, 3) float64 array, mm
+        Points of the template bone.
+    thickness_mm : (n,) float64 array
+        Mean thickness at these points, in mm. The relative variation is larger where the cortex is thin.
+    table : CorticalThicknessVariation
+        Size and wavelengths of the variation, and the smallest thickness.
+    seed : int
+        Texture seed of the knee.
+    bone : str
+        Name of the bone; every bone of a knee has its own variation.
+
+    Returns
+    -------
+    (n,) float64 array
+        Factor on the mean thickness, dimensionless; the same for the same seed and bone.
+    """
+    lengths_mm = (table.shortest_mm, table.longest_mm)
+    waves = compute_wave_noise(points, lengths_mm, seed, (101, *bone.encode())).clip(-MAX_SD, MAX_SD)
+    share = 1 + table.sd * np.minimum(1.0, table.thin_mm / thickness_mm) * waves
+    return np.asarray(np.maximum(share, np.minimum(1.0, table.least_mm / thickness_mm)))

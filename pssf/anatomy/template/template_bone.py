@@ -1,0 +1,387 @@
+"""Template bones: mean femur and tibia as distance fields and as meshed solids."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import TypeVar
+
+import numpy as np
+from manifold3d import Manifold
+
+from ...core.checks import Array
+from ...data.anatomy.bone_tables import FemurShape, RoughnessZone, TibiaShape
+from ...data.anatomy.shape_table import ShapeModel
+from ...data.array_cache import (
+    Arrays,
+    CacheKey,
+    load_or_make_arrays,
+    save_to_package,
+)
+from ...data.table_records import encode_records
+from ...geometry.freeform_deformation import displace_points, replace_displacements
+from ...geometry.mesh import Indices, Mesh
+from ..meshing.implicit_shapes import ScalarField, lengths, project_to_surface
+from ..meshing.remesh import mesh_bone
+from ..meshing.solids import (
+    build_solid,
+    extract_mesh,
+    require_valid_solid,
+    split_selected_edges,
+)
+from .bone_form import BoneShapeModel, build_shape_model
+from .bone_roughness import is_in_zones
+
+# Source files that determine the solids, apart from the tables; part of the cache key.
+SOURCES = (
+    *(f"anatomy/meshing/{name}.py" for name in ("implicit_shapes", "remesh", "solids", "wave_noise")),
+    *(f"anatomy/template/{name}.py" for name in ("bone_form", "bone_roughness", "template_bone")),
+    *(f"anatomy/template/{name}.py" for name in ("template_femur", "template_tibia")),
+    *("geometry/freeform_deformation.py", "geometry/mesh.py"),
+)
+# Libraries whose versions are part of the cache key.
+_LIBRARIES = ("manifold3d", "numpy", "scipy")
+# Vertices are stored as multiples of this grid, mm: far finer than needed, compact, and the same on all machines.
+_GRID_MM = 2.0**-20
+# Meshing tolerance of inner surfaces, mm; it is coarser, because trabeculae blur the edge of the cortex.
+_INNER_TOLERANCE_MM = 0.03
+# Depths along the inward paths of the vertices, mm; the last one exceeds the thickest cortex.
+_DEPTHS_MM = (0.0, 0.5, 1.0, 1.75, 2.75, 4.0, 5.5, 7.5)
+# Newton iterations from one depth to the next.
+_STEPS = 4
+# Largest number of iterations until depth and thickness at that depth agree.
+_TURNS = 12
+# Depth and thickness agree if the last step was smaller than this, mm.
+_SETTLED_MM = 0.005
+# An edge is split if deformation would move its midpoint off the edge by more than this, mm.
+_BENT_MM = 0.05
+# Largest number of rounds of splitting.
+_SPLITS = 5
+# Distance from the mean shape for which edges are made short enough, in standard deviations.
+_FAR_SD = 2.0
+# Longest edge in a roughness zone, mm: a quarter of the shortest wavelength.
+_ROUGH_EDGE_MM = 2.0
+
+
+BoneShapeT = TypeVar("BoneShapeT", FemurShape, TibiaShape)
+# Maps points (n, 3), in mm, relative cortex and relative plate thickness to the thickness of the shell (n,), in mm.
+ShellThickness = Callable[[Array, float, float | Array], Array]
+# Maps points (n, 3), in mm, and thickness (n,), in mm, to a local factor on the thickness (n,).
+ThicknessFactor = Callable[[Array, Array], Array]
+
+
+@dataclass(frozen=True)
+class SubchondralPlates:
+    """Thickness of the subchondral bone plates relative to the template, by side.
+
+    Parameters
+    ----------
+    medial : float
+        Relative thickness on the medial side, dimensionless.
+    lateral : float
+        Relative thickness on the lateral side, dimensionless.
+    middle_mm : float
+        Width of the transition between both sides, in mm.
+    """
+
+    medial: float
+    lateral: float
+    middle_mm: float
+
+    def interpolate(self, points: Array) -> Array:
+        """Interpolate the relative plate thickness between the two sides.
+
+        Parameters
+        ----------
+        points : (n, 3) float64 array, mm
+            Points in the frame of the bone.
+
+        Returns
+        -------
+        (n,) float64 array
+            Thickness relative to the template, dimensionless.
+        """
+        x = points[:, 0]
+        return self.lateral + (self.medial - self.lateral) * (1 + x / np.hypot(x, self.middle_mm)) / 2
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TemplateBone:
+    """Template femur or tibia: a bone with a straight shaft at template size, in its own frame.
+
+    Attributes
+    ----------
+    name : str
+        Name of the bone.
+    field : callable
+        Approximate signed distance from the outer surface: points (n, 3), in mm, to values (n,), in mm, negative
+        inside.
+    shell_thickness_mm : callable
+        Thickness (n,) of cortex or subchondral bone plate, in mm. Its arguments are points (n, 3), in mm, relative
+        thickness of the cortex and relative thickness of the plate (number or (n,)).
+    build_csg_solid : callable
+        Builds the same bone as a Boolean combination of parts, with hard creases.
+    edge_mm : float
+        Longest edge of the mesh away from the shaft, in mm.
+    tolerance_mm : float
+        Largest distance of edge midpoints from the surface of the field, in mm.
+    shape_model : BoneShapeModel
+        Shape model of the bone; edges are short enough for its deformations.
+    roughness_zones : tuple of RoughnessZone
+        Zones with a rough surface; edges are short enough for their roughness.
+    tables : bytes
+        All tables that determine the bone, encoded for the cache key.
+    """
+
+    name: str
+    field: ScalarField
+    shell_thickness_mm: ShellThickness
+    build_csg_solid: Callable[[], Manifold]
+    edge_mm: float
+    tolerance_mm: float
+    shape_model: BoneShapeModel
+    roughness_zones: tuple[RoughnessZone, ...]
+    tables: bytes
+
+    @property
+    def outer(self) -> Manifold:
+        """Outer solid."""
+        return self._stored_parts[0]
+
+    def compute_depth_mm(
+        self, cortex: float, plates: SubchondralPlates, uneven: ThicknessFactor | None = None
+    ) -> Array:
+        """Compute the thickness of cortex and subchondral bone plate along the inward paths of the coarse surface.
+
+        Parameters
+        ----------
+        cortex : float
+            Thickness of the cortex relative to the template, dimensionless.
+        plates : SubchondralPlates
+            Thickness of the subchondral bone plates relative to the template.
+        uneven : callable or None
+            Local factor on the thickness: points (n, 3), in mm, and thickness (n,), in mm, to factors (n,). None means
+            1 everywhere.
+
+        Returns
+        -------
+        (n,) float64 array
+            Thickness at each vertex of the coarse surface, in mm.
+        """
+        _, _, ways = self._stored_parts
+        plate = plates.interpolate(ways[0])
+        depth = self.shell_thickness_mm(ways[0], cortex, plate)
+        share = np.ones(len(depth)) if uneven is None else uneven(ways[0], depth)
+        depth *= share
+        # The thickness is defined at the inner side of the shell, so depth and thickness are iterated until they agree.
+        # Half steps converge even for thick plates with steep ends.
+        unsettled = np.arange(len(depth))
+        for _ in range(_TURNS):
+            there = self.shell_thickness_mm(
+                _interpolate_at_depth(ways[:, unsettled], depth[unsettled]), cortex, plate[unsettled]
+            )
+            step = (share[unsettled] * there - depth[unsettled]) / 2
+            depth[unsettled] += step
+            unsettled = unsettled[np.abs(step) > _SETTLED_MM]
+        return depth
+
+    def build_inner_mesh(self, depth_mm: Array) -> Mesh:
+        """Build the inner surface of cortex and plate by moving the coarse outer surface along its inward paths.
+
+        Parameters
+        ----------
+        depth_mm : (n,) float64 array
+            Depth of each vertex, in mm, as `compute_depth_mm` returns it.
+
+        Returns
+        -------
+        Mesh
+            Inner surface at template size.
+        """
+        _, faces, ways = self._stored_parts
+        return Mesh(_interpolate_at_depth(ways, depth_mm), faces)
+
+    def prepare(self) -> None:
+        """Build the solids now or read them from the cache, unless this has been done."""
+        _ = self._stored_parts
+
+    def mesh_to_tolerance(self, tolerance_mm: float) -> Manifold:
+        """Mesh the outer solid with another tolerance, without the cache.
+
+        Parameters
+        ----------
+        tolerance_mm : float
+            Largest distance of edge midpoints from the surface of the field, in mm.
+
+        Returns
+        -------
+        Manifold
+            Outer solid.
+
+        Raises
+        ------
+        InputError
+            The mesh is not a valid solid.
+        """
+        return require_valid_solid(
+            mesh_bone(self.build_csg_solid(), self.field, self.edge_mm, (tolerance_mm,))[0], self.name
+        )
+
+    @property
+    def origin(self) -> CacheKey:
+        """Cache key of the solids."""
+        return CacheKey(sources=SOURCES, libraries=_LIBRARIES, facts=self.tables)
+
+    def write_to_package(self) -> None:
+        """Build the solids and store them in the package, so that users need not wait for them."""
+        save_to_package(self.name, self.origin, self.make_arrays())
+
+    @cached_property
+    def _stored_parts(self) -> tuple[Manifold, Indices, Array]:
+        """Outer solid, faces (m, 3) of a coarser surface, and inward paths (depths, n, 3) of its vertices, mm."""
+        arrays = load_or_make_arrays(self.name, self.origin, self.make_arrays)
+        ways = np.cumsum(arrays["steps"], axis=0) * _GRID_MM
+        return build_solid(arrays["points"] * _GRID_MM, arrays["faces"], self.name), arrays["inner_faces"], ways
+
+    def make_arrays(self) -> Arrays:
+        """Build the solids without the cache, as integer arrays.
+
+        Returns
+        -------
+        dict of str to int32 array
+            "points" and "faces" of the outer solid, "inner_faces" of the coarser surface, and "steps" (depths, n, 3)
+            along the inward paths of its vertices. Coordinates are multiples of 2**-20 mm.
+        """
+        solids = mesh_bone(self.build_csg_solid(), self.field, self.edge_mm, (self.tolerance_mm, _INNER_TOLERANCE_MM))
+        outer, coarser = (
+            extract_mesh(
+                refine_for_deformation(require_valid_solid(solid, self.name), self.shape_model, self.roughness_zones)
+            )
+            for solid in solids
+        )
+        ways = [coarser.vertices]
+        for depth in _DEPTHS_MM[1:]:
+            ways.append(project_to_surface(ways[-1], self.field, partial(_repeat_depth, depth), _STEPS))
+        steps = np.diff(_round_to_grid(np.array(ways)), axis=0, prepend=0)
+        places = {"points": _round_to_grid(outer.vertices), "steps": steps}
+        faces = {"faces": outer.faces, "inner_faces": coarser.faces}
+        return {name: values.astype(np.int32) for name, values in (places | faces).items()}
+
+
+def make_template_bone(
+    name: str,
+    shape: BoneShapeT,
+    field: ScalarField,
+    shell_thickness_mm: Callable[[BoneShapeT, Array, float, float | Array], Array],
+    build_csg_solid: Callable[[BoneShapeT], Manifold],
+    forms: ShapeModel,
+) -> TemplateBone:
+    """Make a template bone from its shape table.
+
+    Parameters
+    ----------
+    name : str
+        Name of the bone.
+    shape : FemurShape or TibiaShape
+        Shape table of the bone.
+    field : callable
+        Approximate signed distance from the outer surface: points (n, 3), in mm, to values (n,), in mm.
+    shell_thickness_mm : callable
+        As in `TemplateBone`, with the shape table as an additional first argument.
+    build_csg_solid : callable
+        As in `TemplateBone`, with the shape table as its argument.
+    forms : ShapeModel
+        Shape model; edges are made short enough for its deformations.
+
+    Returns
+    -------
+    TemplateBone
+        The template bone. Its solids are built or read when they are first used.
+    """
+    return TemplateBone(
+        name=name,
+        field=field,
+        shell_thickness_mm=partial(shell_thickness_mm, shape),
+        build_csg_solid=partial(build_csg_solid, shape),
+        edge_mm=shape.edge_mm,
+        tolerance_mm=shape.tolerance_mm,
+        shape_model=build_shape_model(forms).bones[name],
+        roughness_zones=shape.roughness_zones,
+        tables=encode_records(shape, getattr(forms.lattices, name), forms.modes),
+    )
+
+
+def _round_to_grid(places: Array) -> Indices:
+    """Convert coordinates in mm to multiples of the storage grid."""
+    return np.round(places / _GRID_MM).astype(np.int64)
+
+
+def _repeat_depth(depth_mm: float, points: Array) -> Array:
+    """Return the same depth (n,), mm, for all points (n, 3)."""
+    return np.full(len(points), depth_mm)
+
+
+def _interpolate_at_depth(inward_paths: Array, depth_mm: Array) -> Array:
+    """Interpolate positions (n, 3) at depths (n,), mm, along inward paths (depths, n, 3).
+
+    The paths are nearly straight between two stored depths.
+    """
+    depths = np.array(_DEPTHS_MM)
+    level = np.clip(np.searchsorted(depths, depth_mm) - 1, 0, len(depths) - 2)
+    share = (depth_mm - depths[level]) / (depths[level + 1] - depths[level])
+    each = np.arange(len(depth_mm))
+    return inward_paths[level, each] + share[:, None] * (inward_paths[level + 1, each] - inward_paths[level, each])
+
+
+def refine_for_deformation(
+    solid: Manifold, shape_model: BoneShapeModel, roughness_zones: tuple[RoughnessZone, ...] = ()
+) -> Manifold:
+    """Split the edges of a solid until they are short enough for the deformations of the shape model.
+
+    Parameters
+    ----------
+    solid : Manifold
+        Solid at template size.
+    shape_model : BoneShapeModel
+        Shape model of the bone.
+    roughness_zones : tuple of RoughnessZone
+        Zones with a rough surface.
+
+    Returns
+    -------
+    Manifold
+        The same solid with shorter edges.
+
+    Raises
+    ------
+    InputError
+        The refined mesh is not a valid solid.
+
+    Notes
+    -----
+    An edge is split if deformation would move its midpoint off the edge by more than 0.05 mm. Shapes up to two
+    standard deviations from the mean are considered. In roughness zones, edges longer than 2 mm are split too.
+    """
+    mesh = extract_mesh(solid)
+
+    def bent(places: Array, edges: Indices) -> tuple[Indices, Array]:
+        middles = places[edges].mean(axis=1)
+        off = _compute_sagitta_mm(places, edges, middles, shape_model) > _BENT_MM
+        off |= is_in_zones(middles, roughness_zones) & (lengths(np.diff(places[edges], axis=1)[:, 0]) > _ROUGH_EDGE_MM)
+        return edges[off], middles[off]
+
+    return build_solid(*split_selected_edges(mesh.vertices, mesh.faces, _SPLITS, bent), "bone refined for deformation")
+
+
+def _compute_sagitta_mm(places: Array, edges: Indices, middles: Array, shape_model: BoneShapeModel) -> Array:
+    """Compute how far deformation moves the midpoints of edges (n, 2) off the edges, mm.
+
+    The result (n,) is for shapes two standard deviations from the mean.
+    """
+
+    def bend(displacements_mm: Array) -> Array:
+        lattice = replace_displacements(shape_model.mean, displacements_mm)
+        ends = displace_points(places, lattice) - places
+        return lengths(displace_points(middles, lattice) - middles - ends[edges].mean(axis=1))
+
+    spread = np.sqrt(np.sum([bend(mode) ** 2 for mode in shape_model.modes_mm], axis=0))
+    return np.asarray(bend(shape_model.mean.displacements_mm) + _FAR_SD * spread)

@@ -1,0 +1,1 @@
+"""Trabecular bone: density of each bone, strut lattice and integrals of density along rays."""

@@ -1,0 +1,191 @@
+"""Density parameters: the smooth part of the trabecular density of one bone, as numbers for compiled code."""
+
+from typing import NamedTuple
+
+from ...data.table_records import Triple
+
+
+class DensityParameters(NamedTuple):
+    """Smooth part of the trabecular density of one bone, from `data/trabeculae.toml`.
+
+    Lengths that only occur as divisors are stored as inverses, because divisions are slow. Lengths are at template size
+    unless stated otherwise. Heights and depths are along z, and the midline is x = 0.
+
+    Attributes
+    ----------
+    shaft_direction : float
+        Direction of the shaft along z, +1 or -1; 0 without shaft.
+    bvtv : float
+        Bone volume fraction (BV/TV) in the epiphysis, dimensionless.
+    shaft : float
+        BV/TV far down the shaft, dimensionless.
+    fade_per_mm : float
+        Inverse of the depth at which BV/TV is halfway between both, in 1/mm.
+    medial : float
+        Relative rise of BV/TV towards the medial side, dimensionless.
+    middle_mm : float
+        Width of the transition between the medial and the lateral side, in mm.
+    load : float
+        Relative rise of BV/TV in the columns under the condyles, and fall between them, dimensionless.
+    column_mm : float
+        Distance of these columns from the midline, in mm.
+    column_per_mm : float
+        Inverse of the half width of the columns, in 1/mm.
+    margin_mm : float
+        Distance from the midline beyond which BV/TV falls, in mm.
+    margin_per_mm : float
+        Inverse of the distance beyond `margin_mm` at which half of the BV/TV is left, in 1/mm.
+    plate : float
+        Relative rise of BV/TV at the subchondral bone plate, dimensionless.
+    plate_per_mm : float
+        Inverse of the depth at which half of this rise is left, in 1/mm.
+    plate_struts : float
+        Fraction of this rise that consists of thicker struts.
+    plate_medial : float
+        Relative increase of this rise towards the medial side, dimensionless.
+    between : float
+        Fraction of this rise that is missing under the medial spine.
+    between_mm : float
+        Position of this reduction along x, in mm.
+    between_per_mm : float
+        Inverse of the distance at which a quarter of the reduction is left, in 1/mm.
+    struts : float
+        Relative rise of the strut contrast near the joint, dimensionless.
+    struts_per_mm : float
+        Inverse of the depth at which a quarter of this rise is left, in 1/mm.
+    hard_medial : float
+        Relative rise of BV/TV by sclerosis on the medial side, dimensionless.
+    hard_lateral : float
+        Relative rise of BV/TV by sclerosis on the lateral side, dimensionless.
+    hard_per_mm : float
+        Inverse of the depth at which a quarter of the rise by sclerosis is left, in 1/mm.
+    strut_convergence : float
+        Fraction by which struts converge far down the shaft.
+    strut_convergence_mm : float
+        Depth at which they have converged by half, in mm.
+    strut_flattening : float
+        Factor by which horizontal struts are closer together, and vertical struts farther apart, than in the lattice.
+    joint : (float, float, float)
+        Circle in the sagittal plane that approximates the joint surface: centre y, centre z and radius, in mm.
+    below : float
+        Height above the centre of this circle beyond which its surface continues straight up, in mm.
+    dips : three of (float, float, float)
+        Elevations of the joint surface along x: centre in mm, inverse of the half width in 1/mm, height in mm.
+    rim : float
+        Fraction of bone that is missing in the rim of the medial plateau.
+    rim_from_mm : float
+        Distance from the midline at which the rim begins, in mm.
+    rim_mm : float
+        Depth below the nominal joint surface at which the rim ends, in mm.
+    rim_per_mm : float
+        Inverse of the width of both transitions of the rim, in 1/mm.
+    gain : float
+        Contrast of the struts, from 0 (none) to 1 (no bone between them).
+    gain_load : float
+        Relative rise of the contrast in the columns under the condyles, dimensionless.
+    gain_shaft : float
+        Contrast far down the shaft, from 0 to 1.
+    scar_off_mm : float
+        Distance from the midline at which the physeal scar is strongest on either side, in mm.
+    scar_y : float
+        Centre of the dome of the scar along y, in mm.
+    scar_z : float
+        Height of the scar at its centre, in mm.
+    scar_phase : float
+        Phase of the ripple of the scar, in rad.
+    scar_slope : float
+        Slope of the scar towards medial, in mm per mm.
+    scar_bow_per_mm : float
+        Coefficient of x squared in the height of the scar, in 1/mm.
+    scar_dome_per_mm : float
+        Coefficient of the squared distance from `scar_y` in the height of the scar, in 1/mm.
+    scar_ripple_mm : float
+        Amplitude of the ripple, in mm.
+    scar_ripple_per_mm : float
+        Angular frequency of the ripple along x, in rad/mm.
+    scar_bvtv : float
+        BV/TV that the scar adds at most, dimensionless.
+    scar_lateral : float
+        Fraction of `scar_bvtv` on the lateral side.
+    scar_medial : float
+        Fraction of `scar_bvtv` on the medial side.
+    scar_per_mm : float
+        Inverse of the half thickness of the scar, in 1/mm.
+    scar_wide_per_mm : float
+        Inverse of the distance from its strongest point at which a quarter of the scar is left, in 1/mm.
+    sway_mm : float
+        Amplitude of the lateral waves of the struts, in mm at actual size.
+    sway_per_mm : float
+        Angular frequency of these waves along z, in rad/mm.
+    sway_across : float
+        Angular frequency along x as a fraction of that along z.
+    sway_phase : float
+        Phase of these waves, in rad.
+    scale : float
+        Size of the bone relative to the template, dimensionless.
+    per_scale : float
+        Inverse of `scale`.
+    marrow : float
+        Relative density without bone, dimensionless.
+    per_bvtv : float
+        Relative density that a BV/TV of 1 adds, dimensionless.
+    """
+
+    shaft_direction: float
+    bvtv: float
+    shaft: float
+    fade_per_mm: float
+    medial: float
+    middle_mm: float
+    load: float
+    column_mm: float
+    column_per_mm: float
+    margin_mm: float
+    margin_per_mm: float
+    plate: float
+    plate_per_mm: float
+    plate_struts: float
+    plate_medial: float
+    between: float
+    between_mm: float
+    between_per_mm: float
+    struts: float
+    struts_per_mm: float
+    hard_medial: float
+    hard_lateral: float
+    hard_per_mm: float
+    strut_convergence: float
+    strut_convergence_mm: float
+    strut_flattening: float
+    joint: Triple
+    below: float
+    dips: tuple[Triple, Triple, Triple]
+    rim: float
+    rim_from_mm: float
+    rim_mm: float
+    rim_per_mm: float
+    gain: float
+    gain_load: float
+    gain_shaft: float
+    scar_off_mm: float
+    scar_y: float
+    scar_z: float
+    scar_phase: float
+    scar_slope: float
+    scar_bow_per_mm: float
+    scar_dome_per_mm: float
+    scar_ripple_mm: float
+    scar_ripple_per_mm: float
+    scar_bvtv: float
+    scar_lateral: float
+    scar_medial: float
+    scar_per_mm: float
+    scar_wide_per_mm: float
+    sway_mm: float
+    sway_per_mm: float
+    sway_across: float
+    sway_phase: float
+    scale: float
+    per_scale: float
+    marrow: float
+    per_bvtv: float

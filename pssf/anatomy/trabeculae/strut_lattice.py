@@ -1,0 +1,131 @@
+"""Strut lattice: synthesise the trabecular struts of a knee as a periodic block by FFT, from a seed."""
+
+from functools import lru_cache
+from threading import Lock
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from ...data.anatomy.trabecular_table import StrutLattice
+
+VoxelBlock = NDArray[np.uint8]
+# Limit of the exponent: at this value the bone content is 0, and above 88 the exponential overflows.
+_EXPONENT_LIMIT = np.float32(80.0)
+# Planes that are processed together, so that float32 data stay small and in the processor cache.
+_PLANES_PER_CHUNK = 8
+# Largest deviation of a person from the median, in standard deviations (values beyond it are clipped).
+_MAX_SD = 2.0
+# Protects the cache, which holds only the last lattice.
+_LOCK = Lock()
+_CACHE: dict[tuple[int, StrutLattice], tuple[VoxelBlock, float]] = {}
+
+
+def make_strut_lattice(seed: int, table: StrutLattice) -> tuple[VoxelBlock, float]:
+    """Make the strut lattice of a knee, or return it if the last call had the same arguments.
+
+    Parameters
+    ----------
+    seed : int
+        Texture seed of the knee.
+    table : StrutLattice
+        Voxel size, power spectrum and threshold, from `data/trabeculae.toml`.
+
+    Returns
+    -------
+    block : (nx + 1, nz + 1, ny) uint8 array
+        Bone content of the voxels, from 0 (none) to 255 (solid), read-only and periodic. The first voxel in x and in z
+        is repeated after the last one, so every voxel has its neighbour at the same offset.
+    normalisation : float
+        Factor that makes the mean of the lattice 1.
+
+    Notes
+    -----
+    The lattice is a Gaussian random field with a soft threshold: bone where the field is high, nearly none elsewhere.
+    The y axis comes last in memory, because rays run approximately along it. Only the last lattice is kept.
+    """
+    with _LOCK:  # a second thread waits for the lattice of the first one
+        if (seed, table) not in _CACHE:
+            _CACHE.clear()
+            _CACHE[seed, table] = _synthesise_lattice(seed, table)
+        return _CACHE[seed, table]
+
+
+def sample_personal_factor(spread: float, rng: np.random.Generator) -> float:
+    """Sample the factor by which a person differs from the median, from a lognormal distribution.
+
+    Parameters
+    ----------
+    spread : float
+        Standard deviation of the logarithm of the factor.
+    rng : numpy.random.Generator
+        Random generator.
+
+    Returns
+    -------
+    float
+        Factor, dimensionless. Deviations are limited to two standard deviations.
+    """
+    return float(np.exp(spread * np.clip(rng.standard_normal(), -_MAX_SD, _MAX_SD)))
+
+
+def _synthesise_lattice(seed: int, table: StrutLattice) -> tuple[VoxelBlock, float]:
+    """Synthesise the block (nx + 1, nz + 1, ny) uint8 and the factor that makes its mean 1."""
+    nx, nz, ny = table.voxels
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
+    usual, spread = table.patches
+    share = usual * sample_personal_factor(spread, rng)
+    struts, patches = _compute_power_spectra(table)
+    amplitude = np.sqrt((1 - share) * struts + share * patches, dtype=np.float32)
+    waves = rng.standard_normal((nx, nz, 2 * amplitude.shape[2]), np.float32).view(np.complex64)
+    # The power is the same at f and -f; an FFT has negative frequencies in its second half, in reverse order.
+    across, up = (np.minimum(np.arange(n), n - np.arange(n)) for n in (nx, nz))
+    for i, wave in enumerate(waves):
+        wave *= amplitude[across[i], up]
+    waves = fft.ifft2(waves, axes=(0, 1), norm="forward", workers=2, overwrite_x=True)
+    block = np.empty((nx + 1, nz + 1, ny), np.uint8)
+    for i in range(0, nx, _PLANES_PER_CHUNK):
+        field = fft.irfft(waves[i : i + _PLANES_PER_CHUNK], ny, axis=2, norm="forward", workers=2)
+        field -= np.float32(table.threshold_sd)
+        field *= np.float32(-1 / table.softness)
+        np.minimum(field, _EXPONENT_LIMIT, out=field)
+        np.exp(field, out=field)
+        field += 1
+        block[i : i + _PLANES_PER_CHUNK, :nz] = np.rint(np.divide(255, field, out=field), out=field)
+    block[nx], block[:, nz] = block[0], block[:, 0]
+    block.setflags(write=False)
+    return block, 1 / float(block[:nx, :nz].mean())
+
+
+@lru_cache(maxsize=2)
+def _compute_power_spectra(table: StrutLattice) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Compute the power spectra of struts and of patches, each with variance 1.
+
+    Each has shape (nx / 2 + 1, nz / 2 + 1, waves along y) and holds only frequencies that are not negative.
+    """
+    steps = (np.fft.rfftfreq(n, d).astype(np.float32) for n, d in zip(table.voxels, table.voxel_mm, strict=True))
+    fx, fz, fy = np.meshgrid(*steps, indexing="ij", sparse=True)
+    fy = fy[..., : table.waves_y] * np.float32(table.stretch_y)
+    across, along = fx**2 + fy**2, np.float32(table.length_per_mm)
+    total = across + fz**2
+    up = np.exp(-(fz**2) / (2 * (along + table.angular_spread_rad * np.sqrt(across)) ** 2))
+    level = np.exp(-across / (2 * (along + table.angular_spread_rad * fz) ** 2))
+    power = (total + np.float32(table.low_per_mm) ** 2) ** np.float32(table.low_frequency_exponent / 2)
+    power /= 1 + (total / np.float32(table.high_per_mm) ** 2) ** np.float32(table.high_frequency_exponent / 2)
+    power *= table.vertical_power * up + table.horizontal_power * level + table.isotropic_power
+    # Dense and sparse patches have the same extent along x and y, and are taller along z.
+    tall, deep = np.float32(table.patch_aspect_ratio), np.float32(table.stretch_y)
+    patches = np.exp(-(fx**2 + (fz * tall) ** 2 + (fy / deep) ** 2) / (2 * table.patch_per_mm**2))
+    return _normalise_variance(power, table), _normalise_variance(patches, table)
+
+
+def _normalise_variance(power: NDArray[np.float32], table: StrutLattice) -> NDArray[np.float32]:
+    """Normalise a power spectrum (nx / 2 + 1, nz / 2 + 1, waves along y) in place to a field of variance 1."""
+    power[0, 0, 0] = 0
+    # Along x and z, each frequency counts once or twice, for both signs. Along y, the array has the half spectrum of a
+    # real transform. Half of its plane fy = 0 is read as the mirror image of the other half, so its power is doubled.
+    of = [np.where((np.arange(n // 2 + 1) == 0) | (np.arange(n // 2 + 1) == n // 2), 1, 2) for n in table.voxels[:2]]
+    held = np.einsum("i,j,ijk->k", *of, power, dtype=np.float64) * np.where(np.arange(power.shape[2]), 4, 2)
+    power /= np.float32(held.sum())
+    power[..., 0] *= 2
+    return power

@@ -1,0 +1,63 @@
+"""Command `features`: radiomic features of images of the user."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .shared_options import Out, Processes
+
+
+def features(
+    folder: Annotated[Path, typer.Argument(help="Folder of images: PNG, JPEG, TIFF or DICOM of 8 to 16 bit.")],
+    *,
+    out: Out,
+    workers: Processes,
+    pixel_mm: Annotated[float, typer.Option(help="Pixel size in mm; 0: as each file gives it.")] = 0.0,
+    bins: Annotated[int, typer.Option(help="Number of grey-level bins of texture features.")] = 64,
+    families: Annotated[str, typer.Option(help="Families of features, separated by commas; all by default.")] = "",
+    backend: Annotated[
+        str,
+        typer.Option(
+            help="Library that measures features: pyradiomics or mirp; by default the first that is installed."
+        ),
+    ] = "",
+) -> None:
+    """Measure radiomic features of your own images and masks, without a model, and write features.csv.
+
+    The mask of X.png is X_mask.png beside it, or X (any suffix) in a folder masks inside or beside the folder. Pixels
+    that are not zero are measured. An image without a mask is measured completely.
+    """
+    from ..core.checks import InputError
+    from ..core.processes.execution import Execution
+    from ..core.progress_display import show_progress_bar
+    from ..io import study_results
+    from ..study import require_extra
+
+    require_extra()
+    from ..radiomics.features.feature_families import FAMILIES
+    from ..study.prediction.feature_folder import WHOLE_IMAGE, measure_folder
+
+    table = measure_folder(
+        folder,
+        Execution(workers=workers, progress_bar=show_progress_bar),
+        pixel_mm=pixel_mm or None,
+        bins=bins,
+        families=tuple(families.split(",")) if families else FAMILIES,
+        backend=backend or None,
+    )
+    for row in table.loc[table["status"] != "measured", ["file", "status"]].to_dict("records"):
+        print(f"pssf: {row['file']}: {row['status']}", file=sys.stderr)
+    measured = table[table["status"] == "measured"]
+    if measured.empty:
+        raise InputError(f"folder {folder} must have an image that can be measured, got none: see the lines above")
+    whole = int((measured["mask"] == WHOLE_IMAGE).sum())
+    if whole:
+        print(
+            f"pssf: {whole} of {len(measured)} images have no mask; the whole image is measured; add a mask X_mask.png",
+            file=sys.stderr,
+        )
+    path = out / "features.csv"
+    study_results.save_table(path, table)
+    print(f"table     {path}, {len(measured)} of {len(table)} rows measured")

@@ -1,0 +1,233 @@
+"""Commands that measure or list: validate, quality, compare-patients, separability, protocols, knees."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .shared_options import (
+    GradeTable,
+    Out,
+    Processes,
+    ProtocolName,
+    Readme,
+    Seed,
+    Workers,
+)
+
+
+def validate(
+    *,
+    out: Out,
+    tables: Annotated[
+        str,
+        typer.Option(
+            help="Names separated by commas, or all; an unknown name is rejected with a list of the known ones."
+        ),
+    ] = "all",
+    knees: Annotated[int, typer.Option(help="Number of knees in tables that sample knees.")] = 30,
+    workers: Workers = 2,
+    readme: Readme = None,
+) -> None:
+    """Measure numerical error and run time on this machine; write tables (CSV) and a figure."""
+    from ..core.checks import require_integer
+    from ..core.progress_display import show_status
+    from ..validation import DEFAULT_TABLES, run_validation
+
+    require_integer("knees", knees, 1, 100_000, "")
+    wanted = DEFAULT_TABLES if tables == "all" else tuple(name.strip() for name in tables.split(","))
+    with show_status("measuring") as shown:
+        paths = run_validation(out, workers=workers, tables=wanted, knees=knees, readme=readme, progress=shown)
+    for path in paths:
+        print(path)
+
+
+def quality(*, out: Out, protocol: ProtocolName = "reference", readme: Readme = None) -> None:
+    """Measure the image quality of a protocol and compare it with references: beam, MTF, NPS, DQE, exposure.
+
+    Writes tables (CSV) and a figure.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    from ..core.progress_display import show_status
+    from ..io.atomic_write import make_folder
+    from ..io.readme_tables import open_checkout
+    from ..model.protocol import load_protocol
+    from ..quality import measure_quality, write_quality
+
+    technique = load_protocol(protocol)
+    name = f"quality_{technique.name}"
+    checkout = open_checkout(readme, [name])
+    make_folder(out)
+    with show_status("measuring") as shown:
+        measured = measure_quality(technique, progress=shown)
+    table = Table("quantity", "value", "reference", "source")
+    for row in measured.rows:
+        known = f"{row['low']} to {row['high']}" if row["low"] != "" else str(row["reference"])
+        table.add_row(row["quantity"], row["value"], known, row["source"])
+    Console(width=None if sys.stdout.isatty() else 160).print(table)
+    paths = write_quality(measured, technique, out)
+    for path in [*paths, *checkout.update_tables({name: measured.rows}, paths)]:
+        print(path)
+
+
+def compare_patients(
+    *,
+    out: Out,
+    workers: Processes,
+    films: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of patient radiographs: folders 0 to 4 by grade, or a CSV; or such folders, one per source."
+        ),
+    ] = None,
+    bones: Annotated[
+        Path | None,
+        typer.Option(help="Bones of patients: an .npz, or folders femur, tibia and patella of meshes in mm."),
+    ] = None,
+    cohort: Annotated[
+        Path | None,
+        typer.Option(help="Folder that pssf cohort made; its radiographs under the protocol give the contours."),
+    ] = None,
+    protocol: ProtocolName = "reference",
+    knees: Annotated[int, typer.Option(help="Number of sampled knees, equal for all grades.")] = 200,
+    grade_table: GradeTable = "population",
+    seed: Seed = 0,
+    readme: Readme = None,
+) -> None:
+    """Compare simulated knees with bones, contours and radiographs of patients; write one page and tables (CSV).
+
+    A part is measured only if its data are given. Contours are always compared with published ones: joint gaps, plateau
+    and convergence by grade are in contours_sizes.csv. An interrupted run continues where it stopped.
+    """
+    from ..core.processes.execution import Execution
+    from ..core.progress_display import show_progress_bar
+    from ..io.readme_tables import open_checkout
+    from ..patient_comparison.comparison_run import (
+        README_GRADE_TABLE,
+        README_TABLES,
+        compare_with_patients,
+        select_readme_tables,
+    )
+    from ..study import require_extra
+
+    require_extra()
+    given = {"contours": True, "bones": bones is not None, "films": films is not None}
+    shown = select_readme_tables(
+        [name for part, names in README_TABLES.items() if given[part] for name in names], grade_table
+    )
+    checkout = open_checkout(
+        readme, shown, protocol=protocol, knees=knees, sample=_format_sample_options(cohort, protocol, knees)
+    )
+    execution = Execution(workers=workers, progress_bar=show_progress_bar)
+    measured = compare_with_patients(
+        out,
+        execution,
+        films=films,
+        bones_folder=bones,
+        cohort=cohort,
+        protocol=protocol,
+        knees=knees,
+        grade_table=grade_table,
+        seed=seed,
+    )
+    pictures = measured.paths if grade_table == README_GRADE_TABLE else []
+    checkout.update_tables({place: measured.rows.get(name, []) for place, name in shown.items()}, pictures)
+    for line in measured.summaries:
+        print(line)
+    print(f"page      {measured.page}")
+
+
+def _format_sample_options(cohort: Path | None, protocol: str, knees: int) -> str:
+    """Format the options for the source of the contours: a cohort, by folder name, or sampled knees."""
+    under = f"--protocol {protocol}"
+    return f"{under} --knees {knees}" if cohort is None else f"--cohort {cohort.resolve().name} {under}"
+
+
+def separability(
+    *,
+    out: Out,
+    grade_table: GradeTable = "population",
+    knees: Annotated[
+        int, typer.Option(help="Number of sampled knees, equal for all grades; fewer give a wider interval.")
+    ] = 30_000,
+    seed: Seed = 0,
+) -> None:
+    """Estimate how well the grades of a grade table can be separated at best, by JSW or by all knee parameters.
+
+    No image is made. A study of radiographs of such knees cannot separate grades better than the knee parameters do.
+    Those separate grades at least as well as the better of the two fits to them.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    from ..core.progress_display import show_status
+    from ..data.analysis.landmark_table import load_landmark_reference
+    from ..io.atomic_write import make_folder
+    from ..io.study_results import save_table
+    from ..model.sampling.knee_sampling import load_knee_distributions
+    from ..study import require_extra
+
+    require_extra()
+    from ..study.learn.grade_separability import estimate_separability
+
+    with show_status("sampling and fitting"):
+        measured = estimate_separability(
+            load_knee_distributions(grade_table), load_landmark_reference().gap_alone_auc, knees=knees, seed=seed
+        )
+    shown = Table("grades", "known", "how", "knees", "AUC", "95 %", "smaller gap on patient radiographs")
+    for row in measured.to_dict("records"):
+        people = "" if row["people"] != row["people"] else f"{row['people']:.2f}"
+        interval = f"{row['low']:.2f} to {row['high']:.2f}"
+        shown.add_row(row["grades"], row["known"], row["how"], str(row["knees"]), f"{row['auc']:.3f}", interval, people)
+    Console(width=None if sys.stdout.isatty() else 160).print(shown)
+    path = make_folder(out) / "separability.csv"
+    save_table(path, measured)
+    print(path)
+
+
+def protocols(
+    name: Annotated[str, typer.Argument(help="Name or path of a protocol whose values are shown.")] = "",
+) -> None:
+    """List the fields of a protocol with meaning, unit, allowed values, default and source of typical values."""
+    from ..data.data_files import list_protocols
+    from ..model.field_listing import list_fields
+    from ..model.protocol import load_protocol, protocol_to_dict
+
+    values = protocol_to_dict(load_protocol(name)) if name else {}
+    if not name:
+        _print_wrapped(f"protocols: {', '.join(list_protocols())}")
+    _print_fields([row | {"default": str(values.get(row["field"], row["default"]))} for row in list_fields("protocol")])
+
+
+def knees(
+    *,
+    template: Annotated[
+        bool, typer.Option("--template", help="Print a TOML file to fill in for --knee instead.")
+    ] = False,
+) -> None:
+    """List the fields of a knee with meaning, unit, allowed values, default and source of typical values."""
+    from ..model.field_listing import format_knee_template, list_fields
+
+    if template:
+        print(format_knee_template(), end="")
+        return
+    _print_fields(list_fields("knee"))
+
+
+def _print_fields(rows: "list[dict[str, str]]") -> None:
+    """Print fields one below the other, for terminals of any width."""
+    for row in rows:
+        unit = f" {row['unit']}" if row["unit"] else ""
+        shown = f" = {row['default']}{unit}" if row["default"] else unit
+        _print_wrapped(f"{row['field']}{shown}  [{row['allowed']}]")
+        _print_wrapped("; ".join(text for text in (row["what"], row["source"]) if text), "    ")
+
+
+def _print_wrapped(text: str, indent: str = "") -> None:
+    """Print a text with lines of at most 79 characters."""
+    from textwrap import fill
+
+    print(fill(text, 79, initial_indent=indent, subsequent_indent=indent or "    "))

@@ -1,0 +1,365 @@
+"""Shared options of commands, and their conversion to knees, protocols and scenes."""
+
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from ..geometry.scene import Scene
+    from ..model.knee import Knee
+    from ..model.protocol import Protocol
+
+
+def _count_cores() -> int:
+    """Return the number of cores that this process may use."""
+    from ..core.processes.parallel_map import count_cores
+
+    return count_cores()
+
+
+Out = Annotated[Path, typer.Option("--out", help="Folder for the results; created if it does not exist.")]
+Seed = Annotated[int, typer.Option(help="Seed of all random numbers; the same seed gives the same bytes.")]
+Grade = Annotated[
+    int, typer.Option(help="KL grade of the sampled knee: 0 to 4 in the grade table population, 0 to 2 in paper.")
+]
+KneeFile = Annotated[
+    Path | None, typer.Option("--knee", help="TOML file with the parameters of a knee, instead of a sampled one.")
+]
+ProtocolName = Annotated[str, typer.Option("--protocol", help="Name of a protocol, or path of a TOML file.")]
+Workers = Annotated[int, typer.Option(help="Number of processes or threads; it does not change the result.")]
+Processes = Annotated[
+    int,
+    typer.Option(
+        "--workers",
+        default_factory=_count_cores,
+        show_default="all cores that this process may use",
+        help="Number of processes on this machine, with one thread each; it does not change the result.",
+    ),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="tcp://HOST:PORT",
+        help="Dask scheduler whose workers make the radiographs, instead of processes on this machine. All workers "
+        "must see --out under the same path and have the same pssf (extra: cluster).",
+    ),
+]
+Engine = Annotated[str, typer.Option(help="Ray caster: embree or scanline; both agree, and scanline is faster.")]
+Readme = Annotated[
+    Path | None,
+    typer.Option("--readme", help="Source checkout whose READMEs receive the measured tables, between their markers."),
+]
+Preset = Annotated[
+    str,
+    typer.Option(
+        help="Cohort: quick (24 subjects, 0.7 GB), paper (180 subjects, 7 GB), population (250 subjects, KL 0 to 4) or "
+        "benchmark-1 (1,000 subjects; see pssf benchmark)."
+    ),
+]
+GradeTable = Annotated[
+    str,
+    typer.Option(
+        "--grade-table",
+        help="Table of grades that knees are sampled from: population (KL 0 to 4, which overlap as in patients), paper "
+        "(grades 0 to 2 by joint space), or the path of a .toml file.",
+    ),
+]
+
+
+Settings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="FIELD=VALUE",
+        help="New value for a field of the knee or the protocol, such as mas=2 or jsw_medial_mm=3; repeat it for "
+        "several fields. `pssf knees` and `pssf protocols` list the fields.",
+    ),
+]
+Matrix = Annotated[
+    int,
+    typer.Option(help="Pixels along the longer side of the detector; the field stays the same. 0: as in the protocol."),
+]
+KneeCounts = Annotated[
+    str,
+    typer.Option(
+        "--knees", help="Numbers of knees of each grade from 0 on, instead of the preset's, such as 10,10,10."
+    ),
+]
+Bilateral = Annotated[
+    int, typer.Option(help="Number of subjects with both knees; -1: as in the preset, or none with --knees.")
+]
+CohortGrades = Annotated[
+    str, typer.Option("--grade-table", help="Grade table, as for simulate, instead of the preset's.")
+]
+
+
+def cohort_overrides(
+    knees: str,
+    bilateral: int,
+    protocols: str,
+    grade_table: str,
+    acquisition: str = "",
+    *,
+    matrix: int = 0,
+    settings: "list[str] | None" = None,
+) -> "dict[str, Any]":
+    """Collect the entries that replace those of a preset, for `plan_cohort`; options that are not given are left out.
+
+    Parameters
+    ----------
+    knees : str
+        Numbers of knees of each grade from 0 on, separated by commas; empty for the preset's.
+    bilateral : int
+        Number of subjects with both knees; -1 for the preset's.
+    protocols : str
+        Names or TOML files, separated by commas; empty for the preset's.
+    grade_table : str
+        Grade table; empty for the preset's.
+    acquisition : str
+        "fixed" or "sampled"; empty for the preset's.
+    matrix : int
+        Pixels along the longer side of the detector; 0 for the protocol's.
+    settings : list of str or None
+        Entries FIELD=VALUE that change the knee or the protocol.
+
+    Returns
+    -------
+    dict of str to object
+        Entry of the preset to its new value.
+
+    Raises
+    ------
+    InputError
+        The numbers of knees are not whole numbers.
+    """
+    from ..core.checks import InputError
+
+    given: dict[str, Any] = {}
+    if knees:
+        counts = [count.strip() for count in knees.split(",")]
+        if not all(count.isascii() and count.isdigit() and len(count) < 7 for count in counts):
+            raise InputError(f"knees must be whole numbers separated by commas, one per grade from 0 on, got {knees!r}")
+        given = {"knees": tuple(map(int, counts)), "bilateral": 0}
+    if bilateral != -1:
+        given["bilateral"] = bilateral
+    if protocols:
+        given["protocols"] = tuple(name.strip() for name in protocols.split(","))
+    if grade_table:
+        given["grade_table"] = grade_table
+    if acquisition:
+        given["acquisition"] = acquisition
+    if matrix:
+        given["matrix"] = matrix
+    if settings:
+        given["settings"] = tuple(settings)
+    return given
+
+
+def warn_of_cropped_field(protocol_changes: "dict[str, Any]") -> None:
+    """Print a warning if rows or columns change without the pixel size, because this changes the field.
+
+    Parameters
+    ----------
+    protocol_changes : dict of str to object
+        Fields of the protocol that the user changes.
+    """
+    sides = [name for name in ("rows", "cols") if name in protocol_changes]
+    if sides and "pixel_mm" not in protocol_changes:
+        print(
+            f"pssf: warning: {' and '.join(sides)} without pixel_mm change the field, since pixels keep their size; "
+            "use --matrix to change the number of pixels and keep the field",
+            file=sys.stderr,
+        )
+
+
+def parse_numbers(name: str, text: str) -> tuple[float, ...]:
+    """Parse an option that lists numbers separated by commas.
+
+    Parameters
+    ----------
+    name : str
+        Name of the option, for the message.
+    text : str
+        Value of the option.
+
+    Returns
+    -------
+    tuple of float
+        Numbers in their order.
+
+    Raises
+    ------
+    InputError
+        An entry is no number.
+    """
+    from ..core.checks import InputError
+
+    try:
+        return tuple(float(number) for number in text.split(","))
+    except ValueError:
+        raise InputError(f"{name} must be numbers separated by commas, got {text!r}") from None
+
+
+@dataclass(frozen=True)
+class KneeChoice:
+    """Knee that the user requests: from a file, sampled by grade and seed, or a scene.
+
+    Attributes
+    ----------
+    path : Path or None
+        TOML file of the knee; None for a sampled one.
+    grade : int
+        KL grade of a sampled knee.
+    seed : int
+        Seed of a sampled knee.
+    grade_table : str
+        Grade table that the knee is sampled from.
+    overrides : dict of str to object
+        Fields of the knee that the user changes.
+    scene : Path or None
+        File of a scene; None for a knee.
+    """
+
+    path: Path | None
+    grade: int
+    seed: int
+    grade_table: str = "population"
+    overrides: "dict[str, Any]" = field(default_factory=dict)
+    scene: Path | None = None
+
+
+def make_knee(choice: KneeChoice) -> "tuple[Knee, str]":
+    """Make the requested knee.
+
+    Parameters
+    ----------
+    choice : KneeChoice
+        Requested knee.
+
+    Returns
+    -------
+    knee : Knee
+        Knee.
+    name : str
+        Name for its files.
+
+    Raises
+    ------
+    InputError
+        The options contradict each other, or a value is not allowed.
+    """
+
+    from ..core.checks import require_seed
+    from ..data.data_files import read_toml
+    from ..model.field_listing import apply_settings
+    from ..model.knee import knee_from_dict
+    from ..model.sampling.knee_sampling import sample_knee
+
+    require_seed(choice.seed)
+    if choice.path is not None:
+        _require_no_sampling_options(choice, f"knee {choice.path}")
+        read = knee_from_dict(read_toml(choice.path), f"knee {choice.path.name}")
+        return apply_settings(read, choice.overrides), choice.path.stem
+    drawn = sample_knee(grade=choice.grade, rng=choice.seed, grade_table=choice.grade_table)
+    return apply_settings(drawn, choice.overrides), f"knee_grade{choice.grade}"
+
+
+def _require_no_sampling_options(choice: KneeChoice, given: str) -> None:
+    """Require that options of a sampled knee are not combined with a knee file or scene, named by `given`."""
+    from ..core.checks import InputError
+
+    for name, value, default in (
+        ("grade", choice.grade, 0),
+        ("grade_table", choice.grade_table, KneeChoice.grade_table),
+    ):
+        if value != default:
+            raise InputError(f"{name} must not be combined with {given}, got {value}")
+
+
+def make_subject(choice: KneeChoice, protocol: "Protocol") -> "tuple[Knee | tuple[Knee, Knee] | Scene, str]":
+    """Make the object that a protocol images: one knee, both knees of a subject, or a scene.
+
+    Parameters
+    ----------
+    choice : KneeChoice
+        Requested knee or scene.
+    protocol : Protocol
+        Protocol; its distance between the knees decides between one knee and both.
+
+    Returns
+    -------
+    subject : Knee, (Knee, Knee) tuple or Scene
+        Object to simulate; both knees are right, then left.
+    name : str
+        Name for its files.
+
+    Raises
+    ------
+    InputError
+        The options contradict each other, or a value is not allowed.
+    """
+
+    from ..core.checks import InputError, require_seed
+    from ..model.field_listing import apply_settings
+    from ..model.sampling.knee_sampling import sample_knee_pair
+
+    if choice.scene is not None:
+        from ..io.meshes.scene_file import read_scene
+
+        if choice.path is not None or choice.overrides:
+            given = choice.path or ", ".join(choice.overrides)
+            raise InputError(f"scene {choice.scene} must not be combined with a knee, got {given}")
+        _require_no_sampling_options(choice, f"scene {choice.scene}")
+        return read_scene(choice.scene), choice.scene.stem
+    if not protocol.knee_distance_mm:
+        return make_knee(choice)
+    if choice.path is not None:
+        raise InputError(
+            f"knee {choice.path} must be used with a protocol of one knee, got {protocol.name}, which images both"
+        )
+    require_seed(choice.seed)
+    drawn = sample_knee_pair(grade=choice.grade, rng=choice.seed, grade_table=choice.grade_table)
+    right, left = (apply_settings(one, choice.overrides) for one in drawn)
+    return (right, left), f"knees_grade{choice.grade}"
+
+
+def resolve_acquisition(
+    acquisition: str, nominal: "Protocol", subject: "Knee | tuple[Knee, Knee] | Scene", seed: int
+) -> "Protocol":
+    """Return the nominal protocol, or one with sampled acquisition variability from a random stream of its own.
+
+    Parameters
+    ----------
+    acquisition : {"fixed", "sampled"}
+        "fixed" returns the nominal protocol.
+    nominal : Protocol
+        Nominal protocol.
+    subject : Knee, (Knee, Knee) tuple or Scene
+        Object to simulate; the side of one knee decides the location of the side marker.
+    seed : int
+        Seed of the command.
+
+    Returns
+    -------
+    Protocol
+        Protocol of this acquisition.
+
+    Raises
+    ------
+    InputError
+        `acquisition` is another text.
+    """
+    import numpy as np
+
+    from ..core.checks import require_choice
+    from ..model.knee import Knee
+    from ..model.sampling.acquisition import sample_acquisition
+
+    require_choice("acquisition", acquisition, ("fixed", "sampled"))
+    if acquisition == "fixed":
+        return nominal
+    side = subject.side if isinstance(subject, Knee) else None
+    return sample_acquisition(nominal, rng=np.random.default_rng([seed, 1]), side=side)

@@ -1,0 +1,254 @@
+"""Make the radiographs of a cohort plan, knee by knee, in processes of this machine or on a cluster."""
+
+import json
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from platform import node
+from typing import Any
+
+from ..anatomy import build
+from ..core.checks import InputError, require_choice, require_workers
+from ..core.processes.parallel_map import count_cores, map_in_parallel, require_scheduler
+from ..data.code_hash import compute_code_hashes, list_pixel_data_files, require_same_code
+from ..geometry.view import resolve_view
+from ..io import atomic_write, cohort_records
+from ..io.mask_files import save_masks
+from ..io.radiograph_files import save
+from ..model.knee import knee_to_dict
+from ..model.protocol import protocol_to_dict
+from ..model.radiograph import Radiograph, Truth
+from ..raycast import ENGINES, trace
+from ..raycast.detector_clearance import move_clear_of_detector
+from ..simulation import collect_versions, simulate
+from .cohort_plan import Case, Exposure, Plan
+
+Row = dict[str, Any]
+# Folders of a cohort, relative to its own folder, which is "".
+SUBFOLDERS = ("", "images", "masks", "records")
+# Parts of this package on which pixels, files and manifest depend.
+_CODE_PATHS = (
+    *("anatomy", "cohort", "core", "detector", "geometry", "io", "model", "raycast", "scatter"),
+    *("image_faults.py", "precompile.py", "simulation.py", "stages.py", "xray"),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunEnvironment:
+    """Environment of a run, which every worker must have too.
+
+    Attributes
+    ----------
+    folder : Path
+        Folder of the cohort, absolute.
+    cohort_sha256 : str
+        SHA-256 hash of its cohort.json.
+    versions : dict of str to str
+        Versions of the package and of all libraries that the pixels depend on.
+    code_hashes : dict of str to str
+        Hashes of the parts of this package that they depend on (`data.code_hash.compute_code_hashes`).
+    """
+
+    folder: Path
+    cohort_sha256: str
+    versions: dict[str, str]
+    code_hashes: dict[str, str]
+
+
+def make_cohort(
+    plan: Plan,
+    folder: str | Path,
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    engine: str = "scanline",
+    progress: Callable[[int], None] = lambda made: None,
+    on_kept: Callable[[int], None] = lambda stood: None,
+) -> Path:
+    """Make the missing radiographs of a cohort and write its manifest.
+
+    The bytes do not depend on the number of workers or on the machine. If the leg would reach behind the detector, the
+    joint is moved towards the source (`raycast.detector_clearance.move_clear_of_detector`). The column ``sod_mm`` of
+    the manifest has the distance that was used.
+
+    Parameters
+    ----------
+    plan : Plan
+        Knees and radiographs.
+    folder : str or Path
+        Folder of this cohort. Files of an earlier run are checked against their hashes and kept.
+    workers : int, optional
+        Processes of this machine, 1 to 256. None: one per core that this process may use.
+    scheduler : str, optional
+        Address of a Dask scheduler. Its workers make the radiographs and must see the same folder under the same path.
+    engine : {"scanline", "embree"}, default "scanline"
+        Ray caster; "embree" gives the same path lengths and takes fifteen times as long.
+    progress : callable
+        Called with the number of new radiographs each time some are made.
+    on_kept : callable
+        Called with the number of radiographs kept from an earlier run, as they are checked, before any new one is made.
+
+    Returns
+    -------
+    Path
+        Path of the manifest, a CSV file with one row per radiograph.
+
+    Raises
+    ------
+    InputError
+        If the engine is unknown, the folder holds another cohort or a damaged file, the disk cannot be written, or the
+        scheduler cannot be used.
+    WorkersLostError
+        If workers are killed again and again.
+    """
+    workers = count_cores() if workers is None else workers
+    require_workers(workers, "processes")
+    require_choice("engine", engine, ENGINES)
+    if scheduler is not None:
+        require_scheduler(scheduler)
+    folder = Path(folder)
+    code = compute_code_hashes((*_CODE_PATHS, *list_pixel_data_files()))
+    asked = {**plan.build_request(), "engine": engine, "versions": collect_versions(), "code": code}
+    claim = cohort_records.claim_folder(folder / "cohort.json", asked)
+    _remove_temporary_files(folder)
+    rows = _load_finished_rows(plan, folder, claim, workers, on_kept)
+    missing = [case for case in plan.cases if case.index not in rows]
+
+    def stands(index: int, made: list[Row]) -> None:
+        """Record the rows of a finished knee and report its radiographs."""
+        rows[missing[index].index] = made
+        progress(len(missing[index].exposures))
+
+    # With more workers than missing knees, the spare cores trace rays as further threads of each knee.
+    threads = 1 if scheduler else max(1, workers // max(1, len(missing)))
+    site = RunEnvironment(folder=folder.absolute(), cohort_sha256=claim, versions=collect_versions(), code_hashes=code)
+    shared = {"site": site, "engine": engine, "threads": threads, "masks": plan.masks}
+    map_in_parallel(make_case, missing, shared=shared, workers=workers, scheduler=scheduler, on_result=stands)
+    _remove_temporary_files(folder)
+    manifest = folder / "manifest.csv"
+    cohort_records.write_csv(manifest, [row for case in plan.cases for row in rows[case.index]])
+    return manifest
+
+
+def make_case(case: Case, site: RunEnvironment, engine: str, threads: int, masks: str = "none") -> list[Row]:
+    """Make and save every radiograph of one knee, then its record.
+
+    Parameters
+    ----------
+    case : Case
+        The knee and its radiographs.
+    site : RunEnvironment
+        Folder, versions and code that this worker must have.
+    engine : {"scanline", "embree"}
+        Ray caster.
+    threads : int
+        Threads.
+    masks : {"none", "tif"}, default "none"
+        Whether to save the masks of every radiograph.
+
+    Returns
+    -------
+    list of dict
+        Rows of the manifest, one per radiograph.
+
+    Raises
+    ------
+    InputError
+        If the folder, a library or the code differs from the machine that started the run.
+    """
+    cohort_records.require_claimed_folder(site.folder / "cohort.json", site.cohort_sha256)
+    for name, here in collect_versions().items():
+        if here != site.versions[name]:
+            raise InputError(f"on {node()}: {name} must be {site.versions[name]}, as where the run started, got {here}")
+    require_same_code(site.code_hashes)
+    built, paths, rows = build(case.knee, case.exposures[0].protocol), None, []
+    for exposure in case.exposures:
+        if built.assembly.posture != exposure.protocol.posture:
+            built, paths = build(case.knee, exposure.protocol), None
+        how: dict[str, Any] = {"rng": exposure.seed, "engine": engine, "workers": threads}
+        how["keep"] = () if masks == "none" else ("masks",)
+        protocol = move_clear_of_detector(built.scene, built.aim_beam(exposure.protocol))
+        # Radiographs of one geometry, such as reference and low dose, share their path lengths.
+        if paths is None or (paths.view, paths.texture) != (resolve_view(protocol), protocol.texture):
+            paths = trace(built.scene, protocol, engine=engine, workers=threads)
+        radiograph = simulate(built, protocol, paths=paths, **how)
+        path = save(radiograph, site.folder / "images" / f"{exposure.name}.tif")
+        row = _make_row(case, exposure, radiograph, path.relative_to(site.folder), cohort_records.hash_file(path))
+        if masks != "none":
+            path = save_masks(radiograph, site.folder / "masks" / f"{exposure.name}.{masks}")
+            row |= {"masks": path.relative_to(site.folder).as_posix(), "masks_sha256": cohort_records.hash_file(path)}
+        rows.append(row)
+    cohort_records.write_knee_record(site.folder, case.index, rows, site.cohort_sha256)
+    return rows
+
+
+def _remove_temporary_files(folder: Path) -> None:
+    """Delete temporary files that interrupted runs left behind."""
+    for name in SUBFOLDERS:
+        atomic_write.delete_stale_temporary_files(folder / name)
+
+
+def _load_finished_rows(
+    plan: Plan, folder: Path, claim: str, workers: int, on_kept: Callable[[int], None]
+) -> dict[int, list[Row]]:
+    """Load the rows of every knee that an earlier run finished, by index of the knee."""
+
+    def known(case: Case) -> list[Row] | None:
+        """Read the rows of a knee if its record and files are complete, else None."""
+        return cohort_records.read_verified_rows(
+            folder, case.index, [exposure.name for exposure in case.exposures], claim
+        )
+
+    rows: dict[int, list[Row]] = {}
+    # Threads are enough, since hashing releases the global interpreter lock.
+    with ThreadPoolExecutor(workers) as pool:
+        for case, known_rows in zip(plan.cases, pool.map(known, plan.cases), strict=True):
+            if known_rows is not None:
+                rows[case.index] = known_rows
+                on_kept(len(case.exposures))
+    return rows
+
+
+def _make_row(case: Case, exposure: Exposure, radiograph: Radiograph, relative_path: Path, digest: str) -> Row:
+    """Make the row of the manifest for one radiograph."""
+    truth = radiograph.truth
+    assert truth is not None
+    knee, protocol = knee_to_dict(case.knee), protocol_to_dict(radiograph.protocol)
+    row: Row = {
+        "radiograph": exposure.name,
+        "subject": case.subject,
+        "knee": case.index,
+        "side": knee.pop("side"),
+        "sex": knee.pop("sex"),
+        "grade": truth.grade,
+        "grade_table": case.grade_table,
+        "protocol": protocol.pop("name"),
+        "seed": exposure.seed,
+        "engine": radiograph.engine,
+        "file": relative_path.as_posix(),
+        "sha256": digest,
+    }
+    if exposure.retest_kind:
+        row |= {"kind": exposure.retest_kind, "turn": exposure.repeat_index, "of_knee": exposure.source_knee}
+    # The columns of the posture get a prefix, since the knee has a flexion and a rotation of its own.
+    stands = {f"posture_{name}": protocol.pop(name) for name in asdict(exposure.protocol.posture)}
+    # The plain name is the joint space of this radiograph; the specified one has the prefix "nominal".
+    nominal = {f"nominal_{name}": knee.pop(name) for name in ("jsw_medial_mm", "jsw_lateral_mm")}
+    row |= {"jsw_medial_mm": truth.jsw_medial_mm, "jsw_lateral_mm": truth.jsw_lateral_mm} | nominal
+    for name in ("grade", "grade_table"):
+        knee.pop(name)
+    row |= {**knee, **{name: json.dumps(knee[name]) for name in ("shape", "osteophytes", "cysts")}} | protocol | stands
+    row |= {f"truth_{name}": value for name, value in _make_truth_columns(truth).items()}
+    return row | {f"audit_{name}": count for name, count in radiograph.audit.items()}
+
+
+def _make_truth_columns(truth: Truth) -> Row:
+    """Convert labels to columns with one number each; landmarks that the view does not show are left out."""
+    columns: Row = {f"jsw_{round(1000 * at):03d}_mm": round(mm, 4) for at, mm in truth.jsw_at_mm.items()}
+    for name, (row, col) in truth.landmarks_px.items():
+        place = name.removesuffix("_joint_line")
+        columns |= {f"{place}_row_px": round(row, 4), f"{place}_col_px": round(col, 4)}
+    columns |= {f"attrition_{name}_mm": depth for name, depth in truth.attrition_mm.items()}
+    columns |= {f"acquisition_{name}": value for name, value in truth.acquisition.items()}
+    return columns | dict(truth.readings)

@@ -1,0 +1,99 @@
+"""Plan repeated radiographs of some knees of a cohort, to measure the reliability of features."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..core.checks import require_choice
+from ..model.protocol import Protocol
+from .cohort_plan import (
+    Case,
+    Exposure,
+    Plan,
+    radiograph_stem,
+)
+
+# Key of the random stream under the index of a knee; `cohort_plan` uses the others.
+_RETEST_STREAM = 4
+# Change of rotation on repositioning, in degrees (assumed: the precision of a careful radiographer).
+_ROTATION_DEG = 2.0
+# Change of flexion on repositioning, in degrees (assumed, likewise).
+_FLEXION_DEG = 2.0
+# Change of beam angle on repositioning, in degrees (assumed, likewise).
+_BEAM_DEG = 1.0
+
+
+def plan_retest(plan: Plan, *, reference: str = "reference") -> Plan | None:
+    """Plan repeated radiographs of some knees of a cohort under one protocol.
+
+    The knees are balanced over the grades, one per subject. Each knee is imaged twice with new noise, and twice after
+    repositioning, in opposite directions. Repositioning changes rotation and flexion by 2 degrees (flexion not below 0)
+    and the beam by 1 degree, with random signs and new noise.
+
+    Parameters
+    ----------
+    plan : Plan
+        Cohort; `Plan.retested` is the number of knees to repeat.
+    reference : str, default "reference"
+        Name of the protocol.
+
+    Returns
+    -------
+    Plan or None
+        Plan of the repeated radiographs, with masks. `Exposure.retest_kind` says what differs. A repositioned knee is a
+        case of its own, with an index beyond those of `plan`. None if the plan repeats no knee.
+
+    Raises
+    ------
+    InputError
+        If the plan does not have the protocol.
+    """
+    if not plan.retested:
+        return None
+    protocols = {e.protocol.name: e.protocol for case in plan.cases for e in case.exposures}
+    require_choice("protocol", reference, tuple(protocols))
+    beyond = 1 + max(case.index for case in plan.cases)
+    cases: list[Case] = []
+    for case in _select_balanced_cases(plan):
+        at = beyond + 2 * case.index
+        cases += _make_retest_cases(plan.seed, case, protocols[reference], at)
+    # These radiographs are few, so their masks are saved; the study compares segmented bone with them.
+    return Plan(preset=f"{plan.preset}, retest", seed=plan.seed, repeats=plan.repeats, cases=tuple(cases), masks="tif")
+
+
+def _select_balanced_cases(plan: Plan) -> list[Case]:
+    """Select `plan.retested` cases, or as many as there are subjects: the grades in turn give their next subject."""
+    queues: dict[int | None, list[Case]] = {}
+    seen: set[int] = set()
+    for case in plan.cases:
+        if case.subject not in seen:
+            queues.setdefault(case.knee.grade, []).append(case)
+            seen.add(case.subject)
+    longest = max(len(queue) for queue in queues.values())
+    turns = [queue[turn] for turn in range(longest) for queue in queues.values() if turn < len(queue)]
+    return sorted(turns[: plan.retested], key=lambda case: case.index)
+
+
+def _make_retest_cases(seed: int, case: Case, protocol: Protocol, first_index: int) -> list[Case]:
+    """Make the repetitions of one knee: two with new noise, two repositioned in opposite directions."""
+    root = np.random.SeedSequence(seed, spawn_key=(case.index, _RETEST_STREAM))
+    states = [int(state >> np.uint64(1)) for state in root.generate_state(4, np.uint64)]
+    signs = np.random.default_rng(root.spawn(1)[0]).choice([-1.0, 1.0], 3)
+
+    def exposure(kind: str, turn: int, protocol: Protocol, seed: int) -> Exposure:
+        """Make one repetition of the knee's radiograph."""
+        name = f"{radiograph_stem(case.subject, case.index)}_{kind}{turn}"
+        return Exposure(name, protocol, seed, kind, turn, source_knee=case.index)
+
+    cases = [replace(case, exposures=tuple(exposure("noise", k, protocol, states[k - 1]) for k in (1, 2)))]
+    for turn, side in ((1, 1.0), (2, -1.0)):
+        rotation, flexion, beam = (float(side * sign) for sign in signs)
+        knee = replace(
+            case.knee,
+            rotation_deg=round(case.knee.rotation_deg + rotation * _ROTATION_DEG, 4),
+            flexion_deg=round(max(0.0, case.knee.flexion_deg + flexion * _FLEXION_DEG), 4),
+        )
+        placed = replace(protocol, beam_angle_deg=protocol.beam_angle_deg + beam * _BEAM_DEG)
+        taken = (exposure("perturbation", turn, placed, states[turn + 1]),)
+        cases.append(replace(case, index=first_index + turn - 1, knee=knee, exposures=taken))
+    return cases

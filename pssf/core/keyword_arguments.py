@@ -1,0 +1,132 @@
+"""Check of keyword arguments: unknown names raise an error with a suggestion, earlier names work with a warning."""
+
+import inspect
+import warnings
+from collections.abc import Callable, Collection, Mapping
+from functools import wraps
+from typing import Any, TypeVar
+
+from .checks import InputError, suggest_name
+
+F = TypeVar("F", bound=Callable[..., Any])
+_KEYWORD_KINDS = (inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+
+
+def check_keywords(**earlier: str) -> Callable[[F], F]:
+    """Decorate a function or dataclass so that its keyword arguments are checked before it is called.
+
+    An unknown keyword raises InputError with the nearest valid name. An earlier name is accepted for its current name.
+
+    Parameters
+    ----------
+    **earlier : str
+        Earlier name -> current name.
+
+    Returns
+    -------
+    callable
+        The decorator.
+
+    Warns
+    -----
+    DeprecationWarning
+        When the decorated function is called with an earlier name.
+    """
+
+    def decorated(target: F) -> F:
+        made = inspect.isclass(target)
+        function: Any = target.__init__ if made else target  # type: ignore[misc]
+        listed = list(inspect.signature(function).parameters.values())[int(made) :]
+        names = {one.name: None for one in listed if one.kind in _KEYWORD_KINDS}
+        anything = any(one.kind is inspect.Parameter.VAR_KEYWORD for one in listed)
+
+        @wraps(function)
+        def checked(*given: Any, **named: Any) -> Any:
+            if (earlier or not anything) and named.keys() - names.keys():
+                named = _resolve_keywords(target.__name__, named, names, earlier, anything)
+            return function(*given, **named)
+
+        if not made:
+            return checked  # type: ignore[return-value]
+        setattr(target, "__init__", checked)  # noqa: B010
+        return target
+
+    return decorated
+
+
+def _resolve_keywords(
+    target_name: str, named: Mapping[str, Any], names: Collection[str], earlier: Mapping[str, str], accepts_any: bool
+) -> dict[str, Any]:
+    """Replace earlier names of keyword arguments by current ones; raise InputError for unknown names and duplicates."""
+    resolved = {}
+    for name, value in named.items():
+        now = earlier.get(name, name)
+        if now != name:
+            if now in named:
+                raise InputError(f"{target_name}: {now} must be given once, got {name} as well, its earlier name")
+            warnings.warn(
+                f"{target_name}: {name} is now {now}; the earlier name will be removed; use {now}",
+                DeprecationWarning,
+                stacklevel=3,
+            )
+        elif name not in names and not accepts_any:
+            raise InputError(
+                f"{target_name}: keywords must be among {', '.join(names)}, got {name!r}{suggest_name(name, names)}"
+            )
+        resolved[now] = value
+    return resolved
+
+
+def update_field_names(table: Mapping[str, Any], earlier: Mapping[str, str], label: str) -> dict[str, Any]:
+    """Replace earlier field names of a table read from a file by current ones.
+
+    Parameters
+    ----------
+    table : mapping of str to Any
+        Field name -> value.
+    earlier : mapping of str to str
+        Earlier name -> current name.
+    label : str
+        Name of the file or object, which begins every message.
+
+    Returns
+    -------
+    dict of str to Any
+        The table under current names.
+
+    Raises
+    ------
+    InputError
+        If a field is given under both names.
+
+    Warns
+    -----
+    DeprecationWarning
+        If a field has its earlier name.
+    """
+    return _resolve_keywords(label, table, (), earlier, accepts_any=True)
+
+
+def renamed_attribute(name: str) -> property:
+    """Make a property that stands for an attribute under its earlier name.
+
+    Parameters
+    ----------
+    name : str
+        Current name of the attribute or method.
+
+    Returns
+    -------
+    property
+        Gives the attribute of that name and warns with a DeprecationWarning.
+    """
+
+    def get(self: Any) -> Any:
+        warnings.warn(
+            f"this attribute of {type(self).__name__} is now {name}; the earlier name will be removed",
+            DeprecationWarning,
+            stacklevel=2,
+        )
+        return getattr(self, name)
+
+    return property(get)

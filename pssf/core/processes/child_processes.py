@@ -1,0 +1,61 @@
+"""Start Python processes that ignore the files of the working folder.
+
+A new Python process looks for modules in the working folder first: every worker would run a file ``signal.py`` there.
+"""
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+# The child process gets the import path of this process before it imports anything.
+_CODE = "import sys; sys.path[:] = sys.argv.pop(1).splitlines(); {code}"
+_SAFE_PATH_VARIABLE = "PYTHONSAFEPATH"
+
+
+@contextmanager
+def start_without_working_folder() -> Iterator[None]:
+    """Start multiprocessing workers in this context without the working folder in their initial import path.
+
+    The workers run the main script of this process only if it is a file. A script from standard input is not.
+
+    Yields
+    ------
+    None
+        The earlier environment is restored at the end of the block.
+    """
+    main, before = sys.modules["__main__"], os.environ.get(_SAFE_PATH_VARIABLE)
+    file = getattr(main, "__file__", None)
+    missing = file is not None and not os.path.exists(file)
+    if missing:
+        main.__file__ = None
+    os.environ[_SAFE_PATH_VARIABLE] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            os.environ.pop(_SAFE_PATH_VARIABLE, None)
+        else:
+            os.environ[_SAFE_PATH_VARIABLE] = before
+        if missing:
+            main.__file__ = file
+
+
+def build_python_command(code: str, *arguments: str) -> list[str]:
+    """Build the command that runs code in a new Python process with the import path of this process.
+
+    Parameters
+    ----------
+    code : str
+        Python statements; ``sys`` is already imported.
+    *arguments : str
+        Values of ``sys.argv`` from index 1 on.
+
+    Returns
+    -------
+    list of str
+        The command.
+    """
+    path = "\n".join(str(Path(entry or ".").absolute()) for entry in sys.path)
+    return [sys.executable, "-P", "-c", _CODE.format(code=code), path, *arguments]

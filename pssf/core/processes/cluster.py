@@ -1,0 +1,158 @@
+"""Parallel work on the workers of a Dask scheduler, which may be on other machines (extra ``cluster``).
+
+If a worker is killed, Dask gives its item to another worker. Dask gives up an item on which several workers died.
+"""
+
+import pickle
+import re
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
+from contextlib import contextmanager
+from importlib.metadata import version
+from importlib.util import find_spec
+from typing import Any
+
+from distributed import Client, as_completed
+from distributed.comm import CommClosedError
+from distributed.scheduler import KilledWorker
+
+from ..checks import InputError
+from .worker_processes import WorkersLostError, limit_to_one_thread
+
+# Time to wait for an answer of the scheduler, in s.
+_CONNECT_TIMEOUT_S = 10
+# Time to wait for a worker, in s. A worker that was killed returns only after it has loaded all libraries again.
+_WORKER_WAIT_S = 30
+# Pause between two queries of the workers, in s.
+_RETRY_DELAY_S = 0.5
+# Number of times that the workers are queried.
+_QUERY_ATTEMPTS = 10
+# A worker with several threads must not work on two knees at once: thread limits hold for the whole process.
+_ONE_ITEM_LOCK = threading.Lock()
+
+
+def require_cluster_workers(address: str, modules: tuple[str, ...] = ()) -> None:
+    """Require a scheduler that answers, with workers that have this version of the package.
+
+    Parameters
+    ----------
+    address : str
+        Address of the scheduler, such as "tcp://host:8786".
+    modules : tuple of str, default ()
+        Further modules that every worker must be able to import.
+
+    Raises
+    ------
+    InputError
+        If the address is malformed, the scheduler does not answer or has no workers, or a worker has another version of
+        pssf or lacks a module.
+    """
+    with _connect(address) as client:
+        answers = _query_workers(client, modules)
+    if not answers:
+        raise InputError(f"scheduler must have one or more workers, got none at {address!r}")
+    for answer in answers:
+        if isinstance(answer, ModuleNotFoundError):
+            raise InputError(f"scheduler {address!r} must have pssf on every worker, got: {answer}")
+        if isinstance(answer, Exception):
+            raise answer
+    here = version("pssf")
+    there = sorted({release for release, _ in answers})
+    lacking = sorted(set().union(*(names for _, names in answers)))
+    if there != [here]:
+        raise InputError(f"pssf on the workers of {address!r} must be {here}, as here, got {', '.join(there)}")
+    if lacking:
+        raise InputError(
+            f"scheduler {address!r} must have the extra 'study' on every worker, got a worker without "
+            f"{', '.join(lacking)}"
+        )
+
+
+def run_on_cluster(
+    function: Callable[..., Any],
+    items: Sequence[Any],
+    shared: dict[str, Any],
+    address: str,
+    on_result: Callable[[int, Any], None],
+) -> None:
+    """Call a function for every item on the workers of a Dask scheduler.
+
+    Parameters
+    ----------
+    function : callable
+        Function that is called as ``function(item, **shared)``; must be picklable.
+    items : sequence
+        Items; must be picklable.
+    shared : dict of str to Any
+        Keyword arguments that are the same for all items; must be picklable.
+    address : str
+        Address of the scheduler, such as "tcp://host:8786".
+    on_result : callable
+        Function that is called with the index and the result of each item as it is done.
+
+    Raises
+    ------
+    InputError
+        If the scheduler cannot be reached.
+    WorkersLostError
+        If workers are killed repeatedly on the same item, or the connection to the scheduler is lost.
+    """
+    with _connect(address) as client:
+        try:
+            # The shared data are the result of a task: data that are scattered would be lost with the worker that
+            # holds them. They are pickled since Dask searches every list that it is given for tasks.
+            held = client.submit(bytes, pickle.dumps(shared), pure=False)
+            pickled = [pickle.dumps(item) for item in items]
+            futures = client.map(_run_item, pickled, function=function, shared=held, pure=False)
+            indices = {future: index for index, future in enumerate(futures)}
+            for future in as_completed(futures, loop=client.loop):
+                on_result(indices[future], future.result())
+                future.release()  # Dask would repeat the item if its worker died while the result is still referenced.
+        except KilledWorker:
+            raise WorkersLostError("workers of the cluster were killed repeatedly; they may lack memory") from None
+        except (CancelledError, CommClosedError):
+            raise WorkersLostError(f"scheduler {address} was lost") from None
+
+
+@contextmanager
+def _connect(address: str) -> Iterator[Client]:
+    """Connect to the scheduler while the context is open; raise InputError if it cannot be reached."""
+    allowed = "scheduler must be the address of a running Dask scheduler, such as tcp://host:8786"
+    if not re.fullmatch(r"(tcp|tls)://.+:\d+", address):
+        raise InputError(f"{allowed}, got {address!r}")
+    try:
+        client = Client(address, timeout=_CONNECT_TIMEOUT_S, set_as_default=False)
+    except OSError:
+        raise InputError(f"{allowed}, got {address!r}: no answer within {_CONNECT_TIMEOUT_S} s") from None
+    with client:
+        yield client
+
+
+def _query_workers(client: Client, modules: tuple[str, ...]) -> list[Any]:
+    """Collect the replies of all workers; return an empty list if no worker answers."""
+    for _ in range(_QUERY_ATTEMPTS):
+        try:
+            client.wait_for_workers(1, timeout=_WORKER_WAIT_S)
+        except TimeoutError:
+            break
+        replies = client.run(_describe_worker, modules, on_error="return").values()
+        # A worker that dies during the query (lost connection, or none within Dask's 30 s) is usually replaced by
+        # whatever started it, so that the query is repeated.
+        answers = [reply for reply in replies if not isinstance(reply, OSError)]
+        if answers:
+            return answers
+        time.sleep(_RETRY_DELAY_S)
+    return []
+
+
+def _describe_worker(modules: tuple[str, ...]) -> tuple[str, list[str]]:
+    """Return the version of pssf at a worker, and the modules that the worker lacks."""
+    return version("pssf"), [name for name in modules if find_spec(name) is None]
+
+
+def _run_item(item: bytes, function: Callable[..., Any], shared: bytes) -> Any:
+    """Process one pickled item on a worker, with one thread."""
+    with _ONE_ITEM_LOCK, limit_to_one_thread():
+        return function(pickle.loads(item), **pickle.loads(shared))

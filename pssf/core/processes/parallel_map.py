@@ -1,0 +1,299 @@
+"""Map a function over items on several processes; the results do not depend on the number of processes."""
+
+import os
+import pickle
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from multiprocessing import active_children, current_process, get_context, parent_process
+from multiprocessing.process import BaseProcess
+from multiprocessing.synchronize import Barrier
+from typing import Any, TypeVar
+
+from threadpoolctl import threadpool_limits
+
+from ..checks import InputError
+from .child_processes import start_without_working_folder
+from .worker_processes import WorkersLostError, limit_to_one_thread, retain_freed_memory
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+# The work is given up after workers were killed this many times in a row without a result in between.
+_MAX_KILLS_IN_A_ROW = 3
+
+# State of a worker process: keyword arguments that all items of a call share.
+_shared: dict[str, Any] = {}
+# State of a worker process: barrier at which it waits until all workers have received the shared arguments.
+_shared_barriers: list[Barrier] = []
+
+
+def count_cores() -> int:
+    """Count the cores that this process may use.
+
+    Returns
+    -------
+    int
+        Number of cores, 256 at most; 1 in a daemonic process, which cannot start others.
+    """
+    if current_process().daemon:
+        return 1
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(usable, 256)
+
+
+def map_in_parallel(
+    function: Callable[..., Result],
+    items: Sequence[Item],
+    *,
+    shared: dict[str, Any],
+    workers: int = 1,
+    scheduler: str | None = None,
+    on_result: Callable[[int, Result], None] | None = None,
+) -> list[Result]:
+    """Compute ``[function(item, **shared) for item in items]`` on several processes or on a Dask cluster.
+
+    An item whose worker is killed is repeated by another worker.
+
+    Parameters
+    ----------
+    function : callable
+        Function that is called as ``function(item, **shared)``.
+    items : sequence
+        Items to process.
+    shared : dict of str to Any
+        Keyword arguments that are the same for all items. They are sent to every worker once. With more than one worker
+        they, the function and the items must be picklable.
+    workers : int, default 1
+        Number of processes of this machine.
+    scheduler : str or None, default None
+        Address of a Dask scheduler, such as "tcp://host:8786", whose workers then do the work. None uses processes of
+        this machine.
+    on_result : callable or None, default None
+        Function that is called with the index and the result of each item as it is done, in any order.
+
+    Returns
+    -------
+    list
+        Results in the order of the items.
+
+    Raises
+    ------
+    InputError
+        If the scheduler cannot be used, or more than one worker is requested in a daemonic process.
+    WorkersLostError
+        If workers are killed repeatedly, or the connection to the cluster is lost.
+    """
+    results: dict[int, Result] = {}
+
+    def take(index: int, result: Result) -> None:
+        results[index] = result
+        if on_result is not None:
+            on_result(index, result)
+
+    if scheduler is not None:
+        require_scheduler(scheduler)
+        from .cluster import run_on_cluster
+
+        run_on_cluster(function, items, shared, scheduler, take)
+    elif workers <= 1 or len(items) <= 1:
+        for index, item in enumerate(items):
+            with threadpool_limits(1):
+                result = function(item, **shared)
+            take(index, result)
+    else:
+        if current_process().daemon:
+            raise InputError(
+                f"workers must be 1 in a daemonic process (of multiprocessing.Pool or Dask), got {workers}: such a "
+                "process cannot start others"
+            )
+        _run_in_processes(function, items, shared, workers, take)
+    return [results[index] for index in range(len(items))]
+
+
+def require_scheduler(address: str, modules: tuple[str, ...] = ()) -> None:
+    """Require a usable Dask scheduler, before any file is written.
+
+    Parameters
+    ----------
+    address : str
+        Address of the scheduler, such as "tcp://host:8786".
+    modules : tuple of str, default ()
+        Modules that its workers must be able to import, in addition to this package.
+
+    Raises
+    ------
+    InputError
+        If the package distributed is missing, the address is malformed, or the scheduler or its workers cannot be used.
+    """
+    if find_spec("distributed") is None:
+        raise InputError(
+            f"scheduler must be None without the package distributed, got {address!r}: install it, in the source "
+            "folder, with: pip install '.[cluster]'"
+        )
+    from .cluster import require_cluster_workers
+
+    require_cluster_workers(address, modules)
+
+
+def _run_in_processes(
+    function: Callable[..., Result],
+    items: Sequence[Item],
+    shared: dict[str, Any],
+    workers: int,
+    on_result: Callable[[int, Result], None],
+) -> None:
+    """Process all items in pools of processes; start a new pool after a worker was killed."""
+    left = list(range(len(items)))
+
+    def arrived(index: int, result: Result) -> None:
+        left.remove(index)
+        on_result(index, result)
+
+    killed = 0
+    while left:
+        before = len(left)
+        # If a worker is killed, the whole pool ends, and all items in progress are lost. After a pool without any
+        # result a single item is tried, then a pool works on all remaining items again.
+        batch = left[:1] if killed else left
+        try:
+            _run_pool(function, {index: items[index] for index in batch}, shared, workers, arrived)
+            killed = 0
+        except BrokenProcessPool:
+            killed = killed + 1 if len(left) == before else 0
+            if killed == _MAX_KILLS_IN_A_ROW:
+                raise WorkersLostError(
+                    f"worker processes were killed {killed} times in a row; memory may be short, or a script starts "
+                    'workers outside of `if __name__ == "__main__"`'
+                ) from None
+            if killed:
+                in_hand = 1 if killed > 1 else workers
+                left[:] = left[in_hand:] + left[:in_hand]
+
+
+def _run_pool(
+    function: Callable[..., Result],
+    items: dict[int, Item],
+    shared: dict[str, Any],
+    workers: int,
+    on_result: Callable[[int, Result], None],
+) -> None:
+    """Process items in the pool until all are done or a worker is killed.
+
+    After all finished results are delivered, BrokenProcessPool is raised if a worker was killed.
+    """
+    broken: BrokenProcessPool | None = None
+    others = set(active_children()) - _pool_state.children
+    try:
+        pool = _open_pool(workers)
+        _share_with_workers(shared, pool, workers)
+        _pool_state.children = set(active_children()) - others
+        futures = {pool.submit(_run_item, function, item): index for index, item in items.items()}
+        for future in as_completed(futures):
+            try:
+                result = future.result()
+            except BrokenProcessPool as error:
+                broken = error
+            else:
+                on_result(futures[future], result)
+        if broken is not None:
+            raise broken
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt):
+            for child in set(active_children()) - others:
+                child.terminate()
+        _shut_down_pool()
+        raise
+
+
+@dataclass
+class _PoolState:
+    """Pool that is kept between calls, since a process takes seconds to start and to import libraries."""
+
+    pool_key: tuple[Any, ...] = ()
+    pool: ProcessPoolExecutor | None = None
+    children: set[BaseProcess] = field(default_factory=set)
+
+
+_pool_state = _PoolState()
+
+
+def _open_pool(workers: int) -> ProcessPoolExecutor:
+    """Return the existing pool if its settings are still valid; otherwise start a new one."""
+    now = (workers, os.getcwd(), tuple(sys.path), tuple(sorted(os.environ.items())))
+    if _pool_state.pool is None or _pool_state.pool_key != now:
+        _shut_down_pool()
+        # Workers are spawned, since a forked copy of a process that has threads (ITK, OpenMP) may hang.
+        context = get_context("spawn")
+        with start_without_working_folder():  # The first lock starts another process, which tracks locks.
+            _pool_state.pool = ProcessPoolExecutor(workers, context, _initialise_worker, (context.Barrier(workers),))
+        _pool_state.pool_key = now
+    return _pool_state.pool
+
+
+def _shut_down_pool() -> None:
+    """Shut down the pool, if there is one."""
+    if _pool_state.pool is not None:
+        _pool_state.pool.shutdown(cancel_futures=True)
+    _pool_state.pool, _pool_state.children = None, set()
+
+
+def _share_with_workers(shared: dict[str, Any], pool: ProcessPoolExecutor, workers: int) -> None:
+    """Send the shared arguments to every worker exactly once: each worker waits until all have received them."""
+    packed = pickle.dumps(shared)
+    with _block_interrupts(), start_without_working_folder():
+        taken = [pool.submit(_receive_shared, packed) for _ in range(workers)]
+    for one in taken:
+        one.result()
+
+
+@contextmanager
+def _block_interrupts() -> Iterator[None]:
+    """Block the interrupt signal for processes that start in this context: their parent ends them itself.
+
+    A terminal sends the signal to all processes.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _initialise_worker(barrier: Barrier) -> None:
+    """Prepare a new worker process: memory settings, a thread that watches the parent, and the barrier."""
+    retain_freed_memory()
+    threading.Thread(target=_exit_with_parent, daemon=True).start()
+    _shared_barriers.append(barrier)
+
+
+def _receive_shared(packed: bytes) -> None:
+    """Unpickle the shared arguments in a worker, then wait until all workers have them."""
+    _shared.clear()
+    try:
+        _shared.update(pickle.loads(packed))
+    finally:
+        _shared_barriers[0].wait()
+
+
+def _exit_with_parent() -> None:
+    """End a worker whose parent was killed; it would wait for work forever and keep its memory."""
+    parent = parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
+
+
+def _run_item(function: Callable[..., Result], item: Any) -> Result:
+    """Process one item in a worker, with one thread."""
+    with limit_to_one_thread():
+        return function(item, **_shared)

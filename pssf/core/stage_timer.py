@@ -1,0 +1,191 @@
+"""Timing of the stages of a run: wall time, items done, rate and time left."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from time import perf_counter
+
+
+def make_interval_check(seconds: float, clock: Callable[[], float] = perf_counter) -> Callable[[], bool]:
+    """Create a function that reports whether an interval has passed.
+
+    Parameters
+    ----------
+    seconds : float
+        Length of the interval, in s.
+    clock : callable, optional
+        Function that returns the current time, in s.
+
+    Returns
+    -------
+    callable
+        Function that returns True if the interval has passed since it was created, or since it last returned True.
+    """
+    last = clock()
+
+    def due() -> bool:
+        nonlocal last
+        if clock() - last <= seconds:
+            return False
+        last = clock()
+        return True
+
+    return due
+
+
+class Stage:
+    """Count the work of one stage and measure its rate and duration.
+
+    Parameters
+    ----------
+    unit : str, default ""
+        Unit of the counted items, such as "radiographs".
+    total : int, default 0
+        Number of items to do; 0 if unknown.
+    now : callable, optional
+        Function that returns the current time, in s.
+
+    Attributes
+    ----------
+    unit : str
+        Unit of the counted items.
+    total : int
+        Number of items to do; 0 if unknown.
+    already_done : int
+        Items that an earlier run had done. They count in the total, but not in the rate.
+    newly_done : int
+        Items done in this run.
+    completion_times_s : list of float
+        Time at which each new item was done, in s from the start of the stage.
+    seconds : float
+        Wall time of the stage, in s; 0 until the stage has ended.
+    time_exponent : float or None
+        Exponent with which the time grows with the number of items, if known from another source than the times.
+    on_change : callable
+        Function that is called with the number of items done whenever that number changes.
+    """
+
+    def __init__(self, unit: str = "", total: int = 0, now: Callable[[], float] = perf_counter) -> None:
+        self.unit, self.total = unit, total
+        self.already_done = self.newly_done = 0
+        self.completion_times_s = list[float]()
+        self.seconds = 0.0
+        self.time_exponent: float | None = None
+        self.on_change: Callable[[int], None] = lambda done: None
+        self._now = now
+        self._start_s = self._rate_start_s = self._last = now()
+
+    @property
+    def done(self) -> int:
+        """Items done, by this run or an earlier one."""
+        return self.already_done + self.newly_done
+
+    def add_already_done(self, count: int) -> None:
+        """Count items that an earlier run had done; the rate is measured from this call on.
+
+        Parameters
+        ----------
+        count : int
+            Number of items.
+        """
+        self._rate_start_s = self._last = self._now()
+        self.already_done += count
+        self.on_change(self.done)
+
+    def advance(self, count: int = 1) -> None:
+        """Count items that were just done.
+
+        Parameters
+        ----------
+        count : int, default 1
+            Number of items.
+        """
+        self._last = self._now()
+        self.newly_done += count
+        self.completion_times_s += [self._last - self._start_s] * count
+        self.on_change(self.done)
+
+    def end(self) -> None:
+        """End the stage and record its wall time."""
+        self.seconds = self._now() - self._start_s
+
+    def rate_per_minute(self) -> float | None:
+        """Compute the mean rate up to the item that was done last.
+
+        Returns
+        -------
+        float or None
+            Items per minute, or None before the first item.
+        """
+        spent = self._last - self._rate_start_s
+        return 60 * self.newly_done / spent if spent > 0 else None
+
+    def seconds_left(self) -> float | None:
+        """Estimate the time left from the mean rate.
+
+        Returns
+        -------
+        float or None
+            Time left, in s, or None before the first item.
+        """
+        rate = self.rate_per_minute()
+        return max(0.0, 60 * (self.total - self.done) / rate - (self._now() - self._last)) if rate else None
+
+
+class Timer:
+    """Keep the stages of a run in their order.
+
+    Parameters
+    ----------
+    now : callable, optional
+        Function that returns the current time, in s.
+
+    Attributes
+    ----------
+    stages : dict of str to Stage
+        Name -> stage.
+    """
+
+    def __init__(self, now: Callable[[], float] = perf_counter) -> None:
+        self.stages = dict[str, Stage]()
+        self._now, self._last = now, now()
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Wall time of each stage, in s, by name."""
+        return {name: stage.seconds for name, stage in self.stages.items()}
+
+    def lap(self, name: str) -> None:
+        """Record a stage that began at the end of the previous lap and ends now.
+
+        Parameters
+        ----------
+        name : str
+            Name of the stage.
+        """
+        lap = self.stages[name] = Stage(now=self._now)
+        now = self._now()
+        lap.seconds, self._last = now - self._last, now
+
+    @contextmanager
+    def stage(self, name: str, unit: str = "", total: int = 0) -> Iterator[Stage]:
+        """Time a stage while the context is open, even if the work fails.
+
+        Parameters
+        ----------
+        name : str
+            Name of the stage.
+        unit : str, default ""
+            Unit of the counted items.
+        total : int, default 0
+            Number of items to do; 0 if unknown.
+
+        Yields
+        ------
+        Stage
+            The stage, which counts the items.
+        """
+        stage = self.stages[name] = Stage(unit, total, self._now)
+        try:
+            yield stage
+        finally:
+            stage.end()

@@ -1,0 +1,59 @@
+"""Reporting guidelines: checklist items, and the files of a study that answer them (``data/reporting.toml``)."""
+
+from functools import cache
+
+import msgspec
+
+from ..data_files import load_data_table
+from ..table_records import Record, parse_record
+
+
+class ChecklistItem(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """One item of a reporting guideline.
+
+    Attributes
+    ----------
+    id : str
+        Number of the item.
+    item : str
+        What the item asks for.
+    status : {"yes", "no", "human", "none"}
+        "yes" if the evidence answers the item, "human" if an author must answer it, "none" if it does not apply.
+    evidence : str
+        Conditions on files of the study (`io.file_conditions`), or the reason for the status.
+    weight : float
+        Weight in the METRICS score.
+    """
+
+    id: str
+    item: str
+    status: str
+    evidence: str
+    weight: float = 0.0
+
+
+class Guideline(Record, frozen=True):
+    """A reporting guideline.
+
+    Attributes
+    ----------
+    version : str
+        Name and version.
+    items : tuple of ChecklistItem
+        Checklist.
+    """
+
+    version: str
+    items: tuple[ChecklistItem, ...]
+
+
+@cache
+def load_reporting_guidelines() -> dict[str, Guideline]:
+    """Load all reporting guidelines.
+
+    Returns
+    -------
+    dict of str to Guideline
+        Name -> guideline.
+    """
+    return parse_record(dict[str, Guideline], load_data_table("reporting"), "reporting")

@@ -1,0 +1,655 @@
+"""Template anatomy: shape of an average male right knee (``data/anatomy.toml``), in mm and degrees.
+
+Frame: x medial, y posterior, z proximal. Rows of ``sections`` are height z, half ML width, half AP depth, centre y and
+centre x. Rows of ``cortex`` are height z and cortical thickness.
+"""
+
+from functools import cache
+from typing import Literal
+
+from ..data_files import load_data_table
+from ..table_records import (
+    Pair,
+    Record,
+    Rows,
+    Triple,
+    parse_record,
+)
+from .soft_tissue_tables import (
+    Cartilage,
+    DeepFat,
+    EffusionShape,
+    FatPad,
+    LimbShape,
+    Menisci,
+    MuscleShape,
+    PatellarTendon,
+    QuadricepsTendon,
+)
+
+
+class Ellipsoid(Record, frozen=True):
+    """Ellipsoid that is blended into a bone or carved out of it.
+
+    Attributes
+    ----------
+    centre : (float, float, float)
+        Centre, in mm.
+    half : (float, float, float)
+        Half axes, in mm.
+    fillet_mm : float
+        Radius of the fillet to the bone, in mm.
+    """
+
+    centre: Triple
+    half: Triple
+    fillet_mm: float
+
+
+class NotchShape(Record, frozen=True):
+    """Intercondylar notch.
+
+    Attributes
+    ----------
+    fillet_mm : float
+        Radius of the fillet to the femur, in mm.
+    cortex_mm : float
+        Cortical thickness of its walls, in mm.
+    sections : rows of float
+        Rows of y (mm), height of the roof (mm), curvature of the arch (1/mm), and half width (mm).
+    flare : float
+        Increase of the half width per mm below the roof.
+    """
+
+    fillet_mm: float
+    cortex_mm: float
+    sections: Rows
+    flare: float
+
+
+class Condyle(Record, frozen=True):
+    """One femoral condyle.
+
+    Attributes
+    ----------
+    x, y : float
+        Centre, in mm.
+    low_z : float
+        Height of the lowest point, in mm.
+    back, front : float
+        Half extents to the back and to the front, in mm.
+    up, down : float
+        Half extents upwards and downwards, in mm.
+    outer, inner : float
+        Half extents to the outer side and to the notch, in mm.
+    outer_power, inner_power : float
+        Exponents of the coronal outline; 2 is an ellipse, larger is squarer.
+    rise : float
+        Rise of the surface from its middle outwards, in mm per mm.
+    """
+
+    x: float
+    y: float
+    low_z: float
+    back: float
+    front: float
+    up: float
+    down: float
+    outer: float
+    inner: float
+    outer_power: float
+    inner_power: float
+    rise: float
+
+
+class Condyles(Record, frozen=True):
+    """Both femoral condyles.
+
+    Attributes
+    ----------
+    medial : Condyle
+        Medial condyle.
+    lateral : Condyle
+        Lateral condyle.
+    """
+
+    medial: Condyle
+    lateral: Condyle
+
+
+class RoughnessZone(Record, frozen=True):
+    """Zone of a bone with a rough surface: points inside an ellipsoid are displaced by random waves.
+
+    Attributes
+    ----------
+    centre : (float, float, float)
+        Centre of the ellipsoid, in mm.
+    half : (float, float, float)
+        Half axes of the ellipsoid, in mm.
+    direction : (float, float, float)
+        Direction of the displacement.
+    sd_mm : float
+        SD of the displacement, in mm.
+    lengths_mm : (float, float)
+        Shortest and longest wavelength, in mm.
+    seed_stream : {"texture", "form"}
+        Seed of the waves: `Knee.texture_seed` or `Knee.form_seed`.
+    """
+
+    centre: Triple
+    half: Triple
+    direction: Triple
+    sd_mm: float
+    lengths_mm: Pair
+    seed_stream: Literal["texture", "form"]
+
+
+class GrowthZone(Record, frozen=True):
+    """Zone in which bone grows: points inside an ellipsoid are displaced, less so towards its surface.
+
+    Attributes
+    ----------
+    centre : (float, float, float)
+        Centre of the ellipsoid, in mm.
+    half : (float, float, float)
+        Half axes of the ellipsoid, in mm.
+    direction : (float, float, float)
+        Displacement at the centre, in mm per mm of growth.
+    """
+
+    centre: Triple
+    half: Triple
+    direction: Triple
+
+
+class NotchGrowthZones(Record, frozen=True):
+    """Zones in which bone narrows the notch.
+
+    Attributes
+    ----------
+    femur : tuple of GrowthZone
+        Walls and roof of the notch, and the lateral condyle.
+    tibia : tuple of GrowthZone
+        Intercondylar eminence and floors of the plateaus.
+    """
+
+    femur: tuple[GrowthZone, ...]
+    tibia: tuple[GrowthZone, ...]
+
+
+class FemurShape(Record, frozen=True):
+    """Distal femur; z = 0 at the distal end of the condyles.
+
+    Attributes
+    ----------
+    valgus_deg : float
+        Angle between the anatomical and the mechanical axis, in degrees.
+    shaft_pivot_z_mm : float
+        Height at which the shaft bends, in mm.
+    edge_mm : float
+        Longest edge of a triangle, in mm.
+    tolerance_mm : float
+        Distance of an edge's middle from the surface above which the edge is split, in mm.
+    fillet_mm : float
+        Radius of the fillets between shaft, trochlea and condyles, in mm.
+    trochlea_end_z : float
+        Height of the lower edge of the trochlea in its middle, in mm.
+    trochlea_end_bend : float
+        Curvature of this edge: fall per square of the distance from the middle, in 1/mm.
+    sections : rows of float
+        Sections of shaft and metaphysis, before the valgus of the shaft, in mm.
+    bumps : tuple of Ellipsoid
+        Epicondyles and adductor tubercle.
+    hollows : tuple of Ellipsoid
+        Trochlear and popliteal groove.
+    cortex : rows of float
+        Cortical thickness by height, in mm.
+    plate_mm : float
+        Thickness of the subchondral bone plate of the condyles, in mm.
+    plate_below_z : float
+        Height below which the bone has this plate, in mm.
+    plate_within_x : float
+        Distance from the middle within which the bone has this plate, in mm.
+    canal_from_z_mm : float
+        Height at which the medullary canal begins, in mm.
+    canal_full_z_mm : float
+        Height at which the canal has its full width, in mm.
+    notch : NotchShape
+        Intercondylar notch.
+    condyles : Condyles
+        Condyles.
+    roughness_zones : tuple of RoughnessZone
+        Zones with a rough surface.
+    """
+
+    valgus_deg: float
+    shaft_pivot_z_mm: float
+    edge_mm: float
+    tolerance_mm: float
+    fillet_mm: float
+    trochlea_end_z: float
+    trochlea_end_bend: float
+    sections: Rows
+    bumps: tuple[Ellipsoid, ...]
+    hollows: tuple[Ellipsoid, ...]
+    cortex: Rows
+    plate_mm: float
+    plate_below_z: float
+    plate_within_x: float
+    canal_from_z_mm: float
+    canal_full_z_mm: float
+    notch: NotchShape
+    condyles: Condyles
+    roughness_zones: tuple[RoughnessZone, ...]
+
+
+class CorticalThicknessVariation(Record, frozen=True):
+    """Random variation of cortical thickness along a bone.
+
+    Attributes
+    ----------
+    sd : float
+        SD relative to the mean thickness, where the cortex is `thin_mm` thick or thinner.
+    thin_mm : float
+        Thickness above which the SD in mm stays constant, in mm.
+    least_mm : float
+        Smallest thickness, in mm.
+    shortest_mm : float
+        Shortest wavelength of the variation, in mm.
+    longest_mm : float
+        Longest wavelength of the variation, in mm.
+    """
+
+    sd: float
+    thin_mm: float
+    least_mm: float
+    shortest_mm: float
+    longest_mm: float
+
+
+class PlateauGaussian(Record, frozen=True):
+    """Gaussian elevation of the tibial plateau, or a dish if the height is negative.
+
+    Attributes
+    ----------
+    x, y : float
+        Centre, in mm.
+    height : float
+        Height, in mm.
+    half_x, half_y : float
+        Half widths, in mm.
+    """
+
+    x: float
+    y: float
+    height: float
+    half_x: float
+    half_y: float
+
+
+class TibiaShape(Record, frozen=True):
+    """Proximal tibia; z = 0 at the middle of the plateau.
+
+    Attributes
+    ----------
+    sections : rows of float
+        Sections, in mm.
+    deeper_medially : float
+        Relative increase of the AP depth with x, in 1/mm: the medial side is deeper.
+    deeper_above_z : float
+        Height below which this increase ends, in mm.
+    shaft_pivot_z_mm : float
+        Height at which the shaft bends, in mm.
+    cortex : rows of float
+        Cortical thickness by height, in mm.
+    plate_mm : float
+        Thickness of the subchondral bone plate at the margins and between the condyles, in mm.
+    plates : tuple of PlateauGaussian
+        Additional thickness of the plate in each compartment and on the spines, in mm.
+    canal_from_z_mm : float
+        Height at which the medullary canal begins, in mm.
+    canal_full_z_mm : float
+        Height at which the canal has its full width, in mm.
+    rim_mm : float
+        Radius of the rounded rim of the plateau, in mm.
+    far_rim_mm : float
+        Radius of the rim in front and behind, in mm.
+    far_rim_y : float
+        Distance from the middle, in y, at which the rim has this radius, in mm.
+    edge_mm : float
+        Longest edge of a triangle, in mm.
+    tolerance_mm : float
+        Distance of an edge's middle from the surface above which the edge is split, in mm.
+    bumps : tuple of Ellipsoid
+        Tuberosity.
+    relief : tuple of PlateauGaussian
+        Dishes, spines and other elevations of the plateau.
+    roughness_zones : tuple of RoughnessZone
+        Zones with a rough surface.
+    """
+
+    sections: Rows
+    deeper_medially: float
+    deeper_above_z: float
+    shaft_pivot_z_mm: float
+    cortex: Rows
+    plate_mm: float
+    plates: tuple[PlateauGaussian, ...]
+    canal_from_z_mm: float
+    canal_full_z_mm: float
+    rim_mm: float
+    far_rim_mm: float
+    far_rim_y: float
+    edge_mm: float
+    tolerance_mm: float
+    bumps: tuple[Ellipsoid, ...]
+    relief: tuple[PlateauGaussian, ...]
+    roughness_zones: tuple[RoughnessZone, ...]
+
+
+class FibulaShape(Record, frozen=True):
+    """Proximal fibula, in the frame of the tibia.
+
+    Attributes
+    ----------
+    sections : rows of float
+        Sections, in mm.
+    cortex : rows of float
+        Cortical thickness by height, in mm.
+    gap_to_tibia_mm : float
+        Width of the tibiofibular joint, in mm.
+    joint_mm : (float, float, float)
+        Position of this joint on the tibia, in mm.
+    faces : (float, float, float)
+        Direction that the joint surface of the fibula faces.
+    """
+
+    sections: Rows
+    cortex: Rows
+    gap_to_tibia_mm: float
+    joint_mm: Triple
+    faces: Triple
+
+
+class PatellaShape(Record, frozen=True):
+    """Patella.
+
+    Attributes
+    ----------
+    sections : rows of float
+        Sections, with z from the middle of the patella, in mm.
+    centre_mm : (float, float, float)
+        Middle of the patella in the frame of the template femur, in mm.
+    tendon_end_mm : float
+        Height of the patellar tendon's end above the middle of its attachment on the tuberosity, in mm.
+    gap_to_femur_mm : float
+        Distance between the bones, in mm: cartilage of both.
+    cartilage_mm : float
+        Thickness of the patellar cartilage, in mm.
+    cartilage_from : float
+        Relative height from which the back bears cartilage, from 0 at the apex to 1 at the base.
+    cortex : rows of float
+        Cortical thickness by height, in mm.
+    """
+
+    sections: Rows
+    centre_mm: Triple
+    tendon_end_mm: float
+    gap_to_femur_mm: float
+    cartilage_mm: float
+    cartilage_from: float
+    cortex: Rows
+
+
+class FabellaShape(Record, frozen=True):
+    """Fabella.
+
+    Attributes
+    ----------
+    x : float
+        Position behind the lateral condyle, in mm.
+    z : float
+        Height, in mm.
+    reach_mm : float
+        Half side of the square in x and z within which the back of the femur is searched, in mm.
+    behind_mm : float
+        Distance behind the femur, in mm.
+    form : (float, float, float)
+        Half axes relative to half of the fabella's size, in x, y and z.
+    cortex_mm : float
+        Cortical thickness, in mm.
+    """
+
+    x: float
+    z: float
+    reach_mm: float
+    behind_mm: float
+    form: Triple
+    cortex_mm: float
+
+
+class OsteophyteMargin(Record, frozen=True):
+    """Joint margin of a bone, on which osteophytes grow.
+
+    The pairs of distances are an offset in mm and a slope in mm per mm of osteophyte size.
+
+    Attributes
+    ----------
+    band_z : (float, float)
+        Range of height in which the margin is searched, in mm.
+    at_z : float
+        Approximate height of the margin, in mm.
+    joint : {1.0, -1.0}
+        Direction towards the joint: 1 up, -1 down.
+    medial_drop_mm : (float, float)
+        Distance of a medial osteophyte's joint-facing side from the joint surface, in mm.
+    lateral_drop_mm : (float, float)
+        Distance of a lateral osteophyte's joint-facing side from the joint surface, in mm.
+    """
+
+    band_z: Pair
+    at_z: float
+    joint: float
+    medial_drop_mm: Pair
+    lateral_drop_mm: Pair
+
+
+class MarginalOsteophyteShape(Record, frozen=True):
+    """Shape of marginal osteophytes. Pairs are an offset in mm and a slope in mm per mm of size.
+
+    Attributes
+    ----------
+    edge_mm : (float, float)
+        Radius of the rounded edge.
+    base_mm : (float, float)
+        Height of the base.
+    highest_mm : float
+        Largest height of the base, in mm.
+    long_mm : (float, float)
+        Length along the margin.
+    longest_mm : float
+        Largest length along the margin, in mm.
+    bulge : float
+        Protrusion of the base alone, as a fraction of the size.
+    turn_deg : float
+        Rotation of the outward direction at the front and back ends of the margin, from sideways, in degrees.
+    """
+
+    edge_mm: Pair
+    base_mm: Pair
+    highest_mm: float
+    long_mm: Pair
+    longest_mm: float
+    bulge: float
+    turn_deg: float
+
+
+class CentralOsteophyteShape(Record, frozen=True):
+    """Position and shape of central osteophytes. Pairs of lengths are an offset in mm and a slope in mm per mm of size.
+
+    Attributes
+    ----------
+    across_mm : float
+        Distance from the middle of the knee to the middle of a compartment, in mm.
+    base_half_width_mm : float
+        Half width, in x, of the bone surface from which the size is measured, in mm; on the tibia also in y.
+    femur_deg : (float, float)
+        Angles of the front and back end of the positions on the femur, from straight down towards the back, in degrees.
+    tibia_mm : (float, float)
+        Front and back end of the positions on the tibia, from the middle of the knee, in mm.
+    tibia_above_mm : float
+        Height above which the tibia counts as joint surface, in mm.
+    wide_mm : (float, float)
+        Distance from the centre to the feet.
+    foot_mm : (float, float)
+        Radius of a foot.
+    sunk_mm : float
+        Depth of the feet below the bone surface, in mm.
+    tip_mm : (float, float)
+        Radius of the rounding of the top.
+    top_share : float
+        Width of the top relative to `wide_mm`.
+    top_falls : float
+        Fall of the top from its centre to its edge, as a fraction of the size.
+    """
+
+    across_mm: float
+    base_half_width_mm: float
+    femur_deg: Pair
+    tibia_mm: Pair
+    tibia_above_mm: float
+    wide_mm: Pair
+    foot_mm: Pair
+    sunk_mm: float
+    tip_mm: Pair
+    top_share: float
+    top_falls: float
+
+
+class OsteophyteShapes(Record, frozen=True):
+    """Margins that bear osteophytes, and shapes of osteophytes.
+
+    Attributes
+    ----------
+    femur : OsteophyteMargin
+        Margin of the femur.
+    tibia : OsteophyteMargin
+        Margin of the tibia.
+    lip : MarginalOsteophyteShape
+        Shape of marginal osteophytes.
+    central : CentralOsteophyteShape
+        Shape of central osteophytes.
+    """
+
+    femur: OsteophyteMargin
+    tibia: OsteophyteMargin
+    lip: MarginalOsteophyteShape
+    central: CentralOsteophyteShape
+
+
+class StatureBySex(Record, frozen=True):
+    """Body height of men and of women.
+
+    Attributes
+    ----------
+    male : float
+        Mean of men, in mm.
+    female : float
+        Mean of women, in mm.
+    """
+
+    male: float
+    female: float
+
+
+class TemplateSize(Record, frozen=True):
+    """Sizes that scale the template anatomy.
+
+    Attributes
+    ----------
+    male_tibial_ml_mm : float
+        ML width of the male tibial plateau, in mm.
+    female_over_male : float
+        Size of female bones relative to male ones.
+    stature_mm : StatureBySex
+        Body height, in mm.
+    """
+
+    male_tibial_ml_mm: float
+    female_over_male: float
+    stature_mm: StatureBySex
+
+
+class TemplateAnatomy(Record, frozen=True):
+    """Shape of the template anatomy.
+
+    Attributes
+    ----------
+    size : TemplateSize
+        Sizes that scale the bones.
+    unevenness : CorticalThicknessVariation
+        Variation of cortical thickness.
+    notch_growth : NotchGrowthZones
+        Growth of bone into the notch.
+    femur : FemurShape
+        Femur.
+    tibia : TibiaShape
+        Tibia.
+    osteophytes : OsteophyteShapes
+        Osteophytes.
+    fibula : FibulaShape
+        Fibula.
+    patella : PatellaShape
+        Patella.
+    fabella : FabellaShape
+        Fabella.
+    cartilage : Cartilage
+        Cartilage.
+    menisci : Menisci
+        Menisci.
+    fat_pad : FatPad
+        Infrapatellar fat pad.
+    patellar_tendon : PatellarTendon
+        Patellar tendon.
+    quadriceps_tendon : QuadricepsTendon
+        Quadriceps tendon.
+    muscles : tuple of MuscleShape
+        Muscles, vessels and nerve.
+    deep_fat : DeepFat
+        Tissue that fat inside the fascia does not fill.
+    effusion : EffusionShape
+        Swelling of the joint.
+    soft : LimbShape
+        Skin, subcutaneous fat and fascia.
+    """
+
+    size: TemplateSize
+    unevenness: CorticalThicknessVariation
+    notch_growth: NotchGrowthZones
+    femur: FemurShape
+    tibia: TibiaShape
+    osteophytes: OsteophyteShapes
+    fibula: FibulaShape
+    patella: PatellaShape
+    fabella: FabellaShape
+    cartilage: Cartilage
+    menisci: Menisci
+    fat_pad: FatPad
+    patellar_tendon: PatellarTendon
+    quadriceps_tendon: QuadricepsTendon
+    muscles: tuple[MuscleShape, ...]
+    deep_fat: DeepFat
+    effusion: EffusionShape
+    soft: LimbShape
+
+
+@cache
+def load_template_anatomy() -> TemplateAnatomy:
+    """Load the template anatomy.
+
+    Returns
+    -------
+    TemplateAnatomy
+        Content of ``data/anatomy.toml``.
+    """
+    return parse_record(TemplateAnatomy, load_data_table("anatomy"), "anatomy")

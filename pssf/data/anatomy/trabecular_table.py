@@ -1,0 +1,413 @@
+"""Trabecular bone: smooth density of each bone, and the lattice of its struts (``data/trabeculae.toml``).
+
+Lengths are in mm at template size; those of the lattice are true lengths. BV/TV is bone volume over tissue volume.
+"""
+
+from functools import cache
+
+from ..data_files import load_data_table
+from ..table_records import (
+    Pair,
+    Record,
+    Triple,
+    parse_record,
+)
+
+
+class BoneMarrowMix(Record, frozen=True):
+    """Mixture of bone and marrow at relative density 1.
+
+    Attributes
+    ----------
+    bvtv : float
+        BV/TV.
+    marrow : float
+        Attenuation of marrow relative to that of the mixture.
+    """
+
+    bvtv: float
+    marrow: float
+
+
+class StrutLattice(Record, frozen=True):
+    """Periodic block of struts: a Gaussian random field with a given power spectrum, cut at a threshold.
+
+    Attributes
+    ----------
+    voxel_mm : (float, float, float)
+        Voxel size in x, z and y, in mm.
+    voxels : (int, int, int)
+        Number of voxels in x, z and y.
+    stretch_y : float
+        Factor by which the field is stretched along y.
+    waves_y : int
+        Number of frequencies along y.
+    low_per_mm : float
+        Spatial frequency below which the power is flat, in 1/mm.
+    high_per_mm : float
+        Spatial frequency above which the power falls, in 1/mm.
+    low_frequency_exponent : float
+        Exponent of the power between these frequencies.
+    high_frequency_exponent : float
+        Exponent with which the power falls above.
+    vertical_power : float
+        Power of vertical struts.
+    horizontal_power : float
+        Power of horizontal struts.
+    isotropic_power : float
+        Power of struts of any direction.
+    patches : (float, float)
+        Fraction of the variance that belongs to dense and sparse patches: median over knees, and SD of its logarithm.
+    patch_per_mm : float
+        Bandwidth of the patches, in 1/mm.
+    patch_aspect_ratio : float
+        Height of a patch relative to its width.
+    length_per_mm : float
+        Bandwidth along a strut, 1 / (2 pi length), in 1/mm.
+    angular_spread_rad : float
+        Spread of the directions of struts, in radians.
+    threshold_sd : float
+        Value of the field above which there is bone, in SD.
+    softness : float
+        Width of the transition at the threshold, in SD.
+    """
+
+    voxel_mm: Triple
+    voxels: tuple[int, int, int]
+    stretch_y: float
+    waves_y: int
+    low_per_mm: float
+    high_per_mm: float
+    low_frequency_exponent: float
+    high_frequency_exponent: float
+    vertical_power: float
+    horizontal_power: float
+    isotropic_power: float
+    patches: Pair
+    patch_per_mm: float
+    patch_aspect_ratio: float
+    length_per_mm: float
+    angular_spread_rad: float
+    threshold_sd: float
+    softness: float
+
+
+class Ageing(Record, frozen=True):
+    """Decrease of BV/TV and increase of strut contrast with age.
+
+    Attributes
+    ----------
+    reference_years : float
+        Age at which the other values hold, in years.
+    per_year : float
+        Relative decrease of BV/TV per year.
+    mean : dict of str to float
+        Sex -> BV/TV at the reference age, relative to men.
+    contrast_per_year : dict of str to float
+        Sex -> relative increase of contrast per year.
+    """
+
+    reference_years: float
+    per_year: float
+    mean: dict[str, float]
+    contrast_per_year: dict[str, float]
+
+
+class BoneDensityVariation(Record, frozen=True):
+    """Variation of bone density between persons of the same age and sex.
+
+    Attributes
+    ----------
+    density : (float, float)
+        Mean and SD of `Knee.bone_density`.
+    """
+
+    density: Pair
+
+
+class StrutCoarseness(Record, frozen=True):
+    """Coarsening of struts with sclerosis and age.
+
+    Attributes
+    ----------
+    per_plate : float
+        Relative coarsening per unit of relative thickness of the subchondral bone plate.
+    per_year : dict of str to float
+        Sex -> relative coarsening per year.
+    deviation : float
+        SD of the logarithm between persons.
+    """
+
+    per_plate: float
+    per_year: dict[str, float]
+    deviation: float
+
+
+class Sclerosis(Record, frozen=True):
+    """Increase of BV/TV with the thickness of the subchondral bone plate.
+
+    Attributes
+    ----------
+    per_plate : float
+        Relative increase of BV/TV per unit of relative thickness of the plate.
+    deep_mm : float
+        Depth at which a quarter of the increase is left, in mm.
+    other_side : float
+        Increase of the plate's thickness in the other compartment, relative to the one that narrows.
+    other_side_deep : float
+        Increase of BV/TV in the other compartment, relative to the one that narrows.
+    fills_per_plate : float
+        Relative decrease of strut contrast per unit of relative thickness of the plate.
+    """
+
+    per_plate: float
+    deep_mm: float
+    other_side: float
+    other_side_deep: float
+    fills_per_plate: float
+
+
+class MedialLateralTransition(Record, frozen=True):
+    """Transition between the medial and the lateral side.
+
+    Attributes
+    ----------
+    middle_mm : float
+        Width of the transition, in mm.
+    """
+
+    middle_mm: float
+
+
+class PhysealScar(Record, frozen=True):
+    """Position and shape of the physeal scar, common to all bones.
+
+    Attributes
+    ----------
+    off_mm : (float, float)
+        Range of the distance from the middle at which the scar is strongest, in mm.
+    wide_mm : float
+        Distance over which the scar falls to a quarter of its strength, in mm.
+    least : float
+        Smallest strength on either side, relative to the largest.
+    dome_off_mm : float
+        Largest distance between the middle of the dome and that of the bone, front to back, in mm.
+    ripple_mm : float
+        Amplitude of the waves of the sheet, in mm.
+    ripple_length_mm : float
+        Wavelength of the sheet, in mm.
+    """
+
+    off_mm: Pair
+    wide_mm: float
+    least: float
+    dome_off_mm: float
+    ripple_mm: float
+    ripple_length_mm: float
+
+
+class StrutWaviness(Record, frozen=True):
+    """Lateral waviness of the struts.
+
+    Attributes
+    ----------
+    amplitude_mm : float
+        Amplitude, in mm.
+    length_mm : float
+        Wavelength along a strut, in mm.
+    across : float
+        Phase change across relative to that along a strut.
+    """
+
+    amplitude_mm: float
+    length_mm: float
+    across: float
+
+
+class TrabecularDensityProfile(Record, frozen=True):
+    """Smooth part of the trabecular density of one bone.
+
+    Attributes
+    ----------
+    sclerosis : float
+        Fraction of the sclerosis that this bone shows.
+    shaft_direction : {1.0, -1.0}
+        Direction of the shaft along z.
+    bvtv : float
+        BV/TV in the epiphysis.
+    shaft : float
+        BV/TV far down the shaft.
+    fade_mm : float
+        Depth at which half of the difference is gone, in mm.
+    medial : float
+        Relative increase towards the medial side.
+    load : float
+        Relative increase in the columns under the condyles, and decrease between them.
+    column_mm : float
+        Distance of the columns from the middle, in mm.
+    column_half_mm : float
+        Half width of the columns, in mm.
+    margin_mm : float
+        Distance from the middle beyond which BV/TV falls, in mm.
+    margin_half_mm : float
+        Distance beyond it at which half is left, in mm.
+    plate : float
+        Relative increase at the subchondral bone plate.
+    plate_mm : float
+        Depth at which half of it is left, in mm.
+    plate_struts : float
+        Fraction of this increase that is due to thicker struts; the rest is a dense mesh.
+    plate_medial : float
+        Relative increase of it towards the medial side.
+    between : float
+        Fraction of this increase that is missing between the compartments.
+    between_mm : float
+        Position at which it is missing, from the middle to medial, in mm.
+    between_half_mm : float
+        Distance at which a quarter of this deficit is left, in mm.
+    struts : float
+        Relative increase of strut contrast at the joint surface.
+    struts_half_mm : float
+        Depth at which a quarter of it is left, in mm.
+    strut_convergence : float
+        Relative convergence of struts far down the shaft.
+    strut_convergence_mm : float
+        Depth at which half of it is reached, in mm.
+    strut_flattening : float
+        Factor by which horizontal struts are closer, and vertical ones farther apart, than in the lattice.
+    joint : (float, float, float)
+        Circle (y, z, radius) about an axis along x that stands for the joint surface, in mm.
+    below : float
+        Height, relative to the centre of the circle, above which this surface is vertical, in mm.
+    dips : three of (float, float, float)
+        Deviations of the surface from the circle along x: centre, half width and height, in mm.
+    rim : float
+        Fraction of bone that is missing in the rim of the medial plateau.
+    rim_from_mm : float
+        Distance from the middle to medial from which it is missing, in mm.
+    rim_mm : float
+        Depth below the joint surface to which it is missing, in mm.
+    rim_half_mm : float
+        Half width of these transitions, in mm.
+    gain : float
+        Contrast of the struts: 1 leaves no bone between them.
+    gain_load : float
+        Relative increase of the contrast in the columns.
+    gain_shaft : float
+        Contrast of the struts far down the shaft.
+    scar_mm : (float, float)
+        Range of the height of the physeal scar, in mm.
+    scar_slope : float
+        Slope of the scar towards medial.
+    scar_bow_per_mm : float
+        Curvature of the scar across, in 1/mm.
+    scar_dome_per_mm : float
+        Curvature of the scar from front to back, in 1/mm.
+    scar_bvtv : float
+        Additional BV/TV in the scar.
+    scar_sides : (float, float)
+        Largest fraction of it on the lateral and on the medial side.
+    scar_half_mm : float
+        Half thickness of the scar, in mm.
+    """
+
+    sclerosis: float
+    shaft_direction: float
+    bvtv: float
+    shaft: float
+    fade_mm: float
+    medial: float
+    load: float
+    column_mm: float
+    column_half_mm: float
+    margin_mm: float
+    margin_half_mm: float
+    plate: float
+    plate_mm: float
+    plate_struts: float
+    plate_medial: float
+    between: float
+    between_mm: float
+    between_half_mm: float
+    struts: float
+    struts_half_mm: float
+    strut_convergence: float
+    strut_convergence_mm: float
+    strut_flattening: float
+    joint: Triple
+    below: float
+    dips: tuple[Triple, Triple, Triple]
+    rim: float
+    rim_from_mm: float
+    rim_mm: float
+    rim_half_mm: float
+    gain: float
+    gain_load: float
+    gain_shaft: float
+    scar_mm: Pair
+    scar_slope: float
+    scar_bow_per_mm: float
+    scar_dome_per_mm: float
+    scar_bvtv: float
+    scar_sides: Pair
+    scar_half_mm: float
+
+
+class TrabecularBone(Record, frozen=True):
+    """Trabecular bone of all bones.
+
+    Attributes
+    ----------
+    tissue : BoneMarrowMix
+        Mixture of bone and marrow.
+    lattice : StrutLattice
+        Lattice of struts.
+    ageing : Ageing
+        Dependence on age.
+    person : BoneDensityVariation
+        Variation between persons.
+    grain : StrutCoarseness
+        Coarseness of struts.
+    sclerosis : Sclerosis
+        Dependence on the subchondral bone plate.
+    side : MedialLateralTransition
+        Transition between the sides.
+    scar : PhysealScar
+        Physeal scar.
+    sway : StrutWaviness
+        Waviness of struts.
+    tibia : TrabecularDensityProfile
+        Density of the tibia.
+    femur : TrabecularDensityProfile
+        Density of the femur.
+    fibula : TrabecularDensityProfile
+        Density of the fibula.
+    patella : TrabecularDensityProfile
+        Density of the patella; also of the fabella.
+    """
+
+    tissue: BoneMarrowMix
+    lattice: StrutLattice
+    ageing: Ageing
+    person: BoneDensityVariation
+    grain: StrutCoarseness
+    sclerosis: Sclerosis
+    side: MedialLateralTransition
+    scar: PhysealScar
+    sway: StrutWaviness
+    tibia: TrabecularDensityProfile
+    femur: TrabecularDensityProfile
+    fibula: TrabecularDensityProfile
+    patella: TrabecularDensityProfile
+
+
+@cache
+def load_trabecular_bone() -> TrabecularBone:
+    """Load the tables of trabecular bone.
+
+    Returns
+    -------
+    TrabecularBone
+        Content of ``data/trabeculae.toml``.
+    """
+    return parse_record(TrabecularBone, load_data_table("trabeculae"), "trabeculae")

@@ -1,0 +1,155 @@
+"""Cache of computed arrays that depend on the package alone: shipped with it, or kept in the user's cache folder.
+
+Some arrays take seconds to compute. The file name contains a digest of the code, tables and library versions that made
+the arrays, so that an outdated file is never used. Shipped arrays are valid for all library versions, so that they are
+the same on every machine. The environment variable ``PSSF_CACHE_DIR`` names another folder; "off" disables the cache.
+"""
+
+import hashlib
+import os
+import secrets
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from platformdirs import user_cache_path
+
+from .code_hash import PACKAGE_ROOT, compute_code_hashes
+
+Arrays = Mapping[str, NDArray[Any]]
+
+
+# Number of cached files per name, made by different versions of code, tables or libraries.
+_MAX_VERSIONS = 4
+# Folder of the shipped arrays, relative to the package.
+PACKAGED_FOLDER = Path("data", "kept")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CacheKey:
+    """Everything that arrays depend on; if any of it changes, the arrays are computed again.
+
+    Parameters
+    ----------
+    sources : tuple of str
+        Packages or modules of pssf, such as "anatomy" or "xray/spectrum.py", together with their tables.
+    libraries : tuple of str, default ()
+        Names of libraries whose versions count.
+    facts : bytes, default b""
+        Any further input, such as an encoded record.
+    """
+
+    sources: tuple[str, ...]
+    libraries: tuple[str, ...] = ()
+    facts: bytes = b""
+
+
+def load_or_make_arrays(name: str, origin: CacheKey, make: Callable[[], Arrays]) -> Arrays:
+    """Load arrays from the package or the cache folder; if they are not there, compute and store them.
+
+    A damaged file or a folder that cannot be written only costs the time of the computation.
+
+    Parameters
+    ----------
+    name : str
+        Name of the file, without digest and suffix.
+    origin : CacheKey
+        Everything that the arrays depend on.
+    make : callable
+        Function without arguments that computes the arrays.
+
+    Returns
+    -------
+    mapping of str to array
+        The arrays.
+    """
+    # A damaged file can raise any error in zipfile, zlib or numpy.
+    with suppress(Exception):
+        return _read_arrays(_packaged_path(name, origin))
+    folder = _cache_folder()
+    if folder is None:
+        return make()
+    path = folder / f"{name}-{compute_cache_digest(origin)[:16]}.npz"
+    with suppress(Exception):
+        return _read_arrays(path)
+    arrays = make()
+    with suppress(OSError):
+        _write_arrays(path, arrays)
+        # Several files per name are kept, so that versions of the package installed side by side share the folder.
+        by_age = sorted(folder.glob(f"{name}-*.npz"), key=lambda file: file.stat().st_mtime, reverse=True)
+        for stale in by_age[_MAX_VERSIONS:]:
+            stale.unlink()
+    return arrays
+
+
+def save_to_package(name: str, origin: CacheKey, arrays: Arrays) -> None:
+    """Store arrays in the package, and delete earlier files of the same name.
+
+    Parameters
+    ----------
+    name : str
+        Name of the file, without digest and suffix.
+    origin : CacheKey
+        Everything that the arrays depend on.
+    arrays : mapping of str to array
+        Name -> array (any shape and unit).
+    """
+    for stale in (PACKAGE_ROOT / PACKAGED_FOLDER).glob(f"{name}-*.npz"):
+        stale.unlink()
+    _write_arrays(_packaged_path(name, origin), arrays)
+
+
+@cache
+def compute_cache_digest(origin: CacheKey) -> str:
+    """Compute the digest of the code, tables, library versions and further facts of a cache key.
+
+    Parameters
+    ----------
+    origin : CacheKey
+        Everything that the arrays depend on.
+
+    Returns
+    -------
+    str
+        SHA-256 digest, hexadecimal.
+    """
+    made_by = [compute_code_hashes(origin.sources), [(name, version(name)) for name in origin.libraries], origin.facts]
+    return hashlib.sha256(repr(made_by).encode()).hexdigest()
+
+
+def _packaged_path(name: str, origin: CacheKey) -> Path:
+    """Return the path of shipped arrays; its digest does not include library versions."""
+    return PACKAGE_ROOT / PACKAGED_FOLDER / f"{name}-{compute_cache_digest(replace(origin, libraries=()))[:16]}.npz"
+
+
+def _cache_folder() -> Path | None:
+    """Return the cache folder, or None if the cache is disabled."""
+    named = os.environ.get("PSSF_CACHE_DIR", "")
+    if named == "off":
+        return None
+    return Path(named) if named else user_cache_path("pssf", appauthor=False)
+
+
+def _read_arrays(path: Path) -> Arrays:
+    """Read all arrays of an .npz file; pickled objects are not allowed."""
+    with np.load(path, allow_pickle=False) as arrays:
+        return dict(arrays)
+
+
+def _write_arrays(path: Path, arrays: Arrays) -> None:
+    """Write arrays to a temporary file and rename it, so that readers never see a partial file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f"{secrets.token_hex(8)}.part")
+    try:
+        # The file mode follows the umask, so that several users can share one folder.
+        with open(part, "xb") as handle:
+            np.savez_compressed(handle, **arrays)  # type: ignore[arg-type]
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)

@@ -1,0 +1,1 @@
+"""Tables of image formation and display: detectors, scatter, display processing, acquisition variability, DICOM."""

@@ -1,0 +1,166 @@
+"""Scatter kernel: fitted constants of the scattered radiation (``data/scatter.toml``)."""
+
+from functools import cache
+
+from ..data_files import load_data_table
+from ..table_records import Pair, Record, parse_record
+
+
+class ScatterTerm(Record, frozen=True):
+    """Constants of one term of the scatter kernel.
+
+    The formula is in ``data/scatter.toml``. Only the sum of the terms was fitted; single constants have no meaning.
+
+    Attributes
+    ----------
+    log_strength : float
+        Natural logarithm of the strength.
+    per_10_kv : float
+        Change of the logarithm per 10 kV.
+    per_log : float
+        Change of the logarithm per unit of the mean logarithm of the primary transmission.
+    mass_power : float
+        Power of the mass that is crossed.
+    primary_power : float
+        Power of the primary transmission.
+    exit_power : float
+        Power of the smoothed primary transmission where rays leave the object.
+    exit_mm : float
+        Standard deviation of the Gaussian that smooths it, in mm.
+    inner_mm : float
+        Standard deviation of the spread inside the object at relative mass 1, in mm.
+    slope : float
+        Increase of the standard deviation of the spread behind the object per mm of air gap.
+    depth_mm : float
+        Length that is added to the air gap, in mm.
+    """
+
+    log_strength: float
+    per_10_kv: float
+    per_log: float
+    mass_power: float
+    primary_power: float
+    exit_power: float
+    exit_mm: float
+    inner_mm: float
+    slope: float
+    depth_mm: float
+
+
+class ProjectionKernel(Record, frozen=True):
+    """Terms of the scatter kernel of one projection.
+
+    Attributes
+    ----------
+    projection : str
+        Name of the projection, as in `Protocol`.
+    inner_power : float
+        Power of the mean relative mass in the spread inside the object.
+    term : tuple of ScatterTerm
+        Terms whose sum is the scatter.
+    """
+
+    projection: str
+    inner_power: float
+    term: tuple[ScatterTerm, ...]
+
+
+class SmallFieldBias(Record, frozen=True):
+    """Ratio of the kernel's scatter to that of the Monte Carlo simulation in small fields.
+
+    Attributes
+    ----------
+    side_mm : float
+        Largest value of the smaller side of the fields, on the detector, in mm.
+    low : float
+        Smallest ratio.
+    high : float
+        Largest ratio.
+    """
+
+    side_mm: float
+    low: float
+    high: float
+
+
+class ScatterKernel(Record, frozen=True):
+    """Scatter kernel of all projections, with the range of its fit.
+
+    Attributes
+    ----------
+    reference_g_per_cm2 : float
+        Mass per area at relative mass 1, in g/cm2.
+    reference_log : float
+        Reference of the mean natural logarithm of the primary transmission.
+    reference_kv : float
+        Reference tube voltage, in kV.
+    tube_kv : (float, float)
+        Range to which the tube voltage is limited, in kV.
+    most_mass : float
+        Limit of the relative mass.
+    log_primary_range : (float, float)
+        Range to which the mean natural logarithm of the primary transmission is limited.
+    full_field_mm : (float, float)
+        Width and height of the smallest field that the kernel is valid for, on the detector, in mm.
+    small_fields : tuple of SmallFieldBias
+        Bias of the kernel in smaller fields, by increasing side.
+    sums : tuple of ProjectionKernel
+        Kernels of the projections.
+    """
+
+    reference_g_per_cm2: float
+    reference_log: float
+    reference_kv: float
+    tube_kv: Pair
+    most_mass: float
+    log_primary_range: Pair
+    full_field_mm: Pair
+    small_fields: tuple[SmallFieldBias, ...]
+    sums: tuple[ProjectionKernel, ...]
+
+    def for_projection(self, projection: str) -> ProjectionKernel:
+        """Return the kernel of a projection.
+
+        Parameters
+        ----------
+        projection : str
+            Name of the projection, as in `Protocol`.
+
+        Returns
+        -------
+        ProjectionKernel
+            Its kernel; the first one (AP) for a projection without a fit.
+        """
+        return next((one for one in self.sums if one.projection == projection), self.sums[0])
+
+    def find_small_field_bias(self, width_mm: float, height_mm: float) -> SmallFieldBias | None:
+        """Find the bias of the kernel in a field that is smaller than those it was fitted to.
+
+        Parameters
+        ----------
+        width_mm : float
+            Width of the field on the detector, in mm.
+        height_mm : float
+            Height of the field on the detector, in mm.
+
+        Returns
+        -------
+        SmallFieldBias or None
+            Bias of the kernel; None for a field that is large enough.
+        """
+        width, height = self.full_field_mm
+        if width_mm >= width and height_mm >= height:
+            return None
+        return next(one for one in self.small_fields if min(width_mm, height_mm) <= one.side_mm)
+
+
+@cache
+def load_scatter_kernel() -> ScatterKernel:
+    """Load the scatter kernel of the package.
+
+    Returns
+    -------
+    ScatterKernel
+        Content of ``data/scatter.toml``.
+    """
+    return parse_record(ScatterKernel, load_data_table("scatter"), "scatter")

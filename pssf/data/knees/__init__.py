@@ -1,0 +1,1 @@
+"""Tables of knees: field definitions, grade tables, OARSI and KL thresholds, progression and cohort presets."""

@@ -1,0 +1,148 @@
+"""Definitions of the fields of knees, osteophytes, cysts and protocols (``data/*_fields.toml``)."""
+
+import re
+from functools import cache
+from typing import Any
+
+from ...core.checks import (
+    InputError,
+    require_choice,
+    require_in_range,
+    require_integer,
+)
+from ..data_files import load_data_table
+from ..table_records import Pair, Record, parse_record
+
+
+class FieldSpec(Record, frozen=True):
+    """Definition of one field: meaning, unit and allowed values.
+
+    Attributes
+    ----------
+    description : str
+        Meaning of the field.
+    unit : str
+        Unit of its value; empty if it has none.
+    range : (float, float) or None
+        Bounds of a number.
+    integer_range : (int, int) or None
+        Bounds of a whole number.
+    choices : tuple or None
+        Allowed words or numbers.
+    pattern : str or None
+        Allowed characters of a name, in words.
+    max_length : int or None
+        Largest number of characters of a text.
+    optional : bool
+        Whether None is allowed.
+    source : str
+        Source of usual values.
+    """
+
+    description: str
+    unit: str = ""
+    range: Pair | None = None
+    integer_range: tuple[int, int] | None = None
+    choices: tuple[str | int, ...] | None = None
+    pattern: str | None = None
+    max_length: int | None = None
+    optional: bool = False
+    source: str = ""
+
+    def check(self, name: str, value: Any) -> None:
+        """Check that a value is allowed.
+
+        Parameters
+        ----------
+        name : str
+            Name of the field in the error message.
+        value : Any
+            Value to check.
+
+        Raises
+        ------
+        InputError
+            If the value is not allowed. The message names the field, what is allowed, and the value.
+        """
+        if self.optional and value is None:
+            return
+        if self.pattern is not None and not (isinstance(value, str) and re.fullmatch(r"[\w-]{1,64}", value)):
+            raise InputError(f"{name} must be {self.pattern}, got {value!r}")
+        if self.max_length is not None and not (isinstance(value, str) and 1 <= len(value) <= self.max_length):
+            raise InputError(f"{name} must be {self.allowed_text}, got {value!r}")
+        if self.range is not None:
+            require_in_range(name, value, *self.range, self.unit)
+        if self.integer_range is not None:
+            require_integer(name, value, *self.integer_range, self.unit)
+        if self.choices is not None:
+            require_choice(name, value, (*self.choices, None) if self.optional else self.choices)
+
+    @property
+    def number_type(self) -> type[float] | type[int] | None:
+        """Type of number, float or int; None if the field is no number."""
+        return float if self.range else int if self.integer_range else None
+
+    @property
+    def allowed_text(self) -> str:
+        """Allowed values, in words."""
+        bounds = self.range or self.integer_range
+        if bounds:
+            return f"{bounds[0]:g} to {bounds[1]:g}"
+        if self.max_length:
+            return f"text of 1 to {self.max_length} characters"
+        return self.pattern or ", ".join(map(str, self.choices or ()))
+
+
+def check_fields(kind: str, values: Any) -> None:
+    """Check all fields of a parameter dataclass, and convert its numbers to Python's float and int.
+
+    The conversion is in place, even in a frozen dataclass: compiled code does not accept other number types.
+
+    Parameters
+    ----------
+    kind : {"knee", "osteophyte", "cyst", "protocol"}
+        Table ``data/<kind>_fields.toml`` that defines the fields.
+    values : dataclass instance
+        Object to check.
+
+    Raises
+    ------
+    InputError
+        If a value is not allowed. The message names the field, what is allowed, and the value.
+    """
+    for name, law in load_field_specs(kind).items():
+        value = getattr(values, name)
+        law.check(name, value)
+        if value is not None and law.number_type is not None:
+            object.__setattr__(values, name, law.number_type(value))
+
+
+def beam_angle_range_deg() -> Pair:
+    """Return the range of the beam angle of a protocol.
+
+    Returns
+    -------
+    (float, float)
+        Lowest and highest angle, in degrees.
+    """
+    bounds = load_field_specs("protocol")["beam_angle_deg"].range
+    assert bounds is not None
+    return bounds
+
+
+@cache
+def load_field_specs(kind: str) -> dict[str, FieldSpec]:
+    """Load the definitions of all fields of a kind of object.
+
+    Parameters
+    ----------
+    kind : {"knee", "osteophyte", "cyst", "protocol"}
+        Table ``data/<kind>_fields.toml``.
+
+    Returns
+    -------
+    dict of str to FieldSpec
+        Field name -> definition.
+    """
+    name = f"{kind}_fields"
+    return parse_record(dict[str, FieldSpec], load_data_table(name), name)

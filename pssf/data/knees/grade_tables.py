@@ -1,0 +1,190 @@
+"""Grade tables: distributions of knees of each KL grade, by name or from a user's own TOML file."""
+
+import os
+import warnings
+from collections.abc import Sized
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from ...core.checks import InputError, require_path
+from ..data_files import read_toml
+from ..table_records import parse_record
+from ..user_files import convert_os_errors
+from .grade_records import RangeGradeTable, SeverityGradeTable, SharedGradeTable
+
+_FOLDER = Path(__file__).resolve().parents[1] / "grades"
+# Earlier name of a table -> current name.
+_RENAMED_TABLES = {"people": "population"}
+# Entries that only tables with a latent severity have.
+_SEVERITY_ENTRIES = frozenset(SeverityGradeTable.__struct_fields__) - frozenset(SharedGradeTable.__struct_fields__)
+
+
+def list_grade_tables() -> list[str]:
+    """List the names of the grade tables that come with the package.
+
+    Returns
+    -------
+    list of str
+        Names, sorted.
+    """
+    return list(_list_names())
+
+
+@cache  # The names are read for every knee that has a grade.
+def _list_names() -> tuple[str, ...]:
+    """List the grade tables of the package; cached."""
+    return tuple(sorted(path.stem for path in _FOLDER.glob("*.toml")))
+
+
+def resolve_grade_table_name(name: str) -> str:
+    """Return the current name of a grade table.
+
+    Parameters
+    ----------
+    name : str
+        Current or earlier name.
+
+    Returns
+    -------
+    str
+        Current name; an unknown name is returned as it is.
+
+    Warns
+    -----
+    DeprecationWarning
+        If an earlier name is given.
+    """
+    if name not in _RENAMED_TABLES:
+        return name
+    warnings.warn(
+        f"grade table {name!r} is now {_RENAMED_TABLES[name]!r}; the earlier name will be removed; use that name",
+        DeprecationWarning,
+        stacklevel=4,
+    )
+    return _RENAMED_TABLES[name]
+
+
+def list_tables_with_grade(grade: int) -> list[str]:
+    """List the grade tables of the package that define a KL grade.
+
+    Parameters
+    ----------
+    grade : int
+        KL grade.
+
+    Returns
+    -------
+    list of str
+        Names of the tables.
+    """
+    return [name for name in list_grade_tables() if grade in load_grade_table(name).grades]
+
+
+@cache
+def load_grade_table(name_or_path: str) -> RangeGradeTable | SeverityGradeTable:
+    """Load a grade table by name, or from a TOML file.
+
+    A file may name another table as its ``base`` and give only the entries that differ. A partial ``[grade.0]`` changes
+    these ranges of the base's grade 0 and keeps the others; ``[grade.3]`` adds a grade.
+
+    Parameters
+    ----------
+    name_or_path : str
+        Name of a table of the package, or path of a .toml file.
+
+    Returns
+    -------
+    RangeGradeTable or SeverityGradeTable
+        The table; its kind depends on its entries.
+
+    Raises
+    ------
+    InputError
+        If the name is unknown, the file is not readable TOML or no grade table, or its base leads back to itself.
+    """
+    path = _resolve_path(name_or_path)
+    table = _read_with_base(path, ())
+    kind: type[RangeGradeTable] | type[SeverityGradeTable] = RangeGradeTable if "grade" in table else SeverityGradeTable
+    try:
+        made = parse_record(kind, table, f"grades {path.name}")
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    if isinstance(made, SeverityGradeTable):
+        _require_every_grade(made, path.name)
+    return made
+
+
+def _read_with_base(path: Path, ancestors: tuple[Path, ...]) -> dict[str, Any]:
+    """Read a table and complete it with its base; from a base of the other kind only the shared entries are taken."""
+    with convert_os_errors(path, "a readable TOML file"):
+        here = Path(os.path.realpath(path))
+    if here in ancestors:
+        raise InputError(f"base of grade table {ancestors[0].name} must not lead back to itself, got {path.name}")
+    table = read_toml(path)
+    base = table.pop("base", None)
+    if base is None:
+        return table
+    if not isinstance(base, str):
+        raise InputError(f"base of grade table {path.name} must be the name or path of a table, got {base!r}")
+    below = path.parent / base if base.endswith(".toml") else _resolve_path(base)
+    of_base = _read_with_base(below, (*ancestors, here))
+    kinds = ["grade" in one if one.keys() & {"grade", *_SEVERITY_ENTRIES} else None for one in (table, of_base)]
+    if None not in kinds and kinds[0] != kinds[1]:
+        of_base = {name: part for name, part in of_base.items() if name in SharedGradeTable.__struct_fields__}
+    return _merge_tables(of_base, table)
+
+
+def _merge_tables(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
+    """Merge a table into its base, entry by entry; the order is that of the base, since samples depend on it."""
+    merged = dict(base)
+    for name, value in table.items():
+        both = isinstance(value, dict) and isinstance(base.get(name), dict)
+        merged[name] = _merge_tables(base[name], value) if both else value
+    return merged
+
+
+def _resolve_path(name_or_path: str) -> Path:
+    """Return the path of a table from a name or path; raise InputError for an unknown name."""
+    require_path(name_or_path, "grade_table")
+    if Path(name_or_path).suffix == ".toml":
+        return Path(name_or_path)
+    name = resolve_grade_table_name(str(name_or_path))
+    if name not in list_grade_tables():
+        allowed = ", ".join(list_grade_tables())
+        raise InputError(f"grade_table must be {allowed}, or the path of a .toml file, got {str(name_or_path)!r}")
+    return _FOLDER / f"{name}.toml"
+
+
+def _require_every_grade(table: SeverityGradeTable, name: str) -> None:
+    """Raise InputError unless every list of a severity table has one entry per grade."""
+    grades = [str(grade) for grade in table.grades]
+    lists: dict[str, Sized] = {
+        "osteophytes.level": table.osteophytes.level,
+        "osteophytes.spine": table.osteophytes.spine,
+        "rest.plate": table.rest.plate,
+        "rest.varus_deg": table.rest.varus_deg,
+        "rest.age_years": table.rest.age_years,
+        "rest.women": table.rest.women,
+        "rest.bmi_offset": table.rest.bmi_offset,
+        "rest.density_offset": table.rest.density_offset,
+    }
+    if table.central is not None:
+        lists["central.share"] = table.central.share
+    if table.cysts is not None:
+        lists["cysts.share"] = table.cysts.share
+    if table.subluxation is not None:
+        lists["subluxation.lateral_mm"] = table.subluxation.lateral_mm
+    if table.notch is not None:
+        lists["notch.growth_mm"] = table.notch.growth_mm
+    for entry, values in lists.items():
+        if len(values) != len(grades):
+            raise InputError(
+                f"{entry} of grade table {name} must have {len(grades)} entries, as rest.bone_scale_factor, "
+                f"got {len(values)}"
+            )
+    for entry, laws in (("spaces.medial", table.spaces.medial), ("spaces.lateral", table.spaces.lateral)):
+        if sorted(laws) != grades:
+            raise InputError(
+                f"{entry} of grade table {name} must have the grades {', '.join(grades)}, got {', '.join(sorted(laws))}"
+            )

@@ -1,0 +1,60 @@
+"""Cohort presets: number of knees, protocols, doses and repeats by name (``data/presets.toml``)."""
+
+from functools import cache
+
+from ..data_files import load_data_table
+from ..table_records import Record, parse_record
+
+
+class CohortPreset(Record, frozen=True):
+    """Definition of a cohort.
+
+    Attributes
+    ----------
+    knees : tuple of int
+        Number of knees of each KL grade.
+    bilateral : int
+        Number of subjects with both knees in the cohort.
+    protocols : tuple of str
+        Names of protocols.
+    repeats : int
+        Number of random splits by subject.
+    retested : int
+        Number of knees that are radiographed a second time, for the reliability of features.
+    acquisition : str
+        "fixed": nominal protocols; "sampled": sampled acquisition variability, as in `sample_acquisition`.
+    grade_table : str
+        Name of the grade table that knees are sampled from.
+    doses : tuple of float
+        Factors of a protocol's mAs. Each protocol is used with every combination of dose and tilt.
+    tilts_deg : tuple of float
+        Changes of a protocol's beam angle, in degrees.
+    matrix : int
+        Pixels along the longer side of the detector; 0 keeps the detector of the protocol.
+    settings : tuple of str
+        Changes of knee and protocol fields, in the form "field=value".
+    """
+
+    knees: tuple[int, ...]
+    bilateral: int
+    protocols: tuple[str, ...]
+    repeats: int
+    retested: int
+    acquisition: str = "fixed"
+    grade_table: str = "population"
+    doses: tuple[float, ...] = (1.0,)
+    tilts_deg: tuple[float, ...] = (0.0,)
+    matrix: int = 0
+    settings: tuple[str, ...] = ()
+
+
+@cache
+def load_presets() -> dict[str, CohortPreset]:
+    """Load all cohort presets of the package.
+
+    Returns
+    -------
+    dict of str to CohortPreset
+        Name -> preset.
+    """
+    return parse_record(dict[str, CohortPreset], load_data_table("presets"), "presets")

@@ -1,0 +1,102 @@
+"""Progression of osteoarthritis: annual changes of a knee by KL grade (``data/progress.toml``)."""
+
+from functools import cache
+
+from ..data_files import load_data_table
+from ..table_records import (
+    Numbers,
+    Pair,
+    Record,
+    parse_record,
+)
+
+MeanSdByGrade = tuple[Pair, Pair, Pair, Pair, Pair]
+
+
+class ProgressionThresholds(Record, frozen=True):
+    """Osteophyte sizes that determine the KL grade of a knee as it progresses.
+
+    Other thresholds are those of `oarsi_table.KellgrenLawrenceRule`.
+
+    Attributes
+    ----------
+    doubtful_mm : float
+        Size from which an osteophyte is doubtful, in mm.
+    definite_mm : tuple of float
+        Size from which an osteophyte is definite, per KL grade at the start, in mm.
+    """
+
+    doubtful_mm: float
+    definite_mm: Numbers
+
+
+class ProgressionRates(Record, frozen=True):
+    """Annual changes of a knee, per KL grade 0 to 4 at the start; pairs are mean and SD of a gamma distribution.
+
+    Attributes
+    ----------
+    loss_mm : tuple of (float, float)
+        Loss of joint space in the compartment that narrows, in mm per year.
+    other_compartment_fraction : float
+        Loss in the other compartment, relative to the one that narrows.
+    medial : float
+        Fraction of knees in which the medial compartment narrows, if the grade does not determine the side.
+    narrowed_side_known_from_grade : int
+        KL grade from which the compartment that has lost more keeps narrowing.
+    varus_deg_per_mm : float
+        Change of alignment per difference in loss between the compartments, in degrees per mm.
+    osteophyte_mm : tuple of (float, float)
+        Growth of osteophytes, in mm per year.
+    growth_factor_range : (float, float)
+        Range of the factor of growth of a single osteophyte, sampled uniformly.
+    new_osteophytes_per_year : tuple of float
+        Rate at which an osteophyte appears at a margin that has none, per year.
+    most_mm : float
+        Largest size of an osteophyte, in mm.
+    least_mm : float
+        Smallest size of an osteophyte, in mm.
+    plate : tuple of (float, float)
+        Thickening of the subchondral bone plate relative to a healthy one, per year.
+    most_plate : float
+        Largest relative thickness of the subchondral bone plate.
+    notch_mm : tuple of (float, float)
+        Growth of bone into the notch, in mm per year.
+    most_notch_mm : float
+        Largest growth into the notch, in mm.
+    swelling_mm : tuple of (float, float)
+        Increase of capsule, synovium and fluid, in mm per year.
+    most_swelling_mm : float
+        Largest swelling, in mm.
+    step : ProgressionThresholds
+        Osteophyte sizes that determine the KL grade.
+    """
+
+    loss_mm: MeanSdByGrade
+    other_compartment_fraction: float
+    medial: float
+    narrowed_side_known_from_grade: int
+    varus_deg_per_mm: float
+    osteophyte_mm: MeanSdByGrade
+    growth_factor_range: Pair
+    new_osteophytes_per_year: Numbers
+    most_mm: float
+    least_mm: float
+    plate: MeanSdByGrade
+    most_plate: float
+    notch_mm: MeanSdByGrade
+    most_notch_mm: float
+    swelling_mm: MeanSdByGrade
+    most_swelling_mm: float
+    step: ProgressionThresholds
+
+
+@cache
+def load_progression_rates() -> ProgressionRates:
+    """Load the annual changes of the package.
+
+    Returns
+    -------
+    ProgressionRates
+        Content of ``data/progress.toml``.
+    """
+    return parse_record(ProgressionRates, load_data_table("progress"), "progress")

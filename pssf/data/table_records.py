@@ -1,0 +1,72 @@
+"""Typed, frozen records of the package's tables; every name and type is checked when a table is read."""
+
+from threading import RLock
+from typing import Any, TypeVar
+
+import msgspec
+
+T = TypeVar("T")
+Numbers = tuple[float, ...]
+Rows = tuple[Numbers, ...]
+Triple = tuple[float, float, float]
+Pair = tuple[float, float]
+
+
+# Lock around msgspec: version 0.22 crashes if a second thread meets a type while msgspec is still analysing it.
+# The lock is reentrant, since constructing a record may convert others.
+MSGSPEC_LOCK = RLock()
+
+
+class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Base class of all table records: frozen, hashable, and strict about unknown entries.
+
+    A record is hashable, so that results computed from it can be cached.
+    """
+
+
+def parse_record(record_type: type[T], table: Any, label: str) -> T:
+    """Convert a mapping, as read from TOML, to a record or another typed value.
+
+    Parameters
+    ----------
+    record_type : type
+        Type to convert to, such as a `Record` or ``dict[str, Record]``.
+    table : Any
+        Content of the table.
+    label : str
+        Name of the table in error messages.
+
+    Returns
+    -------
+    record_type
+        The typed value.
+
+    Raises
+    ------
+    ValueError
+        If an entry is missing, unknown or of the wrong type. The message names the table and the entry.
+    """
+    try:
+        with MSGSPEC_LOCK:
+            return msgspec.convert(table, record_type)
+    except msgspec.ValidationError as error:
+        raise ValueError(
+            f"table {label} must have the form of "
+            f"{record_type.__name__ if isinstance(record_type, type) else record_type}, got: {error}"
+        ) from None
+
+
+def encode_records(*values: Any) -> bytes:
+    """Encode records as JSON bytes, which differ if the records differ.
+
+    Parameters
+    ----------
+    *values : Any
+        Records, or tuples of records.
+
+    Returns
+    -------
+    bytes
+        The encoded values.
+    """
+    return msgspec.json.encode(values)

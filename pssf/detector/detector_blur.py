@@ -1,0 +1,197 @@
+"""Blur in frequency space: by the focal spot, and by the panel for signal and quantum noise.
+
+Photons are absorbed at random depths, and each depth has its own spread of light. The signal passes with the mean of
+the transfer functions, and the noise with their root mean square. The noise therefore keeps more of its high
+frequencies than the signal, and the DQE falls with frequency (Lubberts 1968; Cunningham 2000).
+"""
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from ..data.imaging.detector_table import Detector
+from ..geometry.view import View, magnification
+
+Map = NDArray[np.float32]
+Frequencies = NDArray[np.complex64]
+# Smallest mirrored margin around an image, in pixels.
+_MARGIN_PX = 32
+
+
+def transform_to_frequency(image: Map, workers: int = 2) -> Frequencies:
+    """Transform an image to frequency space, with mirrored margins so that opposite edges do not mix.
+
+    Parameters
+    ----------
+    image : (rows, cols) float32 array, keV
+        Signal per pixel.
+    workers : int, default 2
+        Number of threads.
+
+    Returns
+    -------
+    (padded rows, padded cols / 2 + 1) complex64 array
+        Frequencies of the padded image.
+    """
+    long, before = _padded_lengths(image.shape)
+    margins = [(b, n - size - b) for b, n, size in zip(before, long, image.shape, strict=True)]
+    return np.asarray(fft.rfft2(np.pad(image, margins, mode="symmetric"), workers=workers))
+
+
+def transform_to_image(values: Frequencies, shape: tuple[int, ...], workers: int = 2) -> Map:
+    """Transform frequencies back to an image.
+
+    Parameters
+    ----------
+    values : (padded rows, padded cols / 2 + 1) complex64 array, keV
+        Frequencies from `transform_to_frequency`.
+    shape : tuple of int
+        Rows and columns of the image.
+    workers : int, default 2
+        Number of threads.
+
+    Returns
+    -------
+    (rows, cols) float32 array
+        Signal in keV per pixel.
+    """
+    long, before = _padded_lengths(shape)
+    back = fft.irfft2(values, long, workers=workers)
+    return np.asarray(back[before[0] : before[0] + shape[0], before[1] : before[1] + shape[1]])
+
+
+def blur_image_by_focal_spot(image: Map, focal_spot_mm: float, view: View, workers: int = 2) -> Map:
+    """Blur an image by a square focal spot, as for an edge in the joint plane.
+
+    The width of the blur on the detector is a (M - 1), with the focal spot width a and the magnification M.
+
+    Parameters
+    ----------
+    image : (rows, cols) float32 array, keV
+        Signal per pixel.
+    focal_spot_mm : float
+        Width of the focal spot, in mm.
+    view : View
+        Source and detector, which define the magnification of the joint plane.
+    workers : int, default 2
+        Number of threads.
+
+    Returns
+    -------
+    (rows, cols) float32 array
+        Blurred signal in keV per pixel.
+    """
+    values = transform_to_frequency(image, workers)
+    apply_focal_spot_blur(values, image.shape, focal_spot_width_px(focal_spot_mm, view))
+    return transform_to_image(values, image.shape, workers)
+
+
+def focal_spot_width_px(focal_spot_mm: float, view: View) -> float:
+    """Compute the width of the focal-spot blur for an edge in the joint plane.
+
+    Parameters
+    ----------
+    focal_spot_mm : float
+        Width of the focal spot, in mm.
+    view : View
+        Source and detector.
+
+    Returns
+    -------
+    float
+        Width in pixels.
+    """
+    return focal_spot_mm * (magnification(view) - 1) / view.pixel_mm
+
+
+def apply_focal_spot_blur(values: Frequencies, shape: tuple[int, ...], width_px: float) -> None:
+    """Blur an image by a square focal spot in frequency space, in place.
+
+    Parameters
+    ----------
+    values : (padded rows, padded cols / 2 + 1) complex64 array, keV
+        Frequencies from `transform_to_frequency`; multiplied in place.
+    shape : tuple of int
+        Rows and columns of the image.
+    width_px : float
+        Width of the blur, in pixels.
+    """
+    fy, fx = _frequency_axes(shape)
+    values *= np.sinc(width_px * fy)[:, None]
+    values *= np.sinc(width_px * fx)
+
+
+def apply_panel_blur(
+    values: Frequencies, shape: tuple[int, ...], pixel_mm: float, detector: Detector, curve: str = "mtf"
+) -> None:
+    """Blur an image by the panel in frequency space, in place.
+
+    Parameters
+    ----------
+    values : (padded rows, padded cols / 2 + 1) complex64 array, keV
+        Frequencies from `transform_to_frequency`; multiplied in place.
+    shape : tuple of int
+        Rows and columns of the image.
+    pixel_mm : float
+        Pixel size, in mm.
+    detector : Detector
+        Record of the detector.
+    curve : {"mtf", "ntf"}, default "mtf"
+        Transfer function of the signal, or of quantum noise.
+    """
+    values *= _panel_transfer(shape, pixel_mm, *_select_transfer_parameters(detector, curve))
+
+
+@lru_cache(maxsize=2)  # The two transfer functions of one detector.
+def _panel_transfer(shape: tuple[int, ...], pixel_mm: float, f0: float, power: float) -> Map:
+    """Compute the transfer function (padded rows, padded cols / 2 + 1) of a panel at the frequencies of an image."""
+    fy, fx = (f / np.float32(pixel_mm * f0) for f in _frequency_axes(shape))
+    # The arithmetic is in place, because a new large array takes more time than the arithmetic.
+    passed = fy[:, None] ** 2 + fx**2
+    np.power(passed, np.float32(power / 2), out=passed)
+    passed += 1
+    return np.asarray(np.reciprocal(passed, out=passed))
+
+
+def compute_transfer(
+    detector: Detector, frequency_per_mm: NDArray[np.float64], curve: str = "mtf"
+) -> NDArray[np.float64]:
+    """Compute the transfer function 1 / (1 + (f / f0)^power) of a panel.
+
+    Parameters
+    ----------
+    detector : Detector
+        Record of the detector.
+    frequency_per_mm : (...) array, 1/mm
+        Spatial frequencies f, in cycles per mm.
+    curve : {"mtf", "ntf"}, default "mtf"
+        Transfer function of the signal, or of quantum noise.
+
+    Returns
+    -------
+    (...) float64 array
+        Transfer from 0 to 1.
+    """
+    f0, power = _select_transfer_parameters(detector, curve)
+    return np.asarray(1 / (1 + (frequency_per_mm / f0) ** power))
+
+
+def _select_transfer_parameters(detector: Detector, curve: str) -> tuple[float, float]:
+    """Select f0 in 1/mm and the power of the transfer function of the signal ("mtf") or of quantum noise ("ntf")."""
+    if curve == "mtf":
+        return detector.mtf_f0_per_mm, detector.mtf_power
+    return detector.ntf_f0_per_mm, detector.ntf_power
+
+
+def _padded_lengths(shape: tuple[int, ...]) -> tuple[list[int], list[int]]:
+    """Choose padded lengths with a fast Fourier transform, and the margin before the image on each axis."""
+    long = [fft.next_fast_len(n + 2 * min(_MARGIN_PX, n), real=True) for n in shape]
+    return long, [(length - n) // 2 for length, n in zip(long, shape, strict=True)]
+
+
+def _frequency_axes(shape: tuple[int, ...]) -> tuple[Map, Map]:
+    """Compute the frequencies along rows and along columns, in cycles per pixel."""
+    long, _ = _padded_lengths(shape)
+    return np.fft.fftfreq(long[0]).astype(np.float32), np.fft.rfftfreq(long[1]).astype(np.float32)

@@ -1,0 +1,262 @@
+"""Images for presentation, bone bright, with the edge of the collimator and a side marker on request."""
+
+import math
+import reprlib
+import warnings
+
+import numpy as np
+from msgspec.structs import asdict
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from ..core.checks import (
+    InputError,
+    require_choice,
+    require_in_range,
+    require_integer,
+)
+from ..core.keyword_arguments import check_keywords
+from ..data.imaging.detector_table import load_detectors
+from ..data.imaging.display_table import (
+    DisplayProcessing,
+    FlatPanelProcessing,
+    ScreenFilm,
+    load_display_processing,
+)
+from ..model.radiograph import Radiograph
+from ..model.sampling.acquisition import SIDE_MARKERS
+from ..xray.collimator import penumbra_mm
+from .display_processing import render_film, render_log, render_processed
+from .side_marker import draw_letter
+
+# Names of the kinds of display processing.
+DISPLAY_PROCESSING = ("log", "processed", "film")
+# Width of the drawn shadow of the collimator leaves, as a fraction of the smaller side of the image.
+_LEAF = 0.025
+# Width of its penumbra, as a fraction of the smaller side of the image.
+_PENUMBRA = 0.002
+# Height of the side marker, as a fraction of the smaller side of the image.
+_MARKER = 0.055
+# Distance of the marker from the shadow of the leaves, as a fraction of the smaller side of the image.
+_APART = 0.02
+# Distance by which the panel blurs the edge of the field further inwards than the penumbra, in mm (assumed).
+_PANEL_BLUR_MM = 0.5
+
+
+@check_keywords(look="processing")
+def render_for_display(
+    pixels: NDArray[np.uint16] | Radiograph,
+    *,
+    bits: int = 8,
+    side: str | None = None,
+    detector: str = "csi",
+    processing: str | FlatPanelProcessing | ScreenFilm = "log",
+    pixel_mm: float = 0.15,
+    field_mm: tuple[float, float] = (0.0, 0.0),
+    shadow_mm: float = 0.0,
+) -> NDArray[np.uint8 | np.uint16]:
+    """Render a radiograph for presentation, bone bright.
+
+    Parameters
+    ----------
+    pixels : (rows, cols) array, DN, or Radiograph
+        Image that is linear in the absorbed energy. A Radiograph also states detector, pixel size, field, penumbra and
+        lead marker, so that these parameters are ignored.
+    bits : int, default 8
+        Bits per pixel of the result, from 8 (uint8) to 16 (uint16).
+    side : {"right", "left"}, optional
+        Side of the knee. With it, the edge of the collimator is drawn where the beam has none. The marker R or L is
+        drawn on the lateral side, unless the radiograph has a lead marker.
+    detector : str, default "csi"
+        Detector whose offset is subtracted.
+    processing : {"log", "processed", "film"}, FlatPanelProcessing or ScreenFilm, default "log"
+        Display processing. ``"log"`` is the log signal with large structures attenuated and edges slightly sharpened.
+        ``"processed"`` is multi-scale contrast with a grey curve, as in the software of a flat panel. ``"film"`` is a
+        screen-film system. A record sets the parameters of the last two.
+    pixel_mm : float, default 0.15
+        Pixel size, from 0.001 to 50 mm; it sets the size of structures for ``"processed"``, and the field in pixels.
+    field_mm : tuple of float, default (0, 0)
+        Width and height of the collimated field around the centre, in mm. Pixels outside are black. 0 means no leaves
+        in that direction.
+    shadow_mm : float, default 0
+        Width of the penumbra inside the field, from 0 to 100 mm. It is black, too, since it would appear as a bright
+        line.
+
+    Returns
+    -------
+    (rows, cols) uint8 or uint16 array
+        Image for presentation.
+
+    Raises
+    ------
+    InputError
+        If `bits`, `side`, the detector, the processing, the pixel size or the field is not allowed. Also if `pixels` is
+        not a two-dimensional array of finite numbers.
+
+    Examples
+    --------
+    >>> import numpy as np, pssf
+    >>> pixels = np.full((64, 64), 20_000, np.uint16)
+    >>> pixels[:, 24:40] = 2_000  # a bone
+    >>> image = pssf.render_for_display(pixels, side="right")
+    >>> image.shape, image.dtype
+    ((64, 64), dtype('uint8'))
+    >>> bool(image[32, 32] > image[32, 10])
+    True
+    """
+    require_integer("bits", bits, 8, 16, "")
+    if isinstance(pixels, Radiograph):
+        protocol = pixels.protocol
+        detector, pixel_mm = protocol.detector, protocol.pixel_mm
+        field_mm, pixels = (protocol.field_width_mm, protocol.field_height_mm), pixels.pixels
+        shadow_mm, lead = penumbra_mm(protocol) / 2 + _PANEL_BLUR_MM, protocol.marker != "none"
+    else:
+        lead = False
+    _require_pixels(pixels)
+    panels = load_detectors()
+    require_choice("detector", detector, tuple(panels))
+    shown_as = resolve_processing(processing, load_display_processing())
+    require_in_range("pixel_mm", pixel_mm, 1e-3, 50, "mm")
+    require_in_range("shadow_mm", shadow_mm, 0, 100, "mm")
+    signal = np.maximum(pixels.astype(np.float32) - np.float32(panels[detector].offset_dn), 1.0)
+    within = _find_field_slices(signal.shape, field_mm, pixel_mm, shadow_mm)
+    shown = np.zeros_like(signal)
+    # Only the field is rendered, because scatter behind the leaves must not affect the grey levels of the limb.
+    shown[within] = _render_grey(np.ascontiguousarray(signal[within]), shown_as, pixel_mm)
+    if side is not None:
+        shown[within] = _add_drawn_marker(shown[within], side, tuple(wide > 0 for wide in reversed(field_mm)), lead)
+    most = 2**bits - 1
+    return np.clip(np.rint(most * shown), 0, most).astype(np.uint8 if bits == 8 else np.uint16)
+
+
+def _require_pixels(pixels: object) -> None:
+    """Raise InputError unless `pixels` is a (rows, cols) array of finite numbers."""
+    numbers = isinstance(pixels, np.ndarray) and pixels.ndim == 2 and pixels.size and pixels.dtype.kind in "iuf"
+    if not numbers:
+        given = f"an array {pixels.shape} of {pixels.dtype}" if isinstance(pixels, np.ndarray) else reprlib.repr(pixels)
+        raise InputError(f"pixels must be a (rows, cols) array of numbers or a Radiograph, got {given}")
+    assert isinstance(pixels, np.ndarray)
+    wrong = np.count_nonzero(~np.isfinite(pixels))
+    if wrong:
+        raise InputError(f"pixels must be finite, got {wrong} of {pixels.size} that are not")
+
+
+def format_processing(processing: FlatPanelProcessing | ScreenFilm | None) -> str:
+    """Describe a display processing in words.
+
+    Parameters
+    ----------
+    processing : FlatPanelProcessing, ScreenFilm or None
+        Parameters from `resolve_processing`; None for ``"log"``.
+
+    Returns
+    -------
+    str
+        Name, and parameters if there are any.
+    """
+    if processing is None:
+        return "log"
+    values = ", ".join(f"{key} {value:g}" for key, value in asdict(processing).items())
+    name = "processed" if isinstance(processing, FlatPanelProcessing) else "film"
+    return f"{name} ({values})"
+
+
+def _find_field_slices(
+    shape: tuple[int, ...], field_mm: tuple[float, float], pixel_mm: float, shadow_mm: float
+) -> tuple[slice, slice]:
+    """Find the rows and columns of the collimated field without its penumbra.
+
+    A field never consists of penumbra only.
+    """
+    slices = []
+    for name, count, wide_mm in zip(("height", "width"), shape, reversed(field_mm), strict=True):
+        require_in_range(f"{name} of field_mm", wide_mm, 0, 2e4, "mm")
+        beyond, shaded = (
+            max(0, math.ceil((count - clear_mm / pixel_mm) / 2)) if wide_mm > 0 else 0
+            for clear_mm in (wide_mm, wide_mm - 2 * shadow_mm)
+        )
+        if 2 * beyond >= count:
+            raise InputError(f"{name} of field_mm must be at least a pixel of {pixel_mm:g} mm, got {wide_mm:g} mm")
+        out = shaded if 2 * shaded < count else beyond
+        slices.append(slice(out, count - out))
+    return slices[0], slices[1]
+
+
+def resolve_processing(
+    processing: str | FlatPanelProcessing | ScreenFilm, presets: DisplayProcessing
+) -> FlatPanelProcessing | ScreenFilm | None:
+    """Resolve the name of a display processing into its parameters.
+
+    Parameters
+    ----------
+    processing : {"log", "processed", "film"}, FlatPanelProcessing or ScreenFilm
+        Name, or parameters, which are returned unchanged.
+    presets : DisplayProcessing
+        Parameters of the named kinds.
+
+    Returns
+    -------
+    FlatPanelProcessing, ScreenFilm or None
+        Parameters; None for ``"log"``, which has none.
+
+    Raises
+    ------
+    InputError
+        If `processing` is neither a known name nor a record of parameters.
+
+    Warns
+    -----
+    DeprecationWarning
+        If the name is ``"linear"``, the earlier name of ``"log"``.
+    """
+    if isinstance(processing, str):
+        if processing == "linear":
+            warnings.warn(
+                'processing = "linear" is now "log"; the earlier name will be removed', DeprecationWarning, stacklevel=3
+            )
+            processing = "log"
+        require_choice("processing", processing, DISPLAY_PROCESSING)
+        return {"log": None, "processed": presets.processed, "film": presets.film}[processing]
+    if not isinstance(processing, FlatPanelProcessing | ScreenFilm):
+        raise InputError(
+            f"processing must be {', '.join(DISPLAY_PROCESSING)}, a FlatPanelProcessing or a ScreenFilm, "
+            f"got {processing!r}"
+        )
+    return processing
+
+
+def _render_grey(
+    signal: NDArray[np.float32], processing: FlatPanelProcessing | ScreenFilm | None, pixel_mm: float
+) -> NDArray[np.float32]:
+    """Render grey levels (rows, cols) from 0 to 1."""
+    if processing is None:
+        return render_log(signal)
+    return (
+        render_processed(signal, pixel_mm, processing)
+        if isinstance(processing, FlatPanelProcessing)
+        else render_film(signal, processing)
+    )
+
+
+def _add_drawn_marker(
+    shown: NDArray[np.float32], side: str, has_leaves: tuple[bool, ...], has_lead_marker: bool
+) -> NDArray[np.float32]:
+    """Draw the collimator shadow and the side marker into a field (rows, cols) of grey levels from 0 to 1.
+
+    `has_leaves` states whether the rows, and the columns, end at real leaves. `has_lead_marker` states whether a marker
+    was in the beam. The drawn marker is in the upper corner on the lateral side.
+    """
+    require_choice("side", side, tuple(SIDE_MARKERS))
+    rows, cols = shown.shape
+    smaller = min(rows, cols)
+    leaf = max(1, round(_LEAF * smaller))
+    high, wide = (0 if real else leaf for real in has_leaves)
+    field = np.zeros_like(shown)
+    field[high : rows - high, wide : cols - wide] = 1.0
+    field = ndimage.gaussian_filter(field, _PENUMBRA * smaller)
+    if has_lead_marker:
+        return shown * field
+    # In a frontal view, the lateral side of a right knee is on the left of the image.
+    inset = leaf + _APART * smaller
+    place, anchor = ((inset, inset), "la") if side == "right" else ((cols - inset, inset), "ra")
+    return np.maximum(shown * field, draw_letter((rows, cols), SIDE_MARKERS[side], _MARKER * smaller, place, anchor))

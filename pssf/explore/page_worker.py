@@ -1,0 +1,181 @@
+"""Worker process that holds the cache and answers one request after another."""
+
+import signal
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing import get_context
+from threading import Lock
+from typing import Any
+
+from ..core.checks import InputError
+from ..core.processes.child_processes import start_without_working_folder
+from ..core.processes.worker_processes import WorkersLostError, retain_freed_memory
+from .request_schema import ResolvedRequest
+
+# Time in which the process may end by itself, in s.
+_SHUTDOWN_TIMEOUT_S = 2.0
+
+
+class SupersededError(Exception):
+    """Error of a request that a newer request of the same tab has replaced."""
+
+
+class Worker:
+    """Worker process, started at the first request and again after it was killed."""
+
+    def __init__(self) -> None:
+        self._context = get_context("spawn")
+        self._process: Any = None
+        self._pipe: Any = None
+        self._stop: Any = None
+        self._number = 0
+        self._closed = False
+        self._starting = Lock()
+        self.start_count = 0
+
+    @property
+    def pid(self) -> int | None:
+        """Process ID; None without a process."""
+        return None if self._process is None else self._process.pid
+
+    def cancel_current(self) -> None:
+        """Cancel the current request; it stops before its next stage."""
+        if self._stop is not None:
+            with suppress(OSError):
+                self._stop.send(self._number)
+
+    def ask(self, job: str, wanted: ResolvedRequest | None) -> tuple[dict[str, Any], bytes]:
+        """Send a request to the process and wait for its answer.
+
+        Parameters
+        ----------
+        job : str
+            Kind of request, a key of `handlers.HANDLERS`.
+        wanted : ResolvedRequest or None
+            Request of the page.
+
+        Returns
+        -------
+        header : dict
+            JSON-ready part of the answer.
+        content : bytes
+            Binary part of the answer.
+
+        Raises
+        ------
+        InputError
+            If the request contains an invalid value.
+        SupersededError
+            If the request was cancelled.
+        WorkersLostError
+            If the process was killed or is closed.
+        RuntimeError
+            If the request failed.
+        """
+        with self._starting:
+            if self._closed:
+                raise WorkersLostError("the worker process is closed")
+            if self._process is None or not self._process.is_alive():
+                self._start()
+        self._number += 1
+        try:
+            self._pipe.send((self._number, job, wanted))
+            outcome, header, content = self._pipe.recv()
+        except (EOFError, OSError):
+            self._kill_process()
+            raise WorkersLostError("the worker process was killed") from None
+        if outcome == "superseded":
+            raise SupersededError
+        if outcome == "refused":
+            raise InputError(header["error"])
+        if outcome == "failed":
+            raise RuntimeError(header["error"])
+        return header, content
+
+    def close(self) -> None:
+        """End the process and release threads that wait for its answer."""
+        with self._starting:
+            self._closed = True
+        process = self._process
+        if process is not None:
+            self.cancel_current()
+            # Keep the pipe open, because another thread may wait on it.
+            with suppress(OSError):
+                self._pipe.send(None)
+            process.join(_SHUTDOWN_TIMEOUT_S)
+            self._kill_process()
+
+    def _start(self) -> None:
+        """Start the process with new pipes."""
+        # Share no lock with the process: if it is killed, it would never release the lock.
+        self._pipe, theirs = self._context.Pipe()
+        heard, self._stop = self._context.Pipe(duplex=False)
+        self._process = self._context.Process(target=run_worker, args=(theirs, heard), daemon=True)
+        with start_without_working_folder():
+            self._process.start()
+        self.start_count += 1
+        theirs.close()
+        heard.close()
+
+    def _kill_process(self) -> None:
+        """Kill the process if it still runs."""
+        process, self._process = self._process, None
+        if process is not None and process.is_alive():
+            process.kill()
+            process.join()
+
+
+def run_worker(pipe: Any, stop: Any) -> None:
+    """Answer requests until the pipe closes; this function runs in the worker process.
+
+    Parameters
+    ----------
+    pipe : Connection
+        Connection that delivers numbered requests, and None at the end, and takes the answers.
+    stop : Connection
+        Connection that delivers the numbers of cancelled requests.
+    """
+    # Ctrl-C in the terminal also reaches this process. Ignore it, because the server ends the process itself.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    retain_freed_memory()
+    from .stage_cache import StageCache
+
+    number = given_up = 0
+
+    def step() -> None:
+        nonlocal given_up
+        while stop.poll():
+            given_up = stop.recv()
+        if given_up >= number:
+            raise SupersededError
+
+    warm = StageCache(step)
+    while True:
+        try:
+            asked = pipe.recv()
+        except (EOFError, OSError):
+            return
+        if asked is None:
+            return
+        number, job, wanted = asked
+        pipe.send(_run_handler(lambda job=job, wanted=wanted: _handle_request(warm, job, wanted)))  # type: ignore[misc]
+
+
+def _handle_request(cache: Any, job: str, request: ResolvedRequest | None) -> tuple[dict[str, Any], bytes]:
+    """Run the handler of a kind of request."""
+    from .handlers import HANDLERS
+
+    assert request is not None
+    return HANDLERS[job](cache, request)
+
+
+def _run_handler(handler: Callable[[], tuple[dict[str, Any], bytes]]) -> tuple[str, dict[str, Any], bytes]:
+    """Run a handler and return its outcome, a header and bytes; errors become an outcome."""
+    try:
+        return "done", *handler()
+    except SupersededError:
+        return "superseded", {}, b""
+    except InputError as error:
+        return "refused", {"error": str(error)}, b""
+    except Exception as error:  # The process continues with the next request.
+        return "failed", {"error": f"{type(error).__name__}: {error}".splitlines()[0]}, b""

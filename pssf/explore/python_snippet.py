@@ -1,0 +1,52 @@
+"""Python code that reproduces the image on the page."""
+
+from dataclasses import MISSING, fields
+from typing import Any
+
+from ..model.knee import Cyst, Knee, Osteophyte
+from ..model.protocol import Protocol
+from .stage_cache import ENGINE
+
+_PSSF_TYPES = (Knee, Protocol, Osteophyte, Cyst)
+
+
+def format_python_lines(knee: Knee, protocol: Protocol, seed: int) -> str:
+    """Format Python code that simulates a radiograph with the same pixels.
+
+    Parameters
+    ----------
+    knee : Knee
+        Parameters of the knee.
+    protocol : Protocol
+        Acquisition protocol.
+    seed : int
+        Noise seed.
+
+    Returns
+    -------
+    str
+        Three lines of Python that assign ``radiograph``.
+    """
+    return (
+        "import pssf\n"
+        f"knee, protocol = {_format_call(knee)}, {_format_call(protocol)}\n"
+        f"radiograph = pssf.simulate(knee, protocol, rng={seed}, engine={ENGINE!r})\n"
+    )
+
+
+def _format_call(value: Any) -> str:
+    """Format the call that constructs a record, with the fields that differ from their defaults."""
+    given = [one for one in fields(value) if one.default is MISSING or getattr(value, one.name) != one.default]
+    return (
+        f"pssf.{type(value).__name__}"
+        f"({', '.join(f'{one.name}={_format_value(getattr(value, one.name))}' for one in given)})"
+    )
+
+
+def _format_value(value: Any) -> str:
+    """Format a value as Python code."""
+    if isinstance(value, _PSSF_TYPES):
+        return _format_call(value)
+    if isinstance(value, tuple):
+        return f"({''.join(f'{_format_value(item)}, ' for item in value)})"
+    return repr(value)

@@ -1,0 +1,265 @@
+"""Requests of the page: parse the JSON, check every value and convert it to records for the worker."""
+
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import msgspec
+
+from ..core.checks import (
+    InputError,
+    require_choice,
+    require_integer,
+    require_seed,
+)
+from ..data.knees.field_definitions import load_field_specs
+from ..data.knees.oarsi_table import OarsiThresholds, load_oarsi_thresholds
+from ..data.table_records import MSGSPEC_LOCK, Record
+from ..model.kellgren_lawrence import allowed_grades
+from ..model.knee import Knee, knee_from_dict
+from ..model.protocol import Protocol, protocol_from_dict
+from ..model.sampling.knee_sampling import sample_knee
+from .page_listing import MAX_SIDE_PX, knee_to_page_dict
+
+LOOKS = ("linear", "processed", "film")
+MESH_KINDS = ("stl", "ply", "glb", "3mf")
+RADIOGRAPH_KINDS = ("tif", "dcm", "presentation.dcm", "png", "json")
+TEXT_KINDS = ("knee.toml", "protocol.toml", "py")
+FILE_KINDS = (*RADIOGRAPH_KINDS, *MESH_KINDS, *TEXT_KINDS)
+RecordType = TypeVar("RecordType", bound=Record)
+# Allowed range of the largest side of a preview, in pixels.
+_SIDE_RANGE_PX = (32, MAX_SIDE_PX)
+
+
+class PageState(Record, frozen=True):
+    """State of the page, as it sends it.
+
+    Attributes
+    ----------
+    tab : str
+        Name of the browser tab. Newer requests of a tab supersede its older ones.
+    knee : dict
+        Fields of the knee.
+    protocol : dict
+        Fields of the protocol.
+    seed : int or str
+        Noise seed; text for integers that a browser would round.
+    processing : str
+        Display processing of the pixels: ``"linear"`` for none, or a processing for presentation.
+    side : int
+        Largest number of pixels per side, for a preview of the same field of view; 0 means full resolution.
+    kind : str
+        Kind of file for export.
+    row : int
+        Row of the pixel whose path lengths are requested.
+    col : int
+        Column of that pixel.
+    """
+
+    tab: str
+    knee: dict[str, Any]
+    protocol: dict[str, Any]
+    seed: int | str = 0
+    processing: str = "linear"
+    side: int = 0
+    kind: str = ""
+    row: int = 0
+    col: int = 0
+
+
+class SampleKneeRequest(Record, frozen=True):
+    """Request for a sampled knee, with the arguments of `sample_knee`.
+
+    Attributes
+    ----------
+    grade : int
+        KL grade.
+    grade_table : str
+        Name of a grade table of the package.
+    seed : int
+        Seed of the knee.
+    """
+
+    grade: int
+    grade_table: str
+    seed: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResolvedRequest:
+    """Checked request for the worker.
+
+    Attributes
+    ----------
+    knee : Knee
+        Parameters of the knee.
+    protocol : Protocol
+        Protocol with the resolution of the request.
+    full_protocol : Protocol
+        Protocol with full resolution.
+    seed : int
+        Noise seed.
+    processing : str
+        Display processing of the pixels.
+    kind : str
+        Kind of file for export; empty for none.
+    pixel : tuple of int
+        Row and column of the pixel whose path lengths are requested.
+    """
+
+    knee: Knee
+    protocol: Protocol
+    full_protocol: Protocol
+    seed: int
+    processing: str
+    kind: str
+    pixel: tuple[int, int]
+
+
+def parse_state(body: bytes) -> PageState:
+    """Parse the state of the page.
+
+    Parameters
+    ----------
+    body : bytes
+        Body of a request.
+
+    Returns
+    -------
+    PageState
+        State of the page; knee and protocol are not checked yet.
+
+    Raises
+    ------
+    InputError
+        If the body is not a valid state.
+    """
+    state = _decode(body, PageState)
+    if not 1 <= len(state.tab) <= 64:
+        raise InputError(f"tab must have 1 to 64 letters, got {state.tab[:70]!r}")
+    return state
+
+
+def resolve_state(state: PageState) -> ResolvedRequest:
+    """Check the state of the page and convert it to a request for the worker.
+
+    Parameters
+    ----------
+    state : PageState
+        State of the page.
+
+    Returns
+    -------
+    ResolvedRequest
+        Checked request.
+
+    Raises
+    ------
+    InputError
+        If a value is invalid. The message names the field, its value and what is allowed.
+    """
+    require_choice("processing", state.processing, LOOKS)
+    require_choice("kind", state.kind, ("", *FILE_KINDS))
+    if state.side:
+        require_integer("side", state.side, *_SIDE_RANGE_PX, "pixels")
+    seed = _parse_whole_number(state.seed)
+    require_seed(seed)
+    named = {name for name, law in load_field_specs("knee").items() if law.integer_range}
+    knee = {name: _parse_whole_number(value) if name in named else value for name, value in state.knee.items()}
+    protocol = protocol_from_dict(state.protocol, "protocol")
+    if protocol.knee_distance_mm:
+        raise InputError(
+            f"knee_distance_mm must be 0 mm on the page, got {protocol.knee_distance_mm:g} mm: it shows one knee"
+        )
+    for name in ("rows", "cols"):
+        require_integer(f"{name} of the page", getattr(protocol, name), 1, MAX_SIDE_PX, "pixels")
+    return ResolvedRequest(
+        knee=_resolve_page_knee(knee, load_oarsi_thresholds()),
+        protocol=coarsen_protocol(protocol, state.side),
+        full_protocol=protocol,
+        seed=seed,
+        processing=state.processing,
+        kind=state.kind,
+        pixel=(state.row, state.col),
+    )
+
+
+def _resolve_page_knee(fields: dict[str, Any], cuts: OarsiThresholds) -> Knee:
+    """Build the knee of the page; a grade that contradicts the anatomy is dropped and derived from it."""
+    anatomy = knee_from_dict({**fields, "grade": None, "grade_table": None})
+    low, high = allowed_grades(anatomy, cuts)
+    grade = fields.get("grade")
+    if isinstance(grade, int) and not low <= grade <= high:
+        return anatomy
+    return knee_from_dict(fields)
+
+
+def coarsen_protocol(protocol: Protocol, max_side_px: int) -> Protocol:
+    """Reduce the resolution of a protocol to a preview of the same field of view.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        Protocol with full resolution.
+    max_side_px : int
+        Largest number of rows or columns; 0 keeps full resolution.
+
+    Returns
+    -------
+    Protocol
+        Preview protocol, or the same protocol if it is small enough.
+
+    Notes
+    -----
+    A preview replaces the Monte Carlo scatter simulation by the scatter kernel and a sampled focal spot by blur. Both
+    take long and hardly change the appearance.
+    """
+    step = max(protocol.rows, protocol.cols) / max_side_px if max_side_px else 0.0
+    if step <= 1:
+        return protocol
+    rows, cols = (max(1, round(count / step)) for count in (protocol.rows, protocol.cols))
+    scatter = "kernel" if protocol.scatter == "monte_carlo" else protocol.scatter
+    pixel_mm = protocol.pixel_mm * step
+    return replace(protocol, rows=rows, cols=cols, pixel_mm=pixel_mm, scatter=scatter, focal_spot="blur")
+
+
+def sample_page_knee(body: bytes) -> dict[str, Any]:
+    """Sample a knee by grade and seed, in the form that the page holds.
+
+    Parameters
+    ----------
+    body : bytes
+        Body of a request with a `SampleKneeRequest` as JSON.
+
+    Returns
+    -------
+    dict
+        Value of each field of the knee.
+
+    Raises
+    ------
+    InputError
+        If the body is invalid, or grade or grade table is unknown.
+    """
+    from ..data.knees.grade_tables import list_grade_tables
+
+    asked = _decode(body, SampleKneeRequest)
+    # Allow only tables of the package, because a path would be read from the disk.
+    require_choice("grade_table", asked.grade_table, list_grade_tables())
+    require_seed(asked.seed)
+    return knee_to_page_dict(sample_knee(grade=asked.grade, rng=asked.seed, grade_table=asked.grade_table))
+
+
+def _decode(body: bytes, kind: type[RecordType]) -> RecordType:
+    """Decode JSON to a record."""
+    try:
+        with MSGSPEC_LOCK:
+            return msgspec.json.decode(body, type=kind)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        why = f"{len(body)} bytes: {str(error)[:200]}"
+        raise InputError(f"request must be JSON as the page sends it, got {why}") from None
+
+
+def _parse_whole_number(value: Any) -> Any:
+    """Convert text of digits, as a browser holds large integers, to an integer; return anything else unchanged."""
+    digits = isinstance(value, str) and value.isascii() and value.isdigit() and len(value) <= 19
+    return int(value) if digits else value

@@ -1,0 +1,292 @@
+"""Cache of knees, path lengths and images, so that a stage runs again only if its inputs have changed.
+
+Knees are cached by parameters and posture, path lengths by knee and view. For each path, the image after every stage
+is kept. A request continues from the last image that no changed field affects.
+"""
+
+import copy
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from ..anatomy import BuiltKnee, build
+from ..core.processes.worker_processes import limit_to_one_blas_thread
+from ..core.stage_timer import Timer
+from ..model.knee import Knee
+from ..model.protocol import Protocol
+from ..model.radiograph import Truth
+from ..raycast import Paths, trace
+from ..stages import (
+    STAGES,
+    LatentImage,
+    Stage,
+    StageContext,
+    select_stages,
+)
+from ..xray.resolved_technique import Technique, resolve_technique
+
+# Ray-casting engine. The Python code on the page names it and therefore reproduces the same bytes.
+ENGINE = "scanline"
+# Largest number of cached knees.
+_KNEES = 6
+# Largest total number of pixels of cached views. The newest view is kept whatever its size.
+_MOST_PIXELS = 10_000_000
+# Name of the first stage that reads a field. Every other field counts as read by the first stage.
+_FIRST_STAGE_BY_FIELD = {
+    "name": "readout",
+    "scatter": "scatter",
+    "scatter_photons": "scatter",
+    "grid_ratio": "attenuation",
+    "grid_lines_per_cm": "attenuation",
+    "marker": "marker",
+    "noise": "quantum noise",
+    "detector_blur": "detector blur",
+    "dead_pixels": "readout",
+}
+# The image is not kept after these stages. They take little time, and each copy needs memory.
+_UNCACHED_STAGES = ("detector blur", "readout")
+
+
+@dataclass
+class CachedPaths:
+    """Path lengths of a knee in one view, with the images of its last request.
+
+    Attributes
+    ----------
+    paths : Paths
+        Path lengths.
+    truth : Truth or None
+        Labels of the view; None until they are requested.
+    protocol : Protocol or None
+        Protocol of the images.
+    seed : int
+        Noise seed of the images.
+    images : list of LatentImage
+        Image after each stage.
+    """
+
+    paths: Paths
+    truth: Truth | None = None
+    protocol: Protocol | None = None
+    seed: int = 0
+    images: list[LatentImage] = field(default_factory=list)
+
+
+@dataclass(kw_only=True)
+class SimulatedImage:
+    """Result of a request.
+
+    Attributes
+    ----------
+    built : BuiltKnee
+        Knee with its surfaces.
+    cached_paths : CachedPaths
+        Path lengths of the view.
+    technique : Technique
+        Technique of the protocol, with the beam aligned with the knee.
+    image : LatentImage
+        Image after the last stage.
+    rays_traced : int
+        Number of rays cast for this request; 0 if the path lengths were cached.
+    seconds : dict of str to float
+        Time of each stage, in s.
+    """
+
+    built: BuiltKnee
+    cached_paths: CachedPaths
+    technique: Technique
+    image: LatentImage
+    rays_traced: int
+    seconds: dict[str, float]
+
+    @property
+    def protocol(self) -> Protocol:
+        """Protocol of the image, with the beam aligned with the knee."""
+        return self.technique.protocol
+
+    @property
+    def truth(self) -> Truth:
+        """Labels of the view, which do not depend on the exposure."""
+        if self.cached_paths.truth is None:
+            self.cached_paths.truth = self.built.truth(self.protocol)
+        return self.cached_paths.truth
+
+
+class StageCache:
+    """Cache of knees, path lengths and images.
+
+    Parameters
+    ----------
+    step : callable, optional
+        Function that is called before each stage. It raises an error to cancel the work.
+    workers : int, default 2
+        Number of threads.
+    """
+
+    def __init__(self, step: Callable[[], None] = lambda: None, workers: int = 2) -> None:
+        self._step, self._workers = step, workers
+        self._knees: OrderedDict[Hashable, BuiltKnee] = OrderedDict()
+        self._traced: OrderedDict[Hashable, CachedPaths] = OrderedDict()
+
+    def build_knee(self, knee: Knee, protocol: Protocol) -> BuiltKnee:
+        """Build a knee in the posture of a protocol, or return it from the cache.
+
+        Parameters
+        ----------
+        knee : Knee
+            Parameters of the knee.
+        protocol : Protocol
+            Protocol that sets the posture.
+
+        Returns
+        -------
+        BuiltKnee
+            Knee with its surfaces.
+
+        Raises
+        ------
+        InputError
+            If the knee cannot be built.
+        """
+        key = (knee, protocol.posture)
+        if key not in self._knees:
+            self._step()
+            self._knees[key] = build(knee, protocol)
+        self._knees.move_to_end(key)
+        while len(self._knees) > _KNEES:
+            self._knees.popitem(last=False)
+        return self._knees[key]
+
+    def find_paths(self, knee: Knee, protocol: Protocol) -> Paths | None:
+        """Return the cached path lengths of a knee under a protocol.
+
+        Parameters
+        ----------
+        knee : Knee
+            Parameters of the knee.
+        protocol : Protocol
+            Acquisition protocol.
+
+        Returns
+        -------
+        Paths or None
+            Path lengths; None if they are not cached.
+        """
+        built = self._knees.get((knee, protocol.posture))
+        traced = None if built is None else self._traced.get(_view_key(built, built.aim_beam(protocol)))
+        return None if traced is None else traced.paths
+
+    def simulate_image(self, knee: Knee, protocol: Protocol, seed: int) -> SimulatedImage:
+        """Simulate a radiograph of a knee with the cached stages.
+
+        Parameters
+        ----------
+        knee : Knee
+            Parameters of the knee.
+        protocol : Protocol
+            Acquisition protocol.
+        seed : int
+            Noise seed.
+
+        Returns
+        -------
+        SimulatedImage
+            Image with its pixels, path lengths and computing times.
+
+        Raises
+        ------
+        InputError
+            If `simulate` would raise it. Errors raised by `step` are passed on.
+        """
+        clock = Timer()
+        built = self.build_knee(knee, protocol)
+        technique = resolve_technique(built.aim_beam(protocol))
+        clock.lap("anatomy")
+        traced, rays = self._trace_paths(built, technique.protocol)
+        clock.lap("rays")
+        image = self._run_stages(built, traced, technique, seed, clock)
+        return SimulatedImage(
+            built=built, cached_paths=traced, technique=technique, image=image, rays_traced=rays, seconds=clock.seconds
+        )
+
+    def _trace_paths(self, built: BuiltKnee, protocol: Protocol) -> tuple[CachedPaths, int]:
+        """Return the path lengths of a knee and the number of rays cast for them in this call."""
+        key, rays = _view_key(built, protocol), 0
+        if key not in self._traced:
+            self._step()
+            paths = trace(built.scene, protocol, engine=ENGINE, workers=self._workers)
+            self._traced[key], rays = CachedPaths(paths), paths.audit.rays
+        self._traced.move_to_end(key)
+        while len(self._traced) > 1 and sum(map(_count_pixels, self._traced.values())) > _MOST_PIXELS:
+            self._traced.popitem(last=False)
+        return self._traced[key], rays
+
+    @limit_to_one_blas_thread()
+    def _run_stages(
+        self, built: BuiltKnee, traced: CachedPaths, technique: Technique, seed: int, clock: Timer
+    ) -> LatentImage:
+        """Run the stages whose inputs have changed and cache their images."""
+        chain = StageContext(technique=technique, engine=ENGINE, seed=seed, workers=self._workers)
+        protocol, stages = technique.protocol, select_stages(technique.protocol)
+        done = _count_valid_stages(traced, protocol, seed, stages)
+        kept = traced.images[:done]
+        # Remove outdated images before the work, because it may be cancelled half way.
+        traced.images, traced.protocol, traced.seed = kept, protocol, seed
+        image = _copy_image(kept[-1]) if kept else LatentImage(path_mm=traced.paths.path_mm, scene=built.scene)
+        for stage in stages[len(kept) :]:
+            self._step()
+            stage.run(image, chain)
+            clock.lap(stage.name)
+            if stage.name not in _UNCACHED_STAGES and len(traced.images) == stages.index(stage):
+                traced.images.append(_copy_image(image))
+        return image
+
+
+def _view_key(built: BuiltKnee, protocol: Protocol) -> Hashable:
+    """Return the cache key of a view: knee, posture and the fields that affect path lengths."""
+    geometry = ("sdd_mm", "sod_mm", "beam_angle_deg", "centre_x_mm", "centre_z_mm", "rows", "cols", "pixel_mm")
+    return (built.knee, protocol.posture, protocol.texture, *(getattr(protocol, name) for name in geometry))
+
+
+def _count_pixels(traced: CachedPaths) -> int:
+    """Count the pixels of a view."""
+    return traced.paths.view.rows * traced.paths.view.cols
+
+
+def _count_valid_stages(traced: CachedPaths, protocol: Protocol, seed: int, stages: list[Stage]) -> int:
+    """Count the leading stages whose cached images are still valid."""
+    if traced.protocol is None:
+        return 0
+    before = select_stages(traced.protocol)
+    same = next((k for k, (one, other) in enumerate(zip(before, stages, strict=False)) if one is not other), None)
+    least = min(len(before), len(stages)) if same is None else same
+    for one in fields(Protocol):
+        if getattr(protocol, one.name) != getattr(traced.protocol, one.name):
+            least = min(least, _first_stage_index(_FIRST_STAGE_BY_FIELD.get(one.name, STAGES[0].name), stages))
+    if seed != traced.seed:
+        by_photons = protocol.scatter == "monte_carlo"
+        least = min(least, _first_stage_index("scatter" if by_photons else "quantum noise", stages))
+        least = min(least, _first_stage_index("readout", stages))
+    return min(least, len(traced.images))
+
+
+def _first_stage_index(name: str, stages: list[Stage]) -> int:
+    """Return the index of a stage, or of the next one that is present; 0 if there is none.
+
+    With 0, a field that no stage seems to read still runs all stages again.
+    """
+    names = [stage.name for stage in stages]
+    order = [stage.name for stage in STAGES]
+    later = set(order[order.index(name) :])
+    return next((k for k, one in enumerate(names) if one in later), 0)
+
+
+def _copy_image(image: LatentImage) -> LatentImage:
+    """Copy an image, including the two maps that later stages change in place."""
+    kept: Any = copy.copy(image)
+    kept.kept = dict(image.kept)
+    for name in ("frequencies", "noisy"):
+        values = getattr(image, name)
+        setattr(kept, name, None if values is None else values.copy())
+    return kept

@@ -1,0 +1,65 @@
+"""Cut of a closed mesh at a height, such as a bone at its shaft."""
+
+import numpy as np
+
+from ..core.checks import Array
+from .mesh import Indices, Mesh
+
+
+def cut_mesh_at_height(mesh: Mesh, direction: int, height_mm: float) -> Mesh:
+    """Keep the part of a closed mesh below or above a height and close the cut with a triangle fan.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Closed mesh, in mm. Its section must be a single outline that is entirely visible from its centre, as for a
+        shaft.
+    direction : int
+        +1 keeps the part below the height, -1 the part above it.
+    height_mm : float
+        Height of the cut along z, in mm.
+
+    Returns
+    -------
+    Mesh
+        Closed mesh, or the same mesh if it does not reach the height.
+    """
+    within = direction * mesh.vertices[:, 2] <= direction * height_mm
+    count = within[mesh.faces].sum(axis=1)
+    crossed = (count == 1) | (count == 2)
+    if not crossed.any():
+        return mesh
+    # Rotate the corners of each cut face so that the first one is alone on its side.
+    cut = mesh.faces[crossed]
+    first = (within[cut] == (count[crossed] == 1)[:, None]).argmax(axis=1)
+    one, two, three = np.take_along_axis(cut, (first[:, None] + np.arange(3)) % 3, axis=1).T
+    vertices, after, before = _add_crossing_vertices(mesh.vertices, one, two, three, height_mm)
+    alone = within[one]
+    faces = (
+        mesh.faces[count == 3],
+        np.column_stack((one, after, before))[alone],
+        np.column_stack((after, two, three))[~alone],
+        np.column_stack((after, three, before))[~alone],
+        np.column_stack((np.where(alone, before, after), np.where(alone, after, before), np.full(len(cut), -1))),
+    )
+    middle = [*vertices[len(mesh.vertices) :, :2].mean(axis=0), height_mm]
+    vertices = np.vstack((vertices, middle))
+    used, number = np.unique(np.vstack(faces) % len(vertices), return_inverse=True)
+    return Mesh(vertices[used], number.reshape(-1, 3))
+
+
+def _add_crossing_vertices(
+    vertices: Array, one: Indices, two: Indices, three: Indices, height_mm: float
+) -> tuple[Array, Indices, Indices]:
+    """Append the vertices where the sides one-two and three-one of faces cross a height.
+
+    Returns the vertices and the indices (n,) of the crossings on both sides.
+    """
+    sides = np.sort(np.concatenate((np.column_stack((one, two)), np.column_stack((three, one)))), axis=1)
+    key, number = np.unique(sides @ [len(vertices), 1], return_inverse=True)
+    start, end = (vertices[ends] for ends in divmod(key, len(vertices)))
+    share = (height_mm - start[:, 2]) / (end[:, 2] - start[:, 2])
+    crossings = start + share[:, None] * (end - start)
+    crossings[:, 2] = height_mm
+    after, before = (number.reshape(-1) + len(vertices)).reshape(2, -1)
+    return np.vstack((vertices, crossings)), after, before

@@ -1,0 +1,246 @@
+"""Atomic writing: a file appears completely or not at all."""
+
+import errno
+import os
+import secrets
+import stat
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from ..core.checks import InputError
+
+if sys.platform != "win32":
+    import fcntl
+
+# Only temporary files of this package begin with this prefix, so no other file can be deleted by mistake.
+_PREFIX = ".pssf-"
+_own_temporary_files = set[str]()  # temporary files that this process is writing
+# Errors of file systems that cannot flush or change a mode. A full disk gives other errors.
+_UNSUPPORTED_ERRNOS = {errno.EPERM, errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP}
+
+
+@contextmanager
+def replace_file(path: Path) -> Iterator[Path]:
+    """Provide a temporary path in the same folder that replaces `path` when the block ends without an error.
+
+    If the block raises, the temporary file is deleted and `path` keeps its content. A new file gets the mode that the
+    umask allows. A replaced file keeps its mode.
+
+    Parameters
+    ----------
+    path : Path
+        File to write. Its folder is created if it does not exist.
+
+    Yields
+    ------
+    Path
+        Temporary path with the suffix of `path`, to be written inside the block.
+
+    Raises
+    ------
+    InputError
+        The disk is full, or the file cannot be written. The message names the file.
+    """
+    held: _TemporaryFile | None = None
+    try:
+        make_folder(path.parent)
+        held = _create_temporary_file(path)
+        _own_temporary_files.add(held.name)
+        yield Path(held.name)
+        _flush(held.name)
+        if held.mode is not None:
+            with suppress(OSError):  # CIFS and gvfs have no file modes.
+                os.chmod(held.name, held.mode)
+        os.replace(held.name, path)
+    except OSError as error:
+        raise make_write_error(path, error) from None
+    finally:
+        if held is not None:
+            with suppress(OSError):
+                Path(held.name).unlink(missing_ok=True)
+            _own_temporary_files.discard(held.name)
+            held.close()
+
+
+def _flush(name: str) -> None:
+    """Flush a file to the disk; do nothing on file systems that do not support it, such as some network shares."""
+    with open(name, "r+b") as handle:  # Windows flushes only files that are open for writing.
+        try:
+            os.fsync(handle.fileno())
+        except OSError as error:
+            if error.errno not in _UNSUPPORTED_ERRNOS:
+                raise
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file completely or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        File to write. Its folder is created if it does not exist.
+    content : bytes
+        Complete content of the file.
+
+    Raises
+    ------
+    InputError
+        The disk is full, or the file cannot be written. The message names the file.
+    """
+    with replace_file(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def delete_own_temporary_files() -> None:
+    """Delete all temporary files of this process, before it ends early."""
+    for name in list(_own_temporary_files):
+        with suppress(OSError):
+            os.unlink(name)
+
+
+def find_temporary_files(path: Path) -> list[Path]:
+    """List the temporary files in a folder, of running writers and of killed ones.
+
+    Parameters
+    ----------
+    path : Path
+        Folder to search. Subfolders are not searched.
+
+    Returns
+    -------
+    list of Path
+        Temporary files, sorted by name.
+    """
+    return sorted(path.glob(f"{_PREFIX}*"))
+
+
+def delete_stale_temporary_files(path: Path) -> None:
+    """Delete the temporary files that killed writers have left in a folder; files that are being written are kept.
+
+    On Windows nothing is deleted.
+
+    Parameters
+    ----------
+    path : Path
+        Folder to clean. Subfolders are not searched.
+    """
+    if sys.platform == "win32":
+        return
+    for left in find_temporary_files(path):
+        # A held lock means a running writer; without lock support the owner is unknown. Both files are kept.
+        with suppress(OSError):
+            handle = os.open(left, os.O_RDWR)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                left.unlink()
+            finally:
+                os.close(handle)
+
+
+def make_folder(path: Path) -> Path:
+    """Create a folder and its parents if they do not exist.
+
+    Parameters
+    ----------
+    path : Path
+        Folder to create.
+
+    Returns
+    -------
+    Path
+        The same path.
+
+    Raises
+    ------
+    InputError
+        The folder cannot be created. The message names it.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise make_write_error(path, error) from None
+    return path
+
+
+@contextmanager
+def make_temporary_folder() -> Iterator[Path]:
+    """Provide an empty folder that is deleted, with its content, when the block ends.
+
+    Yields
+    ------
+    Path
+        The temporary folder.
+    """
+    with TemporaryDirectory() as name:
+        yield Path(name)
+
+
+def make_write_error(path: Path, error: OSError) -> InputError:
+    """Make the InputError for a file or folder that cannot be written.
+
+    Parameters
+    ----------
+    path : Path
+        File or folder to name in the message.
+    error : OSError
+        Error that the operating system or a library raised.
+
+    Returns
+    -------
+    InputError
+        Error with a one-line message, to be raised by the caller.
+    """
+    # numpy reports how many bytes it wrote, without a reason.
+    # pydicom passes on the error of the disk with a traceback below it, so only the first line is used.
+    reason = error.strerror or f"not enough free space ({(str(error).splitlines() or [''])[0]})"
+    return InputError(f"file {path} must be writable, got {reason}: use a writable folder with free space")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _TemporaryFile:
+    """A new file that stays locked as long as its handle is open.
+
+    `handle` is None on systems where other writers could not write to an open file. `mode` is the mode of the file
+    that will be replaced, or None if there is none.
+    """
+
+    name: str
+    handle: int | None
+    mode: int | None
+
+    def close(self) -> None:
+        """Close the handle, which releases the lock."""
+        if self.handle is not None:
+            os.close(self.handle)
+
+
+def _create_temporary_file(path: Path) -> _TemporaryFile:
+    """Create a locked file beside `path`, so that `delete_stale_temporary_files` can recognise a running writer.
+
+    The lock ends when the handle is closed or the process ends.
+    """
+    mode = None
+    with suppress(FileNotFoundError):
+        mode = stat.S_IMODE(path.stat().st_mode)
+    # Other users must not read the file before it has the mode of the file that it replaces.
+    first_mode = 0o666 if mode is None else 0o600
+    flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOINHERIT", 0)
+    while True:
+        # The stem is shortened, so that the name with its random part stays within the limit of the file system.
+        name = str(path.with_name(f"{_PREFIX}{path.stem[:40]}-{secrets.token_hex(4)}{path.suffix}"))
+        try:
+            handle = os.open(name, flags, first_mode)
+        except FileExistsError:
+            continue
+        if sys.platform == "win32":  # Windows cannot write to a file that is open elsewhere.
+            os.close(handle)
+            return _TemporaryFile(name=name, handle=None, mode=mode)
+        with suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        if os.path.exists(name):
+            return _TemporaryFile(name=name, handle=handle, mode=mode)
+        os.close(handle)  # Another process deleted the file between its creation and its lock.

@@ -1,0 +1,1 @@
+"""DICOM objects: Digital X-Ray images and Segmentations."""

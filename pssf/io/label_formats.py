@@ -1,0 +1,171 @@
+"""Standard label formats: landmarks as .pts files and as COCO keypoints."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..core.checks import InputError
+from .atomic_write import write_bytes
+from .cohort_records import write_json
+
+Landmarks = Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LabelledImage:
+    """One image and its landmarks.
+
+    Attributes
+    ----------
+    file : str
+        File name within the image folder.
+    rows : int
+        Height of the image, in pixels.
+    cols : int
+        Width of the image, in pixels.
+    landmarks_px : dict of str to (row, column) tuple
+        Landmark name to position, in pixels.
+    attributes : dict of str to float or None
+        Further labels, such as the KL grade. Entries that are None are not written.
+    """
+
+    file: str
+    rows: int
+    cols: int
+    landmarks_px: Landmarks
+    attributes: Mapping[str, float | None]
+
+
+def write_pts(path: Path, landmarks_px: Landmarks) -> Path:
+    """Write landmarks as a .pts file, the format of the ISBI and BoneFinder annotations.
+
+    The file holds x and y in pixels, with row 0 at the top.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    landmarks_px : dict of str to (row, column) tuple
+        Landmarks in the order in which they are written, in pixels.
+
+    Returns
+    -------
+    Path
+        The file that was written.
+
+    Raises
+    ------
+    InputError
+        The disk is full, or the file cannot be written.
+    """
+    lines = [f"{col:.4f} {row:.4f}" for row, col in landmarks_px.values()]
+    text = "\n".join(["version: 1", f"n_points: {len(lines)}", "{", *lines, "}"]) + "\n"
+    write_bytes(path, text.encode())
+    return path
+
+
+def read_pts(path: Path, names: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Read the landmarks of a .pts file.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+    names : sequence of str
+        Names of the landmarks, in the order of the file.
+
+    Returns
+    -------
+    dict of str to (row, column) tuple
+        Landmark name to position, in pixels.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is not a .pts file, or has another number of landmarks.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").split("{", 1)[1].split("}", 1)[0].split("\n")
+        places = [tuple(map(float, line.split())) for line in lines if line.strip()]
+    except (OSError, UnicodeDecodeError, IndexError, ValueError) as error:
+        raise InputError(f"file {path} must be a .pts file of landmarks as write_pts writes it, got {error}") from None
+    if len(places) != len(names) or any(len(place) != 2 for place in places):
+        raise InputError(f"file {path}: landmarks must be {len(names)}, each with x and y, got {len(places)}")
+    return {name: (row, col) for name, (col, row) in zip(names, places, strict=True)}
+
+
+def write_coco(path: Path, images: Sequence[LabelledImage]) -> Path:
+    """Write the landmarks of all images as COCO keypoints (Lin et al. 2014).
+
+    Every image has one annotation, in which all landmarks are visible.
+
+    Parameters
+    ----------
+    path : Path
+        JSON file to write.
+    images : sequence of LabelledImage
+        Images, all with the same landmarks in the same order.
+
+    Returns
+    -------
+    Path
+        The file that was written.
+
+    Raises
+    ------
+    InputError
+        An image has other landmarks than the first, the disk is full, or the file cannot be written.
+    """
+    names = list(images[0].landmarks_px) if images else []
+    annotations = []
+    for number, image in enumerate(images, start=1):
+        if list(image.landmarks_px) != names:
+            raise InputError(
+                f"image {image.file}: landmarks must be {', '.join(names)}, got {', '.join(image.landmarks_px)}"
+            )
+        points = [(col, row) for row, col in image.landmarks_px.values()]
+        left, top = (min(point[axis] for point in points) for axis in (0, 1))
+        right, bottom = (max(point[axis] for point in points) for axis in (0, 1))
+        annotations.append(_make_annotation(number, points, (left, top, right - left, bottom - top), image.attributes))
+    write_json(path, {
+        "info": {"description": "Knee radiographs simulated by pssf; landmarks are true by construction."},
+        "images": [
+            {"id": number, "file_name": image.file, "width": image.cols, "height": image.rows}
+            for number, image in enumerate(images, start=1)
+        ],
+        "annotations": annotations,
+        "categories": [
+            {"id": 1, "name": "knee", "supercategory": "joint", "keypoints": names, "skeleton": _make_skeleton(names)}
+        ],
+    })  # fmt: skip
+    return path
+
+
+def _make_annotation(
+    number: int,
+    points: list[tuple[float, float]],
+    box: tuple[float, float, float, float],
+    attributes: Mapping[str, float | None],
+) -> dict[str, Any]:
+    """Make the COCO annotation of one image.
+
+    `points` are (x, y) in pixels; `box` is left, top, width and height in pixels. COCO marks a landmark that is
+    labelled and visible with 2.
+    """
+    flat = [value for x, y in points for value in (round(x, 4), round(y, 4), 2)]
+    annotation: dict[str, Any] = {"id": number, "image_id": number, "category_id": 1, "iscrowd": 0}
+    annotation |= {"keypoints": flat, "num_keypoints": len(points)}
+    annotation |= {"bbox": [round(value, 4) for value in box], "area": round(box[2] * box[3], 4)}
+    known = {name: round(value, 4) for name, value in attributes.items() if value is not None}
+    return annotation | ({"attributes": known} if known else {})
+
+
+def _make_skeleton(names: Sequence[str]) -> list[list[int]]:
+    """List the pairs of neighbouring landmarks along the contour of each bone, counted from 1 as in COCO."""
+    return [[k, k + 1] for k in range(1, len(names)) if _is_femoral(names[k - 1]) == _is_femoral(names[k])]
+
+
+def _is_femoral(name: str) -> bool:
+    """Return whether a landmark is on the femur."""
+    return "femur" in name or "notch" in name

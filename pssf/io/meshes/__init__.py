@@ -1,0 +1,1 @@
+"""Meshes and scenes on disk: reading of meshes of any program, export, and a 3D viewer page."""

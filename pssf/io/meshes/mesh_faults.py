@@ -1,0 +1,82 @@
+"""Incomplete mesh files, recognised by the sizes in their headers."""
+
+import re
+import warnings
+from pathlib import Path
+
+from ...core.checks import InputError
+from ...geometry.scene import MeshNotice
+
+_REMEDY = "export or copy it again"
+
+
+def require_complete_mesh_file(content: bytes, path: Path) -> None:
+    """Require that a PLY or GLB is complete, and warn of an OBJ that may be incomplete.
+
+    An OBJ has no header that gives its size.
+
+    Parameters
+    ----------
+    content : bytes
+        Content of the file.
+    path : Path
+        File to name in messages; its suffix gives the format.
+
+    Raises
+    ------
+    InputError
+        The file is shorter than its header says, or the header itself is incomplete.
+
+    Warns
+    -----
+    MeshNotice
+        The last vertices of an OBJ belong to no face.
+    """
+    kind = path.suffix.lower()
+    if kind == ".ply":
+        _require_complete_ply(content, path)
+    elif kind == ".glb":
+        _require_complete_glb(content, path)
+    elif kind == ".obj":
+        _warn_of_lost_faces(content, path)
+
+
+def _require_complete_ply(content: bytes, path: Path) -> None:
+    """Require that a PLY has a complete header and, in an ASCII file, all its lines."""
+    if not content.startswith(b"ply"):
+        raise InputError(f"file {path} must begin with ply, got {content[:12]!r}: {_REMEDY}, or correct its suffix")
+    header, end, body = content.partition(b"end_header")
+    counts = [int(number) for number in re.findall(rb"^element\s+\S+\s+(\d{1,15})\s*$", header, re.MULTILINE)]
+    if not end or not re.search(rb"^element\s+face\b", header, re.MULTILINE):
+        raise InputError(
+            f"file {path} must have a complete header with faces, got {len(header)} bytes of one: {_REMEDY}"
+        )
+    if re.search(rb"^format\s+ascii\b", header, re.MULTILINE):
+        # Every vertex and face has one line. Only the last may lack its end, and may then be cut off.
+        lines = [line for line in body.splitlines()[1:] if line.strip()]
+        if len(lines) < sum(counts):
+            raise InputError(f"file {path} must hold {sum(counts)} vertices and faces, got {len(lines)}: {_REMEDY}")
+
+
+def _require_complete_glb(content: bytes, path: Path) -> None:
+    """Require that a GLB has the length that its header gives."""
+    # glTF 2.0, 4.4.2: magic, version and total length in bytes.
+    if content[:4] != b"glTF":
+        raise InputError(f"file {path} must begin with glTF, got {content[:4]!r}: {_REMEDY}, or correct its suffix")
+    length = int.from_bytes(content[8:12], "little")
+    if len(content) < max(length, 20):
+        raise InputError(f"file {path} must hold {length} bytes, as its header says, got {len(content)}: {_REMEDY}")
+
+
+def _warn_of_lost_faces(content: bytes, path: Path) -> None:
+    """Warn of an OBJ whose last vertices belong to no face."""
+    count = len(re.findall(rb"^\s*v\s", content, re.MULTILINE))
+    faces = re.findall(rb"^\s*f\s([^\n]*)$", content, re.MULTILINE)
+    used = [int(number) for face in faces for number in re.findall(rb"(?:^|\s)(-?\d{1,15})", face)]
+    # Negative numbers count back from the latest vertex, which is not known here.
+    if faces and used and min(used) > 0 and max(used) < count:
+        warnings.warn(
+            f"file {path}: its vertices {max(used) + 1} to {count} belong to no face; it may be cut off; {_REMEDY}",
+            MeshNotice,
+            stacklevel=5,
+        )

@@ -1,0 +1,1 @@
+"""Patient radiographs: lists of files, images as displayed, and stored pixel values."""

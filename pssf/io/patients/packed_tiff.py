@@ -1,0 +1,107 @@
+"""TIFF radiographs that Pillow cannot read correctly: 9 to 15 bits, big-endian negatives, rotated images."""
+
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+
+from ...core.checks import Array, InputError
+
+# Values of PhotometricInterpretation (TIFF 6.0, tag 262).
+_WHITE_IS_ZERO = 0
+_BLACK_IS_ZERO = 1
+# Values of Compression (TIFF 6.0, tag 259); Deflate has two.
+_NONE = 1
+_DEFLATE = (8, 32946)
+# Bits per pixel that do not fill whole bytes, and those that do.
+_PACKED = range(9, 16)
+_WHOLE = (8, 16)
+# Orientations (TIFF 6.0, tag 274) that exchange rows and columns.
+_TRANSPOSED_ORIENTATIONS = range(5, 9)
+# Function that makes an image upright, by its orientation (TIFF 6.0, tag 274).
+_TURN_UPRIGHT: dict[int, Any] = {
+    2: lambda a: a[:, ::-1],
+    3: lambda a: a[::-1, ::-1],
+    4: lambda a: a[::-1],
+    5: lambda a: a.T,
+    6: lambda a: a.T[:, ::-1],
+    7: lambda a: a[::-1, ::-1].T,
+    8: lambda a: a.T[::-1],
+}
+
+
+def read_packed_tiff(path: Path) -> Array | None:
+    """Read the grey values of a TIFF that Pillow would not read correctly.
+
+    Parameters
+    ----------
+    path : Path
+        TIFF file.
+
+    Returns
+    -------
+    (rows, cols) array or None
+        Upright grey values from 0 (black) to 1 over the range of the bits; None for any TIFF that Pillow reads
+        correctly, or reports as damaged.
+
+    Raises
+    ------
+    InputError
+        The image has several frames, or its orientation, tiling or compression is not supported.
+    """
+    try:
+        tiff = tifffile.TiffFile(path)
+    except tifffile.TiffFileError:
+        return None  # Pillow reports the error.
+    with tiff:
+        page: Any = tiff.pages[0]
+        bits, kind = page.bitspersample, int(page.photometric)
+        orientation = page.tags.valueof(274) or 1
+        # Pillow exchanges rows and columns before it reads uncompressed pixels, and so mixes them up.
+        sideways = orientation in _TRANSPOSED_ORIENTATIONS and page.compression == _NONE
+        negative = kind == _WHITE_IS_ZERO and tiff.byteorder == ">" and bits == 16
+        if page.samplesperpixel != 1 or kind not in (_WHITE_IS_ZERO, _BLACK_IS_ZERO):
+            if sideways:
+                raise InputError(
+                    f"file {path}: orientation of a colour image must be 1 to 4, got {orientation}: save it upright"
+                )
+            return None
+        if (bits not in _PACKED and not (bits in _WHOLE and (negative or sideways))) or page.sampleformat != 1:
+            return None
+        if len(tiff.pages) > 1:
+            raise InputError(f"file {path}: frames must be 1, got {len(tiff.pages)}")
+        values = _unpack_strips(tiff, page, bits, path)
+        turned = _TURN_UPRIGHT.get(orientation, lambda same: same)(values.astype(np.float64))
+    share = turned / (2**bits - 1)
+    return 1.0 - share if kind == _WHITE_IS_ZERO else share
+
+
+def _unpack_strips(tiff: tifffile.TiffFile, page: Any, bits: int, path: Path) -> NDArray[np.integer[Any]]:
+    """Decode strips to grey values (rows, cols), without unit.
+
+    Rows begin at whole bytes, and the highest bit comes first.
+    """
+    rows, cols = page.imagelength, page.imagewidth
+    known = page.compression == _NONE or page.compression in _DEFLATE
+    if page.is_tiled or not known or page.predictor != 1:
+        how = "tiles" if page.is_tiled else f"{page.compression.name}, predictor {int(page.predictor)}"
+        raise InputError(
+            f"file {path} must have strips, uncompressed or with Deflate, got {bits} bits in {how}: save it that way"
+        )
+    content = bytearray()
+    for offset, count in zip(page.dataoffsets, page.databytecounts, strict=True):
+        tiff.filehandle.seek(offset)
+        strip = tiff.filehandle.read(count)
+        content += strip if page.compression == _NONE else zlib.decompress(strip)
+    row_bytes = -(-cols * bits // 8)
+    if len(content) < rows * row_bytes:
+        raise InputError(f"file {path} must hold {rows * row_bytes} bytes of pixels, got {len(content)}: copy it again")
+    packed = np.frombuffer(content, np.uint8, rows * row_bytes).reshape(rows, row_bytes)
+    if bits in _WHOLE:
+        return packed.reshape(-1).view(f"{tiff.byteorder}u{bits // 8}").reshape(rows, cols)
+    order: Any = "little" if page.fillorder == 2 else "big"
+    each = np.unpackbits(packed, axis=1, count=cols * bits, bitorder=order).reshape(rows, cols, bits)
+    return each @ (1 << np.arange(bits - 1, -1, -1, dtype=np.uint16))

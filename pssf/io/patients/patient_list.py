@@ -1,0 +1,287 @@
+"""Lists of patient radiographs: the image files of a folder, or the rows of a CSV table."""
+
+import hashlib
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from ...core.checks import InputError, require_choice, require_in_range
+from ...data.imaging.display_table import FlatPanelProcessing
+from ..csv_rows import read_csv_rows
+from ..image_kind import SUFFIXES, is_image, list_files
+from ..radiograph_files import convert_read_errors
+
+SIDES = ("right", "left")
+GRADES = range(5)
+COLUMNS = ("file", "grade", "subject", "side", "pixel_mm")
+# Smallest and largest pixel size that is accepted, in mm.
+PIXEL_MM_RANGE = (0.01, 5.0)
+_SIDE_WORDS = {
+    "left": "left", "links": "left", "gauche": "left", "izquierda": "left", "izquierdo": "left", "sinistra": "left",
+    "right": "right", "rechts": "right", "droite": "right", "droit": "right", "derecha": "right", "derecho": "right",
+    "destra": "right",
+}  # fmt: skip
+_SIDE_LETTERS = {"l": "left", "r": "right"}
+# A word of its own, or after a digit: left_12, 12-right-knee, 12left.
+_SIDE_WORD_PATTERN = re.compile(rf"(?:(?<=\d)|(?<![^\W_]))(?P<side>{'|'.join(_SIDE_WORDS)})(?![^\W_])", re.IGNORECASE)
+# L or R at the end: after a digit, or as a word of its own in a name with a digit: 12L, 12_R, p12a-l.
+_SIDE_LETTER_PATTERN = re.compile(r"(?<=\d)(?P<side>[LR])$|(?<=[-_ .])(?P<lone>[LRlr])$")
+_SEPARATORS = "-_ ."
+
+
+@dataclass(frozen=True, kw_only=True)
+class Film:
+    """One patient radiograph of a list.
+
+    Parameters
+    ----------
+    file : str
+        Image file, relative to the folder of the list.
+    grade : int or None
+        Kellgren-Lawrence grade, 0 to 4; None if it is not known.
+    subject : str
+        Name of the subject. Radiographs of one subject stay together when data are split.
+    side : {"right", "left"} or None
+        Side of the knee; None if it is not known.
+    pixel_mm : float or None
+        Pixel size at the detector, 0.01 to 5 mm; None if it is not known.
+    sha256 : str
+        SHA-256 of the file, in hexadecimal digits.
+    processing : FlatPanelProcessing or None
+        Display processing of linear pixels; None for the display preset "processed". Other images keep theirs.
+    resampled_pixel_mm : float or None
+        Pixel size, 0.01 to 5 mm for a knee of standard size, to which the image is reduced before a comparison; None
+        keeps the image.
+
+    Raises
+    ------
+    InputError
+        A value is out of its range.
+    """
+
+    file: str
+    grade: int | None
+    subject: str
+    side: str | None
+    pixel_mm: float | None
+    sha256: str
+    processing: FlatPanelProcessing | None = None
+    resampled_pixel_mm: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check every field."""
+        for name in ("file", "subject", "sha256"):
+            value = getattr(self, name)
+            if not isinstance(value, str) or not (value or name == "sha256"):
+                raise InputError(f"patient radiograph: {name} must be text, got {value!r}")
+        if self.grade is not None:
+            require_choice(f"radiograph {self.file}: grade", self.grade, GRADES)
+        if self.side is not None:
+            require_choice(f"radiograph {self.file}: side", self.side, SIDES)
+        for name in ("pixel_mm", "resampled_pixel_mm"):
+            if getattr(self, name) is not None:
+                require_in_range(f"radiograph {self.file}: {name}", getattr(self, name), *PIXEL_MM_RANGE, "mm")
+
+
+def list_films(folder: str | Path) -> tuple[Film, ...]:
+    """List the patient radiographs of a folder in the order of their names, or the rows of its CSV table.
+
+    Hidden files, resource forks (._x.png), lock files (~$x.csv) and files that are no image are left out.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Folder with subfolders 0 to 4, one per grade, and radiographs without a grade beside them; or a folder with one
+        CSV table; or the table itself. Its columns are file, grade, subject, side and pixel_mm. All but the first may
+        be missing or empty.
+
+    Returns
+    -------
+    tuple of Film
+        Radiographs. Without a table, subject and side are read from the file name; see `parse_subject_and_side`.
+
+    Raises
+    ------
+    InputError
+        There are no radiographs, a column or value of the table is not allowed, a column or file is repeated, a file
+        is missing, or copies of one file have different grades, subjects or sides.
+    """
+    folder = Path(folder)
+    is_table = folder.suffix.lower() == ".csv"
+    tables = [folder] if is_table else [path for path in list_files(folder) if path.suffix.lower() == ".csv"]
+    if len(tables) > 1:
+        names = ", ".join(path.name for path in tables)
+        raise InputError(f"folder {folder} must have one CSV, or subfolders 0 to 4, got the tables {names}")
+    films = tuple(_list_table_films(tables[0])) if tables else tuple(_list_folder_films(folder))
+    if not films:
+        raise InputError(
+            f"folder {folder} must have subfolders 0 to 4 of {', '.join(SUFFIXES)}, or a CSV, got no radiographs"
+        )
+    _require_consistent_copies(films, folder)
+    return films
+
+
+def parse_subject_and_side(stem: str) -> tuple[str, str | None]:
+    """Read subject and side from the name of a radiograph without its suffix.
+
+    The side is the word left or right (links, rechts, gauche, droite and others), alone or after a digit. L or R at the
+    end counts too, after a digit or as a word of its own in a name with a digit. The rest of the name is the subject:
+    9003175L and 9003175_R are of one subject, as are P1_left and P1_right.
+
+    Parameters
+    ----------
+    stem : str
+        File name without suffix.
+
+    Returns
+    -------
+    subject : str
+        Name of the subject; the whole name if it gives no side, or both.
+    side : {"right", "left"} or None
+        Side of the knee; None if the name gives none, or both.
+
+    Examples
+    --------
+    >>> parse_subject_and_side("9003175_R"), parse_subject_and_side("P1_left_knee"), parse_subject_and_side("P1")
+    (('9003175', 'right'), ('P1_knee', 'left'), ('P1', None))
+    """
+    words = list(_SIDE_WORD_PATTERN.finditer(stem))
+    if len({_SIDE_WORDS[word["side"].lower()] for word in words}) == 1:
+        return _remove_side(stem, words[0]), _SIDE_WORDS[words[0]["side"].lower()]
+    match = None if words else _SIDE_LETTER_PATTERN.search(stem)
+    if match is None or (match["lone"] and not re.search(r"\d", stem)):
+        return stem, None
+    return _remove_side(stem, match), _SIDE_LETTERS[(match["side"] or match["lone"]).lower()]
+
+
+def require_film(path: Path, label: str = "") -> None:
+    """Require that a path is an image file, by its suffix or its first bytes.
+
+    Parameters
+    ----------
+    path : Path
+        File to check.
+    label : str
+        Name of the file in the message; empty for its path.
+
+    Raises
+    ------
+    InputError
+        The file is no image, or cannot be read.
+    """
+    if path.suffix.lower() not in SUFFIXES and path.is_file():
+        with convert_read_errors(path, "a radiograph", "damaged"):
+            if is_image(path):
+                return
+    require_choice(f"{label or f'file {path}'}: suffix", path.suffix.lower(), SUFFIXES)
+
+
+def _remove_side(stem: str, match: re.Match[str]) -> str:
+    """Return the name without its side, with one underscore between the parts; the whole name if nothing is left."""
+    before, after = stem[: match.start()].rstrip(_SEPARATORS), stem[match.end() :].lstrip(_SEPARATORS)
+    return "_".join(part for part in (before, after) if part) or stem
+
+
+def _require_consistent_copies(films: tuple[Film, ...], folder: Path) -> None:
+    """Require that copies of one file have the same grade, subject and side.
+
+    Otherwise a radiograph would have two labels, or one subject would count as two.
+    """
+    known: dict[str, Film] = {}
+    for film in films:
+        other = known.setdefault(film.sha256, film)
+        for name in ("grade", "subject", "side"):
+            one, two = getattr(other, name), getattr(film, name)
+            if one != two and None not in (one, two):
+                raise InputError(
+                    f"folder {folder}: {other.file} and {film.file} are copies and must have one {name}, got {one} and "
+                    f"{two}"
+                )
+
+
+def _list_folder_films(folder: Path) -> Iterator[Film]:
+    """Yield the radiographs of the subfolders 0 to 4, then those of the folder itself."""
+    graded: list[tuple[int | None, Path]] = [(grade, folder / str(grade)) for grade in GRADES]
+    for grade, place in [*graded, (None, folder)]:
+        for path in list_files(place):
+            if is_image(path):
+                subject, side = parse_subject_and_side(_stem(path))
+                file = path.relative_to(folder).as_posix()
+                yield Film(file=file, grade=grade, subject=subject, side=side, pixel_mm=None, sha256=_hash_film(path))
+
+
+def _stem(path: Path) -> str:
+    """Return the name without suffix; the whole name of a DICOM without a suffix, such as 1.2.840.1."""
+    return path.stem if path.suffix.lower() in SUFFIXES else path.name
+
+
+def _list_table_films(path: Path) -> Iterator[Film]:
+    """Yield the radiographs of a CSV table."""
+    names, rows = read_csv_rows(path)
+    if "file" not in names:
+        raise InputError(f"file {path} must have the column file, got {', '.join(names) or 'none'}")
+    for name in names:
+        require_choice(f"file {path}: column", name, COLUMNS)
+    seen: set[str] = set()
+    for line, row in enumerate(rows, start=2):
+        film = _make_film(path.parent, row, f"file {path}, line {line}")
+        place = Path(film.file).as_posix()
+        if place in seen:
+            raise InputError(f"file {path}, line {line}: file must be listed once, got {film.file!r} again")
+        seen.add(place)
+        yield film
+
+
+def _make_film(folder: Path, row: dict[str, str], where: str) -> Film:
+    """Make the Film of one row of a CSV table; `where` names the row in messages."""
+    file, grade, subject, side, pixel = (row.get(name, "").strip() for name in COLUMNS)
+    if not file:
+        raise InputError(f"{where}: file must be the path of a radiograph, relative to the table, got an empty cell")
+    require_film(folder / file, where)
+    if side:
+        require_choice(f"{where}: side", side, SIDES)
+    named = _parse_file_name(Path(file))
+    return Film(
+        file=file,
+        grade=_parse_grade(f"{where}: grade", grade) if grade else None,
+        subject=_remove_zero_decimal(subject) or named[0],
+        side=side or named[1],
+        pixel_mm=_parse_pixel_mm(f"{where}: pixel_mm", pixel) if pixel else None,
+        sha256=_hash_film(folder / file),
+    )
+
+
+def _parse_file_name(file: Path) -> tuple[str, str | None]:
+    """Read subject and side from the file name, or the subject from the folder of a file such as P1/left.png."""
+    stem = _stem(file)
+    subject, side = parse_subject_and_side(stem)
+    alone = side is not None and subject == stem
+    return (file.parent.as_posix() if alone and file.parent.name else subject), side
+
+
+def _remove_zero_decimal(text: str) -> str:
+    """Remove ".0" from a whole number that a data frame with gaps stored as a float; keep any other text."""
+    return re.sub(r"(?<=\d)\.0$", "", text) if re.fullmatch(r"\d+\.0", text) else text
+
+
+def _parse_grade(name: str, text: str) -> int:
+    """Read a grade from a cell of a table."""
+    require_choice(name, _remove_zero_decimal(text), [str(value) for value in GRADES])
+    return int(_remove_zero_decimal(text))
+
+
+def _parse_pixel_mm(name: str, text: str) -> float:
+    """Read a pixel size in mm from a cell of a table."""
+    try:
+        value = float(text)
+    except ValueError:
+        raise InputError(f"{name} must be a number of mm, or empty, got {text!r}") from None
+    require_in_range(name, value, *PIXEL_MM_RANGE, "mm")
+    return value
+
+
+def _hash_film(path: Path) -> str:
+    """Compute the SHA-256 of an image file."""
+    with convert_read_errors(path, "a radiograph", "damaged"), open(path, "rb") as handle:
+        return hashlib.file_digest(handle, "sha256").hexdigest()

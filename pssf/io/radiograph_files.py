@@ -1,0 +1,474 @@
+"""Radiographs on disk: TIFF and DICOM with linear pixels, PNG and DICOM for display, and parameters as JSON.
+
+Every file holds all parameters that the radiograph was made from.
+"""
+
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import tifffile
+from numpy.typing import NDArray
+from PIL import Image, PngImagePlugin
+
+from ..core.checks import InputError, require_choice, require_path
+from ..core.keyword_arguments import check_keywords
+from ..data.imaging.display_table import FlatPanelProcessing, ScreenFilm, load_display_processing
+from ..data.user_files import read_text, require_regular_file
+from ..detector import format_processing, render_for_display, resolve_processing
+from ..model.radiograph import Radiograph
+from .atomic_write import replace_file, write_bytes
+from .image_kind import is_dicom
+from .metadata import (
+    decode_metadata,
+    encode_metadata,
+    require_intact_metadata,
+    require_intact_radiograph,
+)
+
+# Intents that a file format can hold, the default first; see `save`.
+INTENTS = {
+    ".tif": ("processing",),
+    ".tiff": ("processing",),
+    ".dcm": ("processing", "presentation"),
+    ".png": ("presentation",),
+}
+SUFFIXES = tuple(INTENTS)
+BORDERS = ("none", "marked")
+# TIFF 6.0: ImageDescription, which holds the metadata.
+_DESCRIPTION_TAG = 270
+_MARKER_ALLOWED = "none, except for a presentation image of one knee"
+# Formats that `save_formats` writes.
+FORMATS = ("tif", "png", "json", "dcm")
+
+
+@check_keywords(look="processing")
+def save(
+    radiograph: Radiograph,
+    path: str | Path,
+    *,
+    intent: str | None = None,
+    border: str = "none",
+    processing: str | FlatPanelProcessing | ScreenFilm = "processed",
+) -> Path:
+    """Write a radiograph as TIFF (16 bit), DICOM Digital X-Ray (16 or 12 bit) or PNG (8 bit), by suffix.
+
+    Every file holds all parameters of the radiograph. The same radiograph gives the same bytes; DICOM UIDs are made
+    from the content.
+
+    Parameters
+    ----------
+    radiograph : Radiograph
+        Radiograph to write.
+    path : str or Path
+        File to write, with suffix .tif, .tiff, .dcm or .png.
+    intent : {"processing", "presentation"} or None
+        "processing" writes the linear pixels, which `load` reads back. "presentation" writes an image with display
+        processing, bone bright. The words are those of DICOM, For Processing and For Presentation. A .tif holds the
+        first, a .png the second, a .dcm either. None means presentation for .png, and processing otherwise.
+    border : {"none", "marked"}
+        "marked" adds the edge of the collimator and the side marker to a presentation image of one knee.
+    processing : str, FlatPanelProcessing or ScreenFilm
+        Display processing of presentation images: "processed", "log" or "film", or one with other parameters; see
+        `render_for_display`. The file names it and its parameters.
+
+    Returns
+    -------
+    Path
+        The file that was written.
+
+    Raises
+    ------
+    InputError
+        The suffix, intent, border or display processing is not supported, the side marker has no space or no known
+        side, the disk is full, or the file cannot be written.
+
+    See Also
+    --------
+    load : Read a radiograph with linear pixels back.
+    load_parameters : Read the parameters of any file.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import pssf, trimesh
+    >>> sphere = pssf.Surface(trimesh.creation.icosphere(radius=40.0), "water", "air", "sphere")
+    >>> protocol = pssf.load_protocol("reference").resample(64)
+    >>> radiograph = pssf.simulate(pssf.Scene([sphere]), protocol, rng=0)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pssf.save(radiograph, Path(folder) / "sphere.tif")
+    ...     pssf.load(path) == radiograph
+    True
+    """
+    path = require_path(path)
+    require_radiograph(radiograph)
+    suffix = require_suffix(path, SUFFIXES)
+    intent = INTENTS[suffix][0] if intent is None else intent
+    require_choice(f"file {path}: intent", intent, INTENTS[suffix])
+    side, shown_as = (
+        _select_marker_side(radiograph, intent, border, path),
+        resolve_processing(processing, load_display_processing()),
+    )
+    with replace_file(path) as temporary:
+        if suffix == ".png":
+            note = PngImagePlugin.PngInfo()
+            note.add_text("Description", encode_metadata(radiograph))
+            note.add_text("DisplayProcessing", format_processing(shown_as))
+            Image.fromarray(render_for_display(radiograph, side=side, processing=shown_as or "log")).save(
+                temporary, format="PNG", pnginfo=note
+            )
+        elif suffix == ".dcm":
+            from .dicom import dicom_radiograph  # pydicom is only imported for DICOM files.
+
+            dicom_radiograph.write_radiograph(
+                radiograph, encode_metadata(radiograph), temporary, intent, side, shown_as
+            )
+        else:
+            per_cm = float(10.0 / radiograph.protocol.pixel_mm)
+            tifffile.imwrite(
+                temporary,
+                radiograph.pixels,
+                photometric="minisblack",
+                resolution=(per_cm, per_cm),
+                resolutionunit="CENTIMETER",
+                software=f"pssf {version('pssf')}",
+                # tifffile mistakes JSON with "shape": for its own metadata. A space before the colon prevents that.
+                description=encode_metadata(radiograph).replace('"shape":', '"shape" :'),
+                metadata=None,
+            )
+    return path
+
+
+def _select_marker_side(radiograph: Radiograph, intent: str, border: str, path: Path) -> str | None:
+    """Return the side whose marker a presentation image gets, or None for no marker."""
+    require_choice(f"file {path}: border", border, BORDERS)
+    if border == "none":
+        return None
+    if intent != "presentation" or radiograph.knee is None:
+        raise InputError(f"file {path}: border must be {_MARKER_ALLOWED}, got {border!r}")
+    return radiograph.knee.side
+
+
+def save_formats(
+    radiograph: Radiograph,
+    stem: str | Path,
+    formats: Collection[str],
+    *,
+    border: str = "none",
+    processing: str | FlatPanelProcessing | ScreenFilm = "processed",
+) -> list[Path]:
+    """Write a radiograph in several formats side by side.
+
+    Parameters
+    ----------
+    radiograph : Radiograph
+        Radiograph to write.
+    stem : str or Path
+        Path of the files without suffix.
+    formats : collection of str
+        Any of "tif", "png", "json" and "dcm". "dcm" writes two files: STEM.dcm, For Processing, and
+        STEM_presentation.dcm, For Presentation.
+    border : {"none", "marked"}
+        Border of the presentation images; see `save`.
+    processing : str, FlatPanelProcessing or ScreenFilm
+        Display processing of presentation images: "processed", "log" or "film", or one with other parameters; see
+        `render_for_display`.
+
+    Returns
+    -------
+    list of Path
+        The files that were written.
+
+    Raises
+    ------
+    InputError
+        A format is not supported, a file of another radiograph already exists, or `save` raises an InputError.
+    """
+    for kind in formats:
+        require_choice("formats", kind, FORMATS)
+    # All checks are made before the first file is written.
+    require_no_other_radiograph(radiograph, (f"{stem}.{kind}" for kind in formats))
+    if {"png", "dcm"} & set(formats):
+        _select_marker_side(radiograph, "presentation", border, Path(stem))
+    paths = []
+    if "tif" in formats:
+        paths.append(save(radiograph, f"{stem}.tif"))
+    if "png" in formats:
+        paths.append(save(radiograph, f"{stem}.png", border=border, processing=processing))
+    if "json" in formats:
+        paths.append(save_parameters(radiograph, f"{stem}.json"))
+    if "dcm" in formats:
+        paths.append(save(radiograph, f"{stem}.dcm"))
+        shown = f"{stem}_presentation.dcm"
+        paths.append(save(radiograph, shown, intent="presentation", border=border, processing=processing))
+    return paths
+
+
+def require_no_other_radiograph(radiograph: Radiograph, paths: Iterable[str | Path]) -> None:
+    """Require that existing files hold the same radiograph, before they are overwritten.
+
+    Parameters
+    ----------
+    radiograph : Radiograph
+        Radiograph to be written.
+    paths : iterable of str or Path
+        Files to be written; those that do not exist are skipped.
+
+    Raises
+    ------
+    InputError
+        A file holds another radiograph, or was not written by this package.
+    """
+    for path in map(Path, paths):
+        if path.exists():
+            made = load_parameters(path)
+            for name in ("protocol", "knee", "knees", "scene", "surgery", "seed"):
+                if made[name] != getattr(radiograph, name):
+                    raise InputError(f"file {path} must be of this radiograph, got another {name}: delete it")
+
+
+def load(path: str | Path) -> Radiograph:
+    """Read a radiograph from a TIFF or DICOM that `save` wrote, with its linear pixels and all parameters.
+
+    Parameters
+    ----------
+    path : str or Path
+        File to read.
+
+    Returns
+    -------
+    Radiograph
+        The same pixels, protocol, knee, seed, ground truth and audit, without masks; see `load_masks`.
+
+    Raises
+    ------
+    InputError
+        The file is missing, damaged, altered, was not written by this package, or is a DICOM For Presentation, whose
+        pixels are not linear.
+
+    See Also
+    --------
+    save : Write a radiograph.
+    load_parameters : Read the parameters of any file, presentation images among them.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import pssf, trimesh
+    >>> sphere = pssf.Surface(trimesh.creation.icosphere(radius=40.0), "water", "air", "sphere")
+    >>> protocol = pssf.load_protocol("reference").resample(64)
+    >>> radiograph = pssf.simulate(pssf.Scene([sphere]), protocol, rng=0)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pssf.save(radiograph, Path(folder) / "sphere.dcm")
+    ...     loaded = pssf.load(path)
+    >>> loaded.pixels.shape, loaded.seed
+    ((64, 64), 0)
+    """
+    path = require_path(path)
+    with convert_read_errors(path, "a TIFF or DICOM by pssf"):
+        _require_own_image(path, "a TIFF or DICOM For Processing", ("TIFF",))
+        pixels, text = _read_linear_and_metadata(path)
+        made = decode_metadata(text, path)
+        require_intact_radiograph(text, pixels, path)
+        size = (made["protocol"].rows, made["protocol"].cols)
+        if pixels.shape != size:
+            raise InputError(f"file {path}: pixels must be {size}, as in its protocol, got {pixels.shape}")
+        return Radiograph(pixels=pixels, **made)
+
+
+def load_parameters(path: str | Path) -> dict[str, Any]:
+    """Read the parameters that a radiograph on disk was made from.
+
+    Parameters
+    ----------
+    path : str or Path
+        File that `save` or `save_parameters` wrote, of any suffix and intent.
+
+    Returns
+    -------
+    dict of str to object
+        Fields of `Radiograph`, without its pixels: protocol, knee, knees, scene, surgery, seed, truth, truths, engine,
+        audit and versions. Meshes of implants and scenes are not in the file, only their hashes.
+
+    Raises
+    ------
+    InputError
+        The file is missing, damaged, altered, or was not written by this package.
+
+    Warns
+    -----
+    UnverifiedNotice
+        An earlier version wrote a PNG, JSON or DICOM For Presentation without a hash.
+
+    See Also
+    --------
+    load : Read a radiograph with its linear pixels.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import pssf, trimesh
+    >>> sphere = pssf.Surface(trimesh.creation.icosphere(radius=40.0), "water", "air", "sphere")
+    >>> protocol = pssf.load_protocol("reference").resample(64)
+    >>> radiograph = pssf.simulate(pssf.Scene([sphere]), protocol, rng=0)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pssf.save(radiograph, Path(folder) / "sphere.png")
+    ...     parameters = pssf.load_parameters(path)
+    >>> parameters["protocol"] == protocol, parameters["seed"]
+    (True, 0)
+    """
+    path = require_path(path)
+    pixels: NDArray[Any] | None = None
+    with convert_read_errors(path, "a TIFF, DICOM, PNG or JSON by pssf"):
+        _require_own_image(path, "a TIFF, DICOM, PNG or JSON", ("TIFF", "PNG"))
+        if path.suffix.lower() == ".json":
+            text = read_text(path)
+        elif path.suffix.lower() == ".png":
+            with Image.open(path) as image:
+                text = image.info["Description"]
+        elif is_dicom(path):
+            from .dicom import dicom_radiograph
+
+            pixels, text = dicom_radiograph.read_metadata(path)
+        else:
+            pixels, text = _read_linear_and_metadata(path)
+        made = decode_metadata(text, path)
+        require_intact_metadata(text, path, pixels)
+        return made
+
+
+def _require_own_image(path: Path, wanted: str, kinds: tuple[str, ...]) -> None:
+    """Require that an image was written by this package and is of one of the kinds that can be read.
+
+    Files that are no image, and damaged ones, are left to the readers. The InputError names the function or command
+    that reads the file.
+    """
+    kind, text = "", ""
+    with suppress(Exception), Image.open(path) as image:  # A damaged file can fail anywhere in its reader.
+        tags = getattr(image, "tag_v2", {})
+        kind, text = image.format or "", str(image.info.get("Description", tags.get(_DESCRIPTION_TAG, "")))
+    if not kind or ('"protocol"' in text and kind in kinds):
+        return
+    what = f"file must be {wanted} that pssf wrote, got {path}, a {kind}"
+    if '"protocol"' in text:
+        raise InputError(f"{what} for presentation, without linear pixels: load_parameters reads its parameters")
+    raise InputError(f"{what} of another program: pssf predict, pssf.features and pssf study --films read such images")
+
+
+def _read_linear_and_metadata(path: Path) -> tuple[NDArray[Any], str]:
+    """Read the linear pixels (rows, cols), DN, and the JSON metadata of a TIFF or DICOM."""
+    if is_dicom(path):
+        from .dicom import dicom_radiograph
+
+        return dicom_radiograph.read_linear_radiograph(path)
+    with tifffile.TiffFile(path) as tiff:
+        page = tiff.pages[0]
+        return page.asarray(), page.description  # type: ignore[union-attr]
+
+
+def require_radiograph(radiograph: object) -> None:
+    """Require that an object is a Radiograph.
+
+    Parameters
+    ----------
+    radiograph : object
+        Object to check.
+
+    Raises
+    ------
+    InputError
+        The object is not a Radiograph.
+    """
+    if not isinstance(radiograph, Radiograph):
+        raise InputError(f"radiograph must be a Radiograph, as simulate returns it, got {radiograph!r}")
+
+
+def require_suffix(path: Path, allowed: tuple[str, ...]) -> str:
+    """Require that the suffix of a file is one of those allowed.
+
+    Parameters
+    ----------
+    path : Path
+        File to check.
+    allowed : tuple of str
+        Allowed suffixes in lower case, with the dot.
+
+    Returns
+    -------
+    str
+        Suffix in lower case.
+
+    Raises
+    ------
+    InputError
+        The suffix is not allowed.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in allowed:
+        raise InputError(f"file {path}: suffix must be one of {', '.join(allowed)}, got {suffix!r}")
+    return suffix
+
+
+@contextmanager
+def convert_read_errors(path: str | Path, allowed: str, fault: str = "damaged or not by pssf") -> Iterator[None]:
+    """Convert any error in the reader of a regular file to an InputError of one line that names the file.
+
+    Parameters
+    ----------
+    path : str or Path
+        File that is read inside the block.
+    allowed : str
+        Description of a valid file, such as "a TIFF or DICOM by pssf".
+    fault : str
+        Description of a file that the reader cannot read.
+
+    Yields
+    ------
+    None
+        Control, for the block that reads the file.
+
+    Raises
+    ------
+    InputError
+        The path is no regular file, or the block raises any error.
+    """
+    try:
+        require_regular_file(Path(path), allowed=allowed)
+        yield
+    except InputError:
+        raise
+    except OSError as error:
+        raise InputError(f"file {path} must be {allowed} that can be read, got {error.strerror or error}") from None
+    except Exception as error:  # A damaged file can fail anywhere in its reader.
+        reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
+        raise InputError(f"file {path} must be {allowed}, got a file that is {fault} ({reason})") from None
+
+
+def save_parameters(radiograph: Radiograph, path: str | Path) -> Path:
+    """Write all parameters of a radiograph as JSON.
+
+    Parameters
+    ----------
+    radiograph : Radiograph
+        Radiograph to describe.
+    path : str or Path
+        File to write.
+
+    Returns
+    -------
+    Path
+        The file that was written.
+
+    Raises
+    ------
+    InputError
+        The disk is full, or the file cannot be written.
+    """
+    path = require_path(path)
+    write_bytes(path, (encode_metadata(radiograph, indent=2) + "\n").encode())
+    return path

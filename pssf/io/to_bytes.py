@@ -1,0 +1,75 @@
+"""Files as bytes, for callers without a path: a radiograph, or the meshes of a scene."""
+
+import io
+import zipfile
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from ..geometry.scene import Scene
+from ..model.radiograph import Radiograph
+from .meshes.mesh_export import export_meshes
+from .radiograph_files import save, save_parameters
+
+
+def encode_radiograph(radiograph: Radiograph, kind: str) -> bytes:
+    """Encode a radiograph as the bytes of a file.
+
+    Parameters
+    ----------
+    radiograph : Radiograph
+        Radiograph to encode.
+    kind : str
+        "tif", "dcm", "presentation.dcm" or "png" as `save` writes them, or "json" as `save_parameters` does.
+
+    Returns
+    -------
+    bytes
+        Content of the file.
+
+    Raises
+    ------
+    InputError
+        `save` raises an InputError.
+    """
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / f"radiograph.{kind}"
+        if kind == "json":
+            save_parameters(radiograph, path)
+        else:
+            save(radiograph, path, intent="presentation" if kind == "presentation.dcm" else None)
+        return path.read_bytes()
+
+
+def encode_meshes(scene: Scene, kind: str, stem: str) -> tuple[str, bytes]:
+    """Encode the meshes of a scene as the bytes of one file, or of a zip of several files.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene to encode.
+    kind : str
+        "stl", "ply", "glb" or "3mf".
+    stem : str
+        File name without suffix.
+
+    Returns
+    -------
+    name : str
+        File name with suffix.
+    content : bytes
+        Content of the file.
+
+    Raises
+    ------
+    InputError
+        `export_meshes` raises an InputError.
+    """
+    with TemporaryDirectory() as folder:
+        paths = export_meshes(scene, folder, formats=(kind,), stem=stem)
+        if len(paths) == 1:
+            return paths[0].name, paths[0].read_bytes()
+        buffer = io.BytesIO()
+        with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as package:
+            for path in paths:
+                package.write(path, path.name)
+        return f"{stem}_{kind}.zip", buffer.getvalue()

@@ -1,0 +1,183 @@
+"""List the fields of a knee or of a protocol for users, and change some of them by name."""
+
+import tomllib
+from collections.abc import Sequence
+from dataclasses import MISSING, fields, replace
+from typing import Any, TypeVar
+
+from ..core.checks import InputError, require_choice
+from ..data.anatomy.shape_table import load_shape_model
+from ..data.knees.field_definitions import load_field_specs
+from .knee import (
+    MAX_CYSTS,
+    MAX_SHAPE_SD,
+    Knee,
+    knee_from_dict,
+    knee_to_dict,
+)
+from .protocol import Protocol, protocol_from_dict, protocol_to_dict
+
+T = TypeVar("T", bound=Knee | Protocol)
+# Kind of parameters -> dataclass.
+_KINDS: dict[str, type[Knee] | type[Protocol]] = {"knee": Knee, "protocol": Protocol}
+
+
+def list_fields(kind: str) -> list[dict[str, str]]:
+    """List the fields of a knee or of a protocol with their unit, allowed values, default and source.
+
+    Parameters
+    ----------
+    kind : {"knee", "protocol"}
+        Which parameters to list.
+
+    Returns
+    -------
+    list of dict of str to str
+        One row per field with the keys ``field``, ``what`` (its meaning), ``unit``, ``allowed``, ``default`` ("" if the
+        field is required) and ``source``. For a knee, the fields of its osteophytes and cysts and its shape scores
+        follow.
+    """
+    laws = load_field_specs(kind)
+    rows = [
+        _make_row(field.name, laws[field.name], _format_default(field))
+        for field in fields(_KINDS[kind])
+        if field.name in laws
+    ]
+    if kind == "protocol":
+        return rows
+    for each in ("osteophyte", "cyst"):
+        rows += [_make_row(f"{each}s.{name}", law, "") for name, law in load_field_specs(each).items()]
+    modes = [mode.name for mode in load_shape_model().modes]
+    what = f"scores of the modes of bone shape, in SD from the population mean, in this order: {', '.join(modes)}"
+    allowed = f"up to {len(modes)} numbers, each {-MAX_SHAPE_SD:g} to {MAX_SHAPE_SD:g}"
+    return [*rows, {"field": "shape", "what": what, "unit": "SD", "allowed": allowed, "default": "[]", "source": ""}]
+
+
+def _make_row(name: str, law: Any, default: str) -> dict[str, str]:
+    """Make the row of one field from its specification."""
+    said = {"what": law.description, "unit": law.unit, "allowed": law.allowed_text, "source": law.source}
+    return {"field": name, "default": default, **said}
+
+
+def _format_default(field: Any) -> str:
+    """Write out the default of a dataclass field: "" if it is required, "none" for None."""
+    return "" if field.default is MISSING else "none" if field.default is None else str(field.default)
+
+
+def format_knee_template() -> str:
+    """Write a TOML file of the default knee, with the meaning, unit and allowed values above every field.
+
+    Returns
+    -------
+    str
+        Text of the file; ``pssf simulate --knee FILE`` reads it.
+    """
+    lines = ["# A knee for `pssf simulate --knee FILE`. A field that is left out has the value shown here."]
+    given = knee_to_dict(Knee())
+    for row in list_fields("knee"):
+        if row["field"] not in load_field_specs("knee"):
+            continue
+        unit = f", {row['unit']}" if row["unit"] else ""
+        lines += ["", f"# {row['what']}{unit}; {row['allowed']}"]
+        value = given[row["field"]]
+        shown = f'"{value}"' if isinstance(value, str) else value
+        # A field whose default is None, or is computed from other fields, is written as a comment.
+        computed = row["default"] == "none"
+        lines.append(f"# {row['field']} = {0 if value is None else shown}" if computed else f"{row['field']} = {shown}")
+    lines += [
+        "",
+        "# scores of the modes of bone shape, in SD; `pssf knees` lists the modes",
+        "shape = []",
+        "",
+        "# one table per osteophyte; place and curve_deg are optional",
+        'osteophytes = []  # such as [{ site = "medial_tibia", size_mm = 2.0, place = 0.0, curve_deg = 0.0 }]',
+        "",
+        f"# at most {MAX_CYSTS} cysts, one table per cyst; place and outward are optional",
+        'cysts = []  # such as [{ site = "medial_tibia", diameter_mm = 4.0, place = 0.0, outward = 0.5 }]',
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def parse_settings(settings: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Parse texts such as "mas=2" into the fields of a knee and of a protocol to change.
+
+    Parameters
+    ----------
+    settings : sequence of str
+        Texts of the form ``FIELD=VALUE``. A field that both a knee and a protocol have is written ``knee.FIELD`` or
+        ``protocol.FIELD``. A value is written as in TOML; text needs no quotation marks, and ``none`` means no value.
+
+    Returns
+    -------
+    knee_fields : dict of str to object
+        Field of a knee and its new value.
+    protocol_fields : dict of str to object
+        Field of a protocol and its new value.
+
+    Raises
+    ------
+    InputError
+        If a text has no "=", or names an unknown field, an ambiguous field, or the same field twice.
+    """
+    wanted: dict[str, dict[str, Any]] = {"knee": {}, "protocol": {}}
+    names = {kind: [field.name for field in fields(of)] for kind, of in _KINDS.items()}
+    for setting in settings:
+        name, equals, text = setting.partition("=")
+        if not equals:
+            raise InputError(f"set must be FIELD=VALUE, such as mas=2, got {setting!r}")
+        kind, dot, field = name.strip().rpartition(".")
+        kinds = [kind] if dot else [kind for kind in _KINDS if field in names[kind]]
+        if dot:
+            require_choice("set", kind, tuple(_KINDS))
+        if len(kinds) > 1:
+            raise InputError(f"set must name knee.{field} or protocol.{field}, got {field!r}: both have this field")
+        require_choice("set", field, names[kinds[0]] if kinds else [*names["protocol"], *names["knee"]])
+        if field in wanted[kinds[0]]:
+            raise InputError(f"set must name each field once, got {name!r} twice")
+        wanted[kinds[0]][field] = _parse_value(text.strip())
+    return wanted["knee"], wanted["protocol"]
+
+
+def _parse_value(text: str) -> Any:
+    """Read a value as TOML; return the text itself if it is not TOML."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except (tomllib.TOMLDecodeError, RecursionError, ValueError):
+        return text
+
+
+def apply_settings(target: T, settings: dict[str, Any]) -> T:
+    """Replace some fields of a knee or of a protocol; all checks are made again.
+
+    Parameters
+    ----------
+    target : Knee or Protocol
+        The parameters to change.
+    settings : dict of str to object
+        Field and new value, as `parse_settings` returns them. The text ``none`` clears an optional field.
+
+    Returns
+    -------
+    Knee or Protocol
+        The changed copy; `target` itself if there is nothing to change.
+
+    Raises
+    ------
+    InputError
+        If a value is not allowed.
+    """
+    if not settings:
+        return target
+    kind = "knee" if isinstance(target, Knee) else "protocol"
+    laws = load_field_specs(kind)
+    optional = {name for name, law in laws.items() if law.optional}
+    table = {name: None if value == "none" and name in optional else value for name, value in settings.items()}
+    if isinstance(target, Knee):
+        return replace(target, **_parse_items(table))  # type: ignore[return-value]
+    return protocol_from_dict({**protocol_to_dict(target), **table}, "set")  # type: ignore[return-value]
+
+
+def _parse_items(table: dict[str, Any]) -> dict[str, Any]:
+    """Convert tables of osteophytes and cysts to `Osteophyte` and `Cyst`; other values stay as they are."""
+    whole = knee_from_dict(table, "set")
+    return {name: getattr(whole, name) if isinstance(value, list) else value for name, value in table.items()}

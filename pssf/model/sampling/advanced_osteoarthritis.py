@@ -1,0 +1,138 @@
+"""Sample the signs of advanced osteoarthritis: central osteophytes, cysts, subluxation, notch growth and effusion."""
+
+from typing import Any
+
+import numpy as np
+
+from ...data.knees.grade_records import (
+    CentralOsteophyteDistribution,
+    CystDistribution,
+    MeanSdByGrade,
+    SeverityGradeTable,
+)
+from ...data.table_records import Pair
+from ..knee import Cyst, Osteophyte, other_compartment
+
+# Values of `Cyst.place` from which each cyst is shifted at random. With the jitter they stay at least 0.5 apart, as
+# `Knee` requires for cysts of one site.
+_CYST_POSITIONS = (-0.7, 0.0, 0.7)
+# Largest random shift of a cyst from its position, in units of `Cyst.place`.
+_POSITION_JITTER = 0.09
+
+
+def sample_advanced_fields(
+    table: SeverityGradeTable, grade: int, narrowed_side: str, severity: float, rng: np.random.Generator
+) -> dict[str, Any]:
+    """Sample cysts, subluxation, notch growth and effusion of a knee of a KL grade.
+
+    Parameters
+    ----------
+    table : SeverityGradeTable
+        Grade table.
+    grade : int
+        KL grade of the knee.
+    narrowed_side : {"medial", "lateral"}
+        Compartment that narrows.
+    severity : float
+        Severity of the knee within its grade, as a standard score.
+    rng : numpy.random.Generator
+        Generator of a stream that nothing else uses.
+
+    Returns
+    -------
+    dict of str to object
+        The fields ``cysts``, ``subluxation_mm``, ``notch_growth_mm`` and ``effusion_mm`` of a `Knee`. A sign that the
+        table does not define is an empty tuple or 0.
+    """
+    of_cysts, of_subluxation, of_notch = rng.spawn(3)
+    cysts = () if table.cysts is None else _sample_cysts(table.cysts, grade, narrowed_side, of_cysts)
+    (of_effusion,) = rng.spawn(1)
+    slip, notch, effusion = table.subluxation, table.notch, table.effusion
+
+    def millimetres(laws: MeanSdByGrade, bounds: Pair, chance: np.random.Generator) -> float:
+        """Sample a value in mm that correlates with the severity, limited to its bounds."""
+        mean, sd = laws[grade]
+        score = correlated_score(severity, table.side.severity_correlation, chance.standard_normal())
+        return round(float(np.clip(mean + sd * score, *bounds)), 4)
+
+    slipped = grown = swollen = 0.0
+    if slip is not None and narrowed_side == "medial":
+        slipped = millimetres(slip.lateral_mm, slip.bounds_mm, of_subluxation)
+    if notch is not None:
+        grown = millimetres(notch.growth_mm, notch.bounds_mm, of_notch)
+    if effusion is not None:
+        swollen = millimetres(effusion.swelling_mm, effusion.bounds_mm, of_effusion)
+    return {"cysts": cysts, "subluxation_mm": slipped, "notch_growth_mm": grown, "effusion_mm": swollen}
+
+
+def sample_central_osteophytes(
+    law: CentralOsteophyteDistribution | None, grade: int, narrowed_side: str, rng: np.random.Generator
+) -> tuple[Osteophyte, ...]:
+    """Sample an osteophyte in the middle of a joint surface, or none.
+
+    Parameters
+    ----------
+    law : CentralOsteophyteDistribution or None
+        Frequency, location and size. None: no central osteophytes.
+    grade : int
+        KL grade of the knee.
+    narrowed_side : {"medial", "lateral"}
+        Compartment that narrows.
+    rng : numpy.random.Generator
+        Generator of a stream that nothing else uses.
+
+    Returns
+    -------
+    tuple of Osteophyte
+        One osteophyte, or an empty tuple.
+    """
+    if law is None or rng.random() >= law.share[grade]:
+        return ()
+    other = other_compartment(narrowed_side)
+    side = narrowed_side if rng.random() < law.narrowed else other
+    surface = "condyle" if rng.random() < law.femur else "plateau"
+    size_mm, place = rng.uniform(*law.size_mm), rng.uniform(-1.0, 1.0)
+    return (Osteophyte(site=f"{side}_{surface}", size_mm=round(float(size_mm), 4), place=round(float(place), 4)),)
+
+
+def correlated_score(severity: float, correlation: float, independent_score: float) -> float:
+    """Combine a severity with an independent score so that the result correlates with the severity.
+
+    Parameters
+    ----------
+    severity : float
+        Severity, a standard score.
+    correlation : float
+        Correlation of the result with the severity, -1 to 1.
+    independent_score : float
+        Standard score that is independent of the severity.
+
+    Returns
+    -------
+    float
+        Standard score with this correlation.
+    """
+    return float(correlation * severity + np.sqrt(1 - correlation**2) * independent_score)
+
+
+def _sample_cysts(law: CystDistribution, grade: int, narrowed_side: str, rng: np.random.Generator) -> tuple[Cyst, ...]:
+    """Sample the cysts of a knee: number, site, size and position."""
+    has, count = rng.random() < law.share[grade], int(rng.integers(1, law.max_count + 1))
+    other = other_compartment(narrowed_side)
+    places = rng.permutation(_CYST_POSITIONS)
+    drawn = []
+    for place in places[:count]:
+        side = narrowed_side if rng.random() < law.narrowed else other
+        bone = "tibia" if rng.random() < law.tibia else "femur"
+        size_mm, about, outward = (
+            rng.uniform(*law.diameter_mm),
+            rng.uniform(-_POSITION_JITTER, _POSITION_JITTER),
+            rng.random(),
+        )
+        drawn.append(Cyst(
+            site=f"{side}_{bone}",
+            diameter_mm=round(float(size_mm), 4),
+            place=round(float(place + about), 4),
+            outward=round(float(outward), 4),
+        ))  # fmt: skip
+    return tuple(drawn) if has else ()

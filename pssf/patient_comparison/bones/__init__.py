@@ -1,0 +1,1 @@
+"""Comparison of bones: registration, surface distances, measures of form, and figures."""

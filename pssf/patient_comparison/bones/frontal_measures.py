@@ -1,0 +1,97 @@
+"""Measures of femur and tibia on the outline that a parallel frontal beam shows.
+
+Bones are in the frame of the template bone before posture is applied: x medial, y posterior, z proximal, in mm.
+"""
+
+import numpy as np
+
+from ...anatomy.meshing.solids import find_edges
+from ...anatomy.outlines.projected_contours import compute_outline_rows
+from ...core.checks import Array
+from ...geometry.mesh import Mesh
+from .shape_measures import femur_width_mm, is_between, tibia_width_mm
+
+# Distance between columns of an outline, in mm.
+_PITCH_MM = 0.5
+# Number of columns on either side of the midline.
+_COLUMNS = 90
+# Posterior slope of the plateau, in degrees. The beam is parallel to the plateau of the tibia, and horizontal for the
+# femur.
+_SLOPE_DEG = 5.0
+# Half width within which the roof of the notch is searched, in mm.
+_ROOF_MM = 7.0
+# Half width within which the spines are searched, in mm.
+_SPINES_MM = 15.0
+# Half width within which the eminence is searched, in mm.
+_EMINENCE_MM = 25.0
+# Distance range of the condyles from the midline, in mm.
+_CONDYLE_MM = (12.0, 32.0)
+# Distance range of the plateaus from the midline, in mm.
+_PLATEAU_MM = (15.0, 30.0)
+
+
+def measure_front_view(bone: str, mesh: Mesh) -> dict[str, float]:
+    """Measure the frontal outline of one bone; there are no measures for a patella.
+
+    Parameters
+    ----------
+    bone : {"femur", "tibia", "patella"}
+        Kind of bone.
+    mesh : Mesh
+        Surface of the bone, in mm.
+
+    Returns
+    -------
+    dict of str to float
+        Lengths as fractions of the width of the bone.
+    """
+    if bone == "femur":
+        return _measure_femur(mesh)
+    return _measure_tibia(mesh) if bone == "tibia" else {}
+
+
+def _measure_femur(mesh: Mesh) -> dict[str, float]:
+    """Measure depth and width of the intercondylar notch."""
+    x, lower = _project_outline(mesh, 0.0, -1.0)
+    width = femur_width_mm(mesh.vertices)
+    base = np.mean([lower[is_between(side * x, *_CONDYLE_MM)].min() for side in (1, -1)])
+    depth = float(lower[np.abs(x) < _ROOF_MM].max() - base)
+    wide = _run_length_around(x, lower > base + depth / 2, 0.0)
+    return {
+        "notch's depth, from in front": depth / width,
+        "notch's width at half its depth": wide / width,
+        "notch's depth over that width": depth / wide,
+    }
+
+
+def _measure_tibia(mesh: Mesh) -> dict[str, float]:
+    """Measure height and width of the intercondylar eminence."""
+    x, upper = _project_outline(mesh, _SLOPE_DEG, 1.0)
+    width = tibia_width_mm(mesh.vertices)
+    level = np.mean([np.median(upper[is_between(side * x, *_PLATEAU_MM)]) for side in (1, -1)])
+    middle = np.abs(x) < _SPINES_MM
+    high = x[(np.abs(x) < _EMINENCE_MM) & (upper > (upper[middle].max() + level) / 2)]
+    return {
+        "eminence's height, from in front": float(upper[middle].max() - level) / width,
+        "eminence's width at half its height": float(np.ptp(high)) / width,
+    }
+
+
+def _project_outline(mesh: Mesh, slope_deg: float, end_sign: float) -> tuple[Array, Array]:
+    """Project the distal (`end_sign` -1) or proximal (+1) outline of a bone.
+
+    `slope_deg` is the slope of the beam in degrees. Returns columns x (n,) and heights (n,), in mm.
+    """
+    angle = np.deg2rad(slope_deg)
+    height = np.cos(angle) * mesh.vertices[:, 2] + np.sin(angle) * mesh.vertices[:, 1]
+    seen = np.column_stack((-height, mesh.vertices[:, 0] / _PITCH_MM))
+    rows = compute_outline_rows(seen, find_edges(mesh.faces), -_COLUMNS, 2 * _COLUMNS + 1, -end_sign)
+    return np.linspace(-_COLUMNS, _COLUMNS, len(rows)) * _PITCH_MM, -rows
+
+
+def _run_length_around(x: Array, inside: np.ndarray, place: float) -> float:
+    """Measure the length of the run of columns inside that contains a position, in mm."""
+    at = int(np.abs(x - place).argmin())
+    outside = np.flatnonzero(~inside)
+    low, high = outside[outside < at].max(initial=0), outside[outside > at].min(initial=len(x) - 1)
+    return float(x[high] - x[low])

@@ -1,0 +1,93 @@
+"""HTML page of the patient comparison; the page is self-contained and loads no external file."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import jinja2
+
+from ..study.report.report_page import Picture
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """One table of the page.
+
+    Parameters
+    ----------
+    name : str
+        Name of the CSV file without extension.
+    rows : sequence of dict
+        Rows of the table.
+    caption : str
+        Caption, which explains the columns.
+    max_rows_shown : int, default 60
+        Maximum number of rows on the page; 0 hides the table.
+    """
+
+    name: str
+    rows: Sequence[Row]
+    caption: str
+    max_rows_shown: int = 60
+
+    @property
+    def columns(self) -> list[str]:
+        """Column names in the order in which they first occur."""
+        return list(dict.fromkeys(name for row in self.rows for name in row))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """One section of the page.
+
+    Parameters
+    ----------
+    name : str
+        Heading of the section.
+    summary : str
+        Main result in one line.
+    text : str
+        Explanation of the measurements and of the confidence intervals.
+    tables : tuple of Table
+        Tables of the section.
+    figures : tuple of Picture
+        Figures, displayed below the tables.
+    facts : dict
+        Results for the JSON file.
+    """
+
+    name: str
+    summary: str
+    text: str
+    tables: tuple[Table, ...] = ()
+    figures: tuple[Picture, ...] = ()
+    facts: dict[str, Any] = field(default_factory=dict)
+
+
+def render_page(sections: Sequence[Section], facts: dict[str, Any]) -> str:
+    """Render the page as HTML.
+
+    Parameters
+    ----------
+    sections : sequence of Section
+        Sections of the page.
+    facts : dict
+        Settings of the comparison by name.
+
+    Returns
+    -------
+    str
+        HTML text.
+    """
+    environment = jinja2.Environment(loader=jinja2.PackageLoader(__package__, "."), autoescape=True, trim_blocks=True)
+    environment.filters["cell"] = _format_cell
+    return environment.get_template("realism.html.j2").render(sections=sections, facts=facts)
+
+
+def _format_cell(value: Any) -> str:
+    """Format a table cell; missing values become an empty string."""
+    if value is None or value != value:
+        return ""
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

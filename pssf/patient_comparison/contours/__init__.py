@@ -1,0 +1,1 @@
+"""Comparison of contour landmarks with published landmarks of patients."""

@@ -1,0 +1,402 @@
+"""Comparison of contour landmarks of simulated knees with patients: means, spread, modes of variation and joint gaps.
+
+Landmarks are in the frame of ``data/landmarks.toml``: x from the lateral to the medial edge of the plateau, both edges
+at y = 0, as fractions of the plateau width. Gaps and width are in mm at the detector.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ...anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS, find_contour_landmarks
+from ...anatomy.posture.attrition import build_outer_meshes
+from ...anatomy.posture.knee_assembly import assemble_knee
+from ...anatomy.template.bone_builder import resolve_bone_parameters
+from ...core.checks import Array, InputError
+from ...core.processes.parallel_map import map_in_parallel
+from ...data.analysis.landmark_table import GradeLandmarkStatistics, LandmarkReference
+from ...data.anatomy.anatomy_tables import AnatomyTables
+from ...data.table_records import Pair, encode_records
+from ...geometry.view import resolve_view
+from ...model.knee import Knee
+from ...model.protocol import Protocol
+from ...study.statistics.scores.metrics import auc_with_interval
+from ..checkpoint import RowCallback, RowCheckpoint
+from . import landmark_figure
+
+Row = dict[str, Any]
+# Tolerance of a mean, in standard deviations of patients.
+MEAN_WITHIN_SD = 0.5
+# Tolerance of a standard deviation, as a ratio to that of patients.
+SPREAD_WITHIN = (0.7, 1.4)
+# Landmarks that define the frame.
+EDGE_LANDMARKS = tuple(name for name in CONTOUR_LANDMARKS if name.endswith("_edge"))
+# Columns of a landmark table with one row per knee.
+_COLUMNS = tuple(f"{name}_{axis}_mm" for name in CONTOUR_LANDMARKS for axis in "xy")
+# Tibial landmarks.
+_TIBIA = slice(0, 9)
+# Femoral landmarks.
+_FEMUR = slice(9, 16)
+# Positions at which the minimum gap is sought, as fractions of the femoral width from its edge.
+_GAP_FRACTIONS = np.linspace(0.1, 0.3, 81)
+_NAMED_GAP_FRACTIONS = {"0150": 0.15, "0200": 0.2, "0250": 0.25, "0300": 0.3}
+# Random stream of the acquisitions, besides the streams of `comparison_run`.
+_ACQUISITION_STREAM = 303
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LandmarkSample:
+    """Contour landmarks of several knees.
+
+    Parameters
+    ----------
+    landmarks_mm : (n, 16, 2) array
+        Landmarks at the detector in the order of ``CONTOUR_LANDMARKS``, x medial and y proximal, in mm.
+    grades : (n,) array
+        Grade of each knee.
+    """
+
+    landmarks_mm: Array
+    grades: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ContourComparison:
+    """Result of :func:`compare_contours`, by grade.
+
+    Attributes
+    ----------
+    landmarks : list of dict
+        One row per grade, landmark and axis: ``knees``, ``mean``, ``reference``, ``off_sd``, ``mean_inside``, ``sd``,
+        ``reference_sd``, ``spread_ratio`` and ``spread_inside``.
+    sizes : list of dict
+        The same columns for plateau width, gaps and convergence, with ``quantity`` instead of landmark and axis.
+    gap_auc : list of dict
+        AUC of the smaller minimum gap of each grade against grade 0, for simulated knees (``auc``, ``low``, ``high``)
+        and patients (``people``, ``people_low``, ``people_high``); empty without grade 0.
+    outside : list of dict
+        Number of landmark heights whose mean or standard deviation is outside its tolerance (``outside``), and total
+        number (``of``); plateau edges are not counted.
+    modes : list of dict
+        Modes of variation of grades 0 and 1: ``mode``, ``share_of_variance``, ``reference_share``, ``cosine``,
+        ``nearest``, ``nearest_cosine``, ``sd_along`` and ``reference_sd``; empty for fewer than three knees.
+    figure : bytes
+        PNG of mean contours with ellipses of one standard deviation.
+    """
+
+    landmarks: list[Row]
+    sizes: list[Row]
+    gap_auc: list[Row]
+    outside: list[Row]
+    modes: list[Row]
+    figure: bytes
+
+
+def sample_acquisitions(
+    knees: Sequence[Knee], sample_protocol: Callable[..., Protocol], seed: int
+) -> list[tuple[Knee, Protocol]]:
+    """Sample one acquisition for each knee.
+
+    Parameters
+    ----------
+    knees : sequence of Knee
+        Knees.
+    sample_protocol : callable
+        Function that samples a protocol with a generator `rng`.
+    seed : int
+        Seed of the acquisitions.
+
+    Returns
+    -------
+    list of tuple of (Knee, Protocol)
+        Each knee with its acquisition.
+    """
+    takings = []
+    for number, knee in enumerate(knees):
+        chance = np.random.SeedSequence(seed, spawn_key=(_ACQUISITION_STREAM, number))
+        takings.append((knee, sample_protocol(rng=np.random.default_rng(chance))))
+    return takings
+
+
+def compute_simulated_landmarks(
+    acquisitions: Sequence[tuple[Knee, Protocol]],
+    tables: AnatomyTables,
+    defined_under: Protocol,
+    workers: int = 1,
+    checkpoint: RowCheckpoint | None = None,
+) -> LandmarkSample:
+    """Compute the contour landmarks of right knees, each under its own protocol.
+
+    Parameters
+    ----------
+    acquisitions : sequence of tuple of (Knee, Protocol)
+        Knees with their acquisitions.
+    tables : AnatomyTables
+        Anatomy tables.
+    defined_under : Protocol
+        Protocol in which joint space width is defined, see ``load_jsw_protocol``.
+    workers : int, default 1
+        Number of worker processes.
+    checkpoint : RowCheckpoint or None, default None
+        Landmarks of earlier runs; None computes all of them.
+
+    Returns
+    -------
+    LandmarkSample
+        Landmarks and grades.
+    """
+    shared = {"tables": tables, "defined_under": defined_under}
+    measure = partial(map_in_parallel, _compute_landmarks, shared=shared, workers=workers)
+    if checkpoint is None:
+        places = measure(acquisitions)
+    else:
+
+        def make(missing: list[int], arrived: RowCallback) -> None:
+            measure(
+                [acquisitions[number] for number in missing],
+                on_result=lambda nth, of: arrived(nth, _make_landmark_row(of)),
+            )
+
+        rows = checkpoint.complete([encode_records(*taking, defined_under) for taking in acquisitions], make)
+        places = [np.array([row[name] for name in _COLUMNS]).reshape(-1, 2) for row in rows]
+    return LandmarkSample(landmarks_mm=np.array(places), grades=np.array([knee.grade for knee, _ in acquisitions]))
+
+
+def _make_landmark_row(places_mm: Array) -> Row:
+    """Make a table row of (16, 2) landmarks."""
+    return dict(zip(_COLUMNS, places_mm.ravel().tolist(), strict=True))
+
+
+def _compute_landmarks(acquisition: tuple[Knee, Protocol], tables: AnatomyTables, defined_under: Protocol) -> Array:
+    """Compute the (16, 2) landmark labels of a right knee in mm, without building anything else."""
+    knee, protocol = acquisition
+    assembly = assemble_knee(knee, resolve_bone_parameters(knee, tables), protocol.posture, defined_under)
+    femur, tibia = (assembly.orient_mesh(mesh) for mesh in build_outer_meshes(assembly))
+    view = resolve_view(protocol)
+    return convert_landmarks_to_mm(
+        find_contour_landmarks(femur, tibia, view, 1, assembly.pose.lean_deg), "right", view.pixel_mm
+    )
+
+
+def convert_landmarks_to_mm(landmarks_px: dict[str, tuple[float, float]], side: str, pixel_mm: float) -> Array:
+    """Convert the contour landmarks of a radiograph to mm at the detector, with x medial and y proximal.
+
+    Parameters
+    ----------
+    landmarks_px : dict of str to tuple of float
+        Row and column of each landmark, in px.
+    side : {"right", "left"}
+        Side of the knee.
+    pixel_mm : float
+        Pixel pitch in mm.
+
+    Returns
+    -------
+    (16, 2) array
+        Landmarks in mm.
+    """
+    medial = 1.0 if side == "right" else -1.0
+    places = np.array([landmarks_px[name] for name in CONTOUR_LANDMARKS])
+    return np.column_stack((places[:, 1] * medial, -places[:, 0])) * pixel_mm
+
+
+def normalise_to_plateau(places_mm: Array) -> tuple[Array, Array]:
+    """Express landmarks as fractions of the plateau width.
+
+    Parameters
+    ----------
+    places_mm : (n, 16, 2) array
+        Landmarks, x medial and y proximal, in mm.
+
+    Returns
+    -------
+    shares : (n, 16, 2) array
+        Landmarks as fractions of the plateau width.
+    width : (n,) array
+        Plateau width in mm.
+
+    Raises
+    ------
+    InputError
+        A plateau has no width.
+    """
+    lateral, medial = (places_mm[:, CONTOUR_LANDMARKS.index(f"tibia_{side}_edge")] for side in ("lateral", "medial"))
+    across = medial - lateral
+    width = np.linalg.norm(across, axis=1)
+    if not (width > 0).all():
+        raise InputError(f"plateau width of landmarks must be above 0 mm, got {width.min():g} mm")
+    along = across / width[:, None]
+    axes = np.stack((along, np.column_stack((-along[:, 1], along[:, 0]))), axis=2)
+    shares = (places_mm - ((lateral + medial) / 2)[:, None]) @ axes / width[:, None, None]
+    return shares, width
+
+
+def measure_joint_sizes(places_mm: Array) -> dict[str, Array]:
+    """Measure plateau width, joint gaps and convergence of each knee.
+
+    Parameters
+    ----------
+    places_mm : (n, 16, 2) array
+        Landmarks, x medial and y proximal, in mm.
+
+    Returns
+    -------
+    dict of str to (n,) array
+        Sizes in mm and degrees, by the field names of ``GradeLandmarkStatistics``.
+
+    Notes
+    -----
+    A gap is the distance between the straight lines through the landmarks, at a fraction of the femoral width from its
+    edge. The minimum gap is sought between 0.1 and 0.3. Convergence is the angle of the line through the condyles
+    against the line through the plateau edges; it is positive if the joint opens medially.
+    """
+    shares, width = normalise_to_plateau(places_mm)
+    sizes = {"plateau_width_mm": width}
+    asked = np.concatenate((_GAP_FRACTIONS, list(_NAMED_GAP_FRACTIONS.values())))
+    for side in ("medial", "lateral"):
+        gaps = width[:, None] * np.array([_compute_gaps(knee, side, asked) for knee in shares])
+        sizes[f"{side}_gap_least_mm"] = gaps[:, : len(_GAP_FRACTIONS)].min(axis=1)
+        if side == "medial":
+            sizes |= {
+                f"medial_gap_at_{at}_mm": gaps[:, k - len(_NAMED_GAP_FRACTIONS)]
+                for k, at in enumerate(_NAMED_GAP_FRACTIONS)
+            }
+    lateral, medial = (shares[:, CONTOUR_LANDMARKS.index(f"femur_{side}_condyle")] for side in ("lateral", "medial"))
+    across = medial - lateral
+    return sizes | {"joint_line_convergence_deg": np.rad2deg(np.arctan2(across[:, 1], across[:, 0]))}
+
+
+def compare_contours(sample: LandmarkSample, reference: LandmarkReference) -> ContourComparison:
+    """Compare the landmarks of simulated knees with those of patients, for all grades that both have.
+
+    Parameters
+    ----------
+    sample : LandmarkSample
+        Landmarks of simulated knees.
+    reference : LandmarkReference
+        Published landmarks of patients.
+
+    Returns
+    -------
+    ContourComparison
+        Rows and figure.
+
+    Raises
+    ------
+    InputError
+        A grade has fewer than two knees, or the reference has none of the grades.
+    """
+    shares, _ = normalise_to_plateau(sample.landmarks_mm)
+    sizes = measure_joint_sizes(sample.landmarks_mm)
+    grades = [grade for grade in np.unique(sample.grades) if str(grade) in reference.grade]
+    if not grades:
+        given = ", ".join(map(str, np.unique(sample.grades))) or "none"
+        raise InputError(f"grades must include some of {', '.join(reference.grade)}, got {given}")
+    landmark_rows, size_rows, outside = list[Row](), list[Row](), list[Row]()
+    panels = []
+    for grade in grades:
+        chosen, known = sample.grades == grade, reference.grade[str(grade)]
+        if chosen.sum() < 2:
+            raise InputError(f"number of knees of grade {grade} must be 2 or more, got {chosen.sum()}")
+        rows = _compare_landmarks(int(grade), shares[chosen], known)
+        heights = [row for row in rows if row["axis"] == "y" and row["landmark"] not in EDGE_LANDMARKS]
+        count = sum((not row["mean_inside"]) + (not row["spread_inside"]) for row in heights)
+        outside.append({"grade": int(grade), "knees": int(chosen.sum()), "outside": count, "of": 2 * len(heights)})
+        landmark_rows += rows
+        drawn = (shares[chosen].mean(axis=0), shares[chosen].std(axis=0, ddof=1))
+        panels.append((int(grade), drawn, (np.array(known.mean_share), np.array(known.sd_share))))
+        size_rows += [
+            {"grade": int(grade), "quantity": name, **_compare_with_reference(values[chosen], getattr(known, name))}
+            for name, values in sizes.items()
+        ]
+    early = shares[np.isin(sample.grades, (0, 1))]
+    modes = _compare_modes(early, reference) if len(early) > 2 else []
+    return ContourComparison(
+        landmarks=landmark_rows,
+        sizes=size_rows,
+        gap_auc=_compute_gap_auc_rows(sizes, sample.grades, reference),
+        outside=outside,
+        modes=modes,
+        figure=landmark_figure.plot_contours(panels),
+    )
+
+
+def _compute_gap_auc_rows(sizes: dict[str, Array], grades: np.ndarray, reference: LandmarkReference) -> list[Row]:
+    """Compute the AUC of the smaller minimum gap of each grade against grade 0; a narrower gap is worse."""
+    narrow = -np.minimum(sizes["medial_gap_least_mm"], sizes["lateral_gap_least_mm"])
+    rows = []
+    for grade in np.unique(grades[grades > 0]):
+        people = reference.gap_alone_auc.get(f"kl{grade}")
+        chosen = np.isin(grades, (0, grade))
+        if people is None or not (grades == 0).any():
+            continue
+        beside = dict(zip(("people", "people_low", "people_high"), people, strict=True))
+        measured = auc_with_interval(grades[chosen] == grade, narrow[chosen])
+        rows.append({"grade": int(grade), "knees": int(chosen.sum()), **measured, **beside})
+    return rows
+
+
+def _compute_gaps(landmarks: Array, side: str, fractions: Array) -> Array:
+    """Compute the gaps (k,) at fractions of the femoral width from its edge."""
+    femur, tibia = landmarks[_FEMUR], landmarks[_TIBIA]
+    width = femur[-1, 0] - femur[0, 0]
+    x = femur[-1, 0] - fractions * width if side == "medial" else femur[0, 0] + fractions * width
+    return np.interp(x, *femur.T) - np.interp(x, *tibia.T)
+
+
+def _compare_landmarks(grade: int, landmarks: Array, reference: GradeLandmarkStatistics) -> list[Row]:
+    """Compare every landmark coordinate of one grade with the reference."""
+    rows = []
+    for index, name in enumerate(CONTOUR_LANDMARKS):
+        for axis, letter in enumerate("xy"):
+            mean_sd = reference.mean_share[index][axis], reference.sd_share[index][axis]
+            # The plateau edges define the frame, so they have no variance.
+            if mean_sd[1] > 0:
+                beside = _compare_with_reference(landmarks[:, index, axis], mean_sd)
+                rows.append({"grade": grade, "landmark": name, "axis": letter, **beside})
+    return rows
+
+
+def _compare_with_reference(values: Array, reference: Pair) -> Row:
+    """Compare mean and standard deviation of values (n,) with a reference mean and standard deviation."""
+    mean, sd = float(values.mean()), float(values.std(ddof=1))
+    off, ratio = (mean - reference[0]) / reference[1], sd / reference[1]
+    return {
+        "knees": len(values),
+        "mean": mean,
+        "reference": reference[0],
+        "off_sd": off,
+        "mean_inside": abs(off) <= MEAN_WITHIN_SD,
+        "sd": sd,
+        "reference_sd": reference[1],
+        "spread_ratio": ratio,
+        "spread_inside": SPREAD_WITHIN[0] <= ratio <= SPREAD_WITHIN[1],
+    }
+
+
+def _compare_modes(landmarks: Array, reference: LandmarkReference) -> list[Row]:
+    """Compare the principal components of landmarks (n, 16, 2) with those of patients."""
+    flat = landmarks.reshape(len(landmarks), -1)
+    flat = flat - flat.mean(axis=0)
+    _, singular, vectors = np.linalg.svd(flat, full_matrices=False)
+    variance = singular**2 / (len(flat) - 1)
+    known = np.array(reference.modes.vectors)
+    known /= np.linalg.norm(known, axis=1, keepdims=True)
+    cosines = np.abs(known @ vectors.T)
+    rows = []
+    for mode in range(min(len(known), len(vectors))):
+        nearest = int(cosines[mode].argmax())
+        rows.append({
+            "mode": mode + 1,
+            "share_of_variance": float(variance[mode] / variance.sum()),
+            "reference_share": reference.modes.share_of_variance[mode],
+            "cosine": float(cosines[mode, mode]),
+            "nearest": nearest + 1,
+            "nearest_cosine": float(cosines[mode, nearest]),
+            "sd_along": float((flat @ known[mode]).std(ddof=1)),
+            "reference_sd": reference.modes.sd[mode],
+        })  # fmt: skip
+    return rows

@@ -1,0 +1,408 @@
+"""Section on radiographs: tables and figures from the records of patient and simulated radiographs."""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from ..core.checks import Array
+from ..core.processes.execution import Execution
+from ..core.processes.parallel_map import map_in_parallel
+from ..radiomics.localisation.pixel_aspect import resample_to_square_pixels
+from ..study.report.report_page import Picture
+from .bones.bone_measures import compare_samples
+from .comparison_page import Section, Table
+from .films.contact_sheets import make_contact_sheet
+from .films.domain_shift import (
+    ALL_FEATURES,
+    FilmFeatures,
+    make_film_features,
+    measure_source_separability,
+    measure_transfer,
+)
+from .films.film_features import (
+    EDGES,
+    FINE,
+    TONE,
+    Record,
+)
+from .films.film_normalisation import (
+    JointPosition,
+    bin_film,
+    resample_joint_field,
+    stretch_contrast,
+)
+from .films.grade_effects import compare_grade_effects
+from .films.observer_study import make_observer_sheet, select_observer_films
+from .page_texts import CAPTIONS, FILMS_TEXT
+
+Row = dict[str, Any]
+# Function of source and file that reads a radiograph in display values, bone bright.
+FilmReader = Callable[[str, str], Array]
+# Two sources, and the grades that are distinguished from grade 0; no grades if the sources are distinguished.
+SourcePair = tuple[str, str, tuple[int, ...]]
+# Normalised radiograph for display, 8 bits.
+NormalisedImage = NDArray[np.uint8]
+# Source and record of a radiograph.
+DisplayedFilm = tuple[str, Record]
+# Grade, and rows of radiographs, each with a caption.
+GradeSheet = tuple[int, list[tuple[str, list[DisplayedFilm]]]]
+# Name of the source of simulated radiographs.
+SIMULATED = "simulated"
+# Each task distinguishes grade 0 from these grades.
+GRADE_TASKS = ((2,), (3, 4))
+# Number of radiographs per row of a contact sheet.
+_FILMS_PER_ROW = 6
+# Prefixes of feature columns that are outline ratios.
+_RATIO_GROUPS = ("shape|", "margins|")
+
+
+class SourceComparison(NamedTuple):
+    """Rows of the comparison between sources.
+
+    Attributes
+    ----------
+    domains : list of dict
+        Source separability, from ``measure_source_separability``.
+    transfer : list of dict
+        Grade prediction across sources, from ``measure_transfer``.
+    features : list of dict
+        Grade effects of each feature, from ``compare_grade_effects``.
+    groups : list of dict
+        Grade effects of each feature group, from ``compare_grade_effects``.
+    """
+
+    domains: list[Row]
+    transfer: list[Row]
+    features: list[Row]
+    groups: list[Row]
+
+
+_EMPTY_COMPARISON = SourceComparison(domains=[], transfer=[], features=[], groups=[])
+
+
+def make_films_section(
+    records: Mapping[str, Sequence[Record]],
+    read_pixels: FilmReader,
+    execution: Execution,
+    *,
+    replicates: int = 1000,
+    seed: int = 0,
+) -> Section:
+    """Make the section that compares patient with simulated radiographs.
+
+    Parameters
+    ----------
+    records : mapping of str to sequence of dict
+        Records of each source, from ``measure_films``. The source ``simulated`` holds simulated radiographs, all other
+        sources hold patient radiographs.
+    read_pixels : callable
+        Function of source and file that returns a (rows, cols) array of grey values from 0 to 1. It must be picklable
+        if `execution` uses more than one process.
+    execution : Execution
+        Worker processes that compare sources and read displayed radiographs.
+    replicates : int, default 1000
+        Number of bootstrap replicates.
+    seed : int, default 0
+        Seed of bootstrap, folds and selections.
+
+    Returns
+    -------
+    Section
+        Section with tables and figures.
+    """
+    sheets, order = select_contact_sheet_films(records), select_observer_films(records, SIMULATED, seed)
+    shown = [*order, *(one for _, rows in sheets for _, chosen in rows for one in chosen)]
+    compared, forms = _compare_and_read(records, shown, read_pixels, execution, replicates=replicates, seed=seed)
+    fates = count_found_films(records)
+    figures, key = make_observer_sheet(order, lambda name, one: forms[name, one["file"]])
+    tables = (*_make_tables(records, fates, compared), *key)
+    return Section(
+        name="Films",
+        summary=format_summary(compared),
+        text=FILMS_TEXT,
+        tables=tuple(table for table in tables if table.rows),
+        figures=(*(_make_contact_sheet_picture(grade, rows, forms) for grade, rows in sheets), *figures),
+        facts={
+            "found": fates, "domains": compared.domains, "transfer": compared.transfer, "effects": compared.groups,
+        },
+    )  # fmt: skip
+
+
+def _make_tables(
+    records: Mapping[str, Sequence[Record]], fates: list[Row], compared: SourceComparison
+) -> tuple[Table, ...]:
+    """Make the tables of the section, without the key of the observer study."""
+    return (
+        Table(name="films_found", rows=fates, caption="Localised joints (found) and rejections of each source."),
+        Table(name="films_domains", rows=compared.domains, caption=CAPTIONS["domains"]),
+        Table(name="films_transfer", rows=compared.transfer, caption=CAPTIONS["transfer"]),
+        Table(name="films_effects", rows=compared.groups, caption=CAPTIONS["effects"]),
+        Table(
+            name="films_effects_of_features",
+            rows=compared.features,
+            caption="(c) Standardised grade differences of every feature.",
+            max_rows_shown=12,
+        ),
+        Table(name="films_ratios", rows=compare_ratios(records), caption=CAPTIONS["ratios"], max_rows_shown=31),
+        Table(name="films_tone", rows=summarise_quantities(records, TONE), caption=CAPTIONS["tone"]),
+        Table(
+            name="films_edges",
+            rows=summarise_quantities(records, EDGES),
+            caption=CAPTIONS["edges"],
+            max_rows_shown=29,
+        ),
+        Table(name="films_texture", rows=summarise_quantities(records, FINE), caption=CAPTIONS["fine"]),
+        Table(
+            name="films_form_texture",
+            rows=summarise_quantities(records, "texture"),
+            caption=CAPTIONS["form"],
+            max_rows_shown=40,
+        ),
+    )
+
+
+def _compare_and_read(
+    records: Mapping[str, Sequence[Record]],
+    displayed: Sequence[DisplayedFilm],
+    read_pixels: FilmReader,
+    execution: Execution,
+    *,
+    replicates: int,
+    seed: int,
+) -> tuple[SourceComparison, dict[tuple[str, str], NormalisedImage]]:
+    """Compare all sources and read displayed radiographs, by source and file, in the same worker processes."""
+    measured = {name: make_film_features(name, of) for name, of in records.items() if _has_found_films(of)}
+    comparing = [
+        partial(_compare_pair, pair, measured=measured, replicates=replicates, seed=seed)
+        for pair in _list_source_pairs(measured)
+    ]
+    films = {(name, one["file"]): one for name, one in displayed}
+    showing = [partial(_read_normalised_film, read_pixels, name, one) for (name, _), one in films.items()]
+    # A worker process uses one thread for linear algebra; small models take three times as long on two threads.
+    made = map_in_parallel(_call, [*comparing, *showing], shared={}, workers=execution.workers)
+    compared = made[: len(comparing)]
+    rows = ([row for rows in one for row in rows] for one in zip(_EMPTY_COMPARISON, *compared, strict=True))
+    return SourceComparison(*rows), dict(zip(films, made[len(comparing) :], strict=True))
+
+
+def _call(part: Callable[[], Any]) -> Any:
+    """Call a function without arguments; worker processes need a top-level function."""
+    return part()
+
+
+def _list_source_pairs(measured: Mapping[str, FilmFeatures]) -> list[SourcePair]:
+    """List every pair of a patient source and simulated radiographs, and every pair of patient sources."""
+    real = [name for name in measured if name != SIMULATED]
+    pairs: list[SourcePair] = []
+    for name in real if SIMULATED in measured else ():
+        grades = measured[name].grades
+        pairs.append((name, SIMULATED, ()))
+        pairs += [
+            (name, SIMULATED, high)
+            for high in GRADE_TASKS
+            if np.isin(grades, [0]).any() and np.isin(grades, high).any()
+        ]
+    return pairs + [(name, other, ()) for index, name in enumerate(real) for other in real[index + 1 :]]
+
+
+def _compare_pair(
+    pair: SourcePair, *, measured: Mapping[str, FilmFeatures], replicates: int, seed: int
+) -> SourceComparison:
+    """Measure the separability of two sources, or if grades are named, grade prediction and grade effects."""
+    name, other, high = pair
+    first, second = measured[name], measured[other]
+    chance = {"replicates": replicates, "seed": seed}
+    if not high:
+        return _EMPTY_COMPARISON._replace(domains=measure_source_separability(first, second, **chance))
+    carried = measure_transfer(first, second, low=0, high=high, **chance)
+    of_features, of_groups = compare_grade_effects(first, second, low=0, high=high, **chance)
+    return SourceComparison(domains=[], transfer=carried, features=of_features, groups=of_groups)
+
+
+def count_found_films(records: Mapping[str, Sequence[Record]]) -> list[Row]:
+    """Count radiographs, localised joints and rejections by reason for each source.
+
+    Parameters
+    ----------
+    records : mapping of str to sequence of dict
+        Records of each source.
+
+    Returns
+    -------
+    list of dict
+        One row per source, with the median pixel pitch in mm and the number of estimated pitches.
+    """
+    rows = []
+    for name, of in records.items():
+        status = pd.Series([record["status"] for record in of]).value_counts()
+        row: Row = {"source": name, "films": len(of), "found": int(status.get("found", 0))}
+        row |= {reason: int(count) for reason, count in sorted(status.items()) if reason != "found"}
+        pitch = [record["pixel_mm"] for record in of if record["status"] == "found"]
+        row["pixel_mm_median"] = round(float(np.median(pitch)), 4) if pitch else None
+        row["pixel_estimated"] = sum(record.get("pixel_from") == "plateau" for record in of)
+        rows.append(row)
+    return rows
+
+
+def _select_found_films(records: Mapping[str, Sequence[Record]]) -> dict[str, pd.DataFrame]:
+    """Make a table of each source with the records whose joint was localised."""
+    return {name: pd.DataFrame([one for one in of if one["status"] == "found"]) for name, of in records.items()}
+
+
+def summarise_quantities(records: Mapping[str, Sequence[Record]], group: str) -> list[Row]:
+    """Summarise the quantities of a feature group for each source.
+
+    Parameters
+    ----------
+    records : mapping of str to sequence of dict
+        Records of each source.
+    group : str
+        Feature group.
+
+    Returns
+    -------
+    list of dict
+        One row per quantity: median, 10th and 90th percentile and number of radiographs of each source.
+    """
+    tables = _select_found_films(records)
+    columns = dict.fromkeys(column for table in tables.values() for column in table if column.startswith(f"{group}|"))
+    rows = []
+    for column in columns:
+        row: Row = {"quantity": column.split("|")[1]}
+        for name, table in tables.items():
+            values = table[column].dropna().astype(float) if column in table else pd.Series(dtype=float)
+            if len(values):
+                low, median, high = np.percentile(values, [10, 50, 90])
+                row |= {f"{name}_median": float(median), f"{name}_p10": float(low), f"{name}_p90": float(high)}
+                row[f"{name}_films"] = len(values)
+        rows.append(row)
+    return rows
+
+
+def compare_ratios(records: Mapping[str, Sequence[Record]]) -> list[Row]:
+    """Compare the outline ratios of each patient source with those of simulated radiographs.
+
+    Parameters
+    ----------
+    records : mapping of str to sequence of dict
+        Records of each source.
+
+    Returns
+    -------
+    list of dict
+        One row per source and ratio, with columns of ``compare_samples``.
+    """
+    tables = _select_found_films(records)
+    ours = tables.pop(SIMULATED, pd.DataFrame())
+    rows = []
+    for name, table in tables.items():
+        for column in (column for column in table if column in ours and column.startswith(_RATIO_GROUPS)):
+            values = [one[column].dropna().to_numpy(np.float64) for one in (table, ours)]
+            if min(map(len, values)) > 1:
+                rows.append({"source": name, "measure": column.split("|")[1]} | compare_samples(*values))
+    return rows
+
+
+def select_contact_sheet_films(records: Mapping[str, Sequence[Record]]) -> list[GradeSheet]:
+    """Select radiographs of every source for the contact sheet of each grade.
+
+    Parameters
+    ----------
+    records : mapping of str to sequence of dict
+        Records of each source.
+
+    Returns
+    -------
+    list of tuple
+        Grade, and for each source a caption and radiographs that are evenly spaced in its list.
+    """
+    sheets = []
+    for grade in sorted({int(one["grade"]) for of in records.values() for one in of}):
+        rows = []
+        for name, of in records.items():
+            chosen = _select_evenly([one for one in of if one["status"] == "found" and int(one["grade"]) == grade])
+            if chosen:
+                rows.append((f"{name}, {_format_grade(grade)}", [(name, one) for one in chosen]))
+        if rows:
+            sheets.append((grade, rows))
+    return sheets
+
+
+def _make_contact_sheet_picture(
+    grade: int, rows: Sequence[tuple[str, Sequence[DisplayedFilm]]], forms: Mapping[tuple[str, str], NormalisedImage]
+) -> Picture:
+    """Make the contact sheet of one grade."""
+    return Picture(
+        name=f"sheet_{'unknown' if grade < 0 else grade}",
+        png=make_contact_sheet(
+            [(caption, [forms[name, one["file"]] for name, one in chosen]) for caption, chosen in rows]
+        ),
+        alt=f"Patient and simulated radiographs, {_format_grade(grade)}, in rows",
+        caption=f"(e) {_format_grade(grade).capitalize()}: one row per source, same scale, all as right knees.",
+    )
+
+
+def format_summary(compared: SourceComparison) -> str:
+    """Format the main result in one line.
+
+    Parameters
+    ----------
+    compared : SourceComparison
+        Rows of the comparison between sources.
+
+    Returns
+    -------
+    str
+        Separability, transfer and effect correlation, each over all features.
+    """
+    parts = []
+    for row in compared.domains:
+        if row["group"] == ALL_FEATURES and "auc" in row and row["second"] == SIMULATED:
+            parts.append(f"{row['first']} against simulated: AUC {row['auc']:.2f}")
+    for row in compared.transfer:
+        if row["group"] == ALL_FEATURES and "auc" in row:
+            parts.append(
+                f"{row['source']} {row['task']}: AUC {row['auc']:.2f} trained on simulated, "
+                f"{row['real_auc']:.2f} trained on patient radiographs"
+            )
+    parts += [
+        f"{row['source']} {row['task']}: grade effects r = {row['r']:+.2f}"
+        for row in compared.groups
+        if row["group"] == ALL_FEATURES
+    ]
+    return "; ".join(parts) or "too few radiographs for a comparison"
+
+
+def _has_found_films(records: Sequence[Record]) -> bool:
+    """Report whether the joint was localised on any radiograph."""
+    return any(record["status"] == "found" for record in records)
+
+
+def _select_evenly(records: Sequence[Record]) -> list[Record]:
+    """Select a few records, evenly spaced in their list."""
+    places = np.unique(np.linspace(0, len(records) - 1, min(_FILMS_PER_ROW, len(records))).round().astype(int))
+    return [records[place] for place in places] if records else []
+
+
+def _read_normalised_film(read_pixels: FilmReader, source: str, record: Record) -> NormalisedImage:
+    """Read and normalise one radiograph for display."""
+    return _normalise_film(read_pixels(source, record["file"]), record)
+
+
+def _normalise_film(film: Array, record: Record) -> NormalisedImage:
+    """Normalise a radiograph to 8 bits; its record gives polarity, joint position, pitch and binning."""
+    film = resample_to_square_pixels(film, float(record["pixel_height"]))
+    bright = film if record["polarity"] == "bone bright" else 1 - film
+    place = JointPosition(
+        row=record["joint_row_px"], col=record["joint_col_px"], side=record["side"], pitch_mm=record["pitch_mm"]
+    )
+    return stretch_contrast(resample_joint_field(*bin_film(bright, place, float(record["binned"])))).astype(np.uint8)
+
+
+def _format_grade(grade: int) -> str:
+    """Format a grade for display; negative grades are unknown."""
+    return "grade unknown" if grade < 0 else f"grade {grade}"

@@ -1,0 +1,355 @@
+"""Domain shift: separability of patient and simulated radiographs, and transfer of grade models between them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from sklearn.impute import SimpleImputer
+from sklearn.linear_model import LogisticRegression
+from sklearn.model_selection import StratifiedGroupKFold
+from sklearn.pipeline import Pipeline, make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+from ...core.checks import Array
+from ...study.statistics.scores.metrics import auc, percentile_interval, weighted_auc
+from .film_features import GROUP_SEPARATOR, TOLD, Record
+
+Row = dict[str, Any]
+# Name of the group of all features.
+ALL_FEATURES = "all"
+# Number of folds of the cross-validation.
+FOLDS = 5
+# Minimum number of radiographs per class; with fewer, no result is reported.
+_MIN_FILMS = 10
+# Inverse L2 penalty, suitable for some hundred features and some hundred radiographs (assumed).
+_INVERSE_PENALTY = 0.1
+# Number of features with the highest AUC that are reported.
+_LEADING_COUNT = 8
+_NO_GAIN_FRACTION: dict[str, float | None] = {"way": None, "way_low": None, "way_high": None}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FilmFeatures:
+    """Features of the radiographs of one source.
+
+    Parameters
+    ----------
+    name : str
+        Name of the source.
+    features : pandas.DataFrame
+        One row per radiograph; columns are (group, feature).
+    grades : (films,) int64 array
+        Grade of each radiograph; -1 if unknown.
+    subjects : (films,) array of str
+        Subject of each radiograph; both knees of a person have the same subject.
+    """
+
+    name: str
+    features: pd.DataFrame
+    grades: NDArray[np.int64]
+    subjects: NDArray[Any]
+
+    def select_grades(self, grades: Sequence[int]) -> "FilmFeatures":
+        """Select the radiographs of some grades.
+
+        Parameters
+        ----------
+        grades : sequence of int
+            Grades to select.
+
+        Returns
+        -------
+        FilmFeatures
+            Selected radiographs.
+        """
+        here = np.isin(self.grades, grades)
+        return FilmFeatures(
+            name=self.name, features=self.features[here], grades=self.grades[here], subjects=self.subjects[here]
+        )
+
+
+def make_film_features(name: str, records: Sequence[Record]) -> FilmFeatures:
+    """Collect the model features of all radiographs whose joint was localised.
+
+    Parameters
+    ----------
+    name : str
+        Name of the source.
+    records : sequence of dict
+        Records from ``measure_films``.
+
+    Returns
+    -------
+    FilmFeatures
+        Features without the groups that are only reported.
+    """
+    table = pd.DataFrame([record for record in records if record["status"] == "found"])
+    columns = [name for name in table if GROUP_SEPARATOR in name and name.split(GROUP_SEPARATOR)[0] not in TOLD]
+    features = table[columns].astype(float)
+    features.columns = pd.MultiIndex.from_tuples([tuple(name.split(GROUP_SEPARATOR)) for name in columns])
+    return FilmFeatures(
+        name=name,
+        features=features.reset_index(drop=True),
+        grades=table["grade"].fillna(-1).astype(int).to_numpy(),
+        subjects=table["subject"].astype(str).to_numpy(),
+    )
+
+
+def measure_source_separability(first: FilmFeatures, second: FilmFeatures, *, replicates: int, seed: int) -> list[Row]:
+    """Measure how well the radiographs of two sources can be distinguished, by feature group.
+
+    Folds of the cross-validation share no subject.
+
+    Parameters
+    ----------
+    first : FilmFeatures
+        Features of one source.
+    second : FilmFeatures
+        Features of the other source.
+    replicates : int
+        Number of bootstrap replicates.
+    seed : int
+        Seed of folds and bootstrap.
+
+    Returns
+    -------
+    list of dict
+        One row per feature group. ``auc`` is the area under the ROC curve; ``low`` and ``high`` are its 95 % bootstrap
+        interval over subjects, with fixed models. ``leading`` names the features with the highest AUC of their own.
+    """
+    table = pd.concat([first.features, second.features], ignore_index=True)
+    truth = np.repeat([False, True], [len(first.features), len(second.features)])
+    subjects = np.concatenate(
+        [np.char.add("a:", first.subjects.astype(str)), np.char.add("b:", second.subjects.astype(str))]
+    )
+    rows = []
+    for group, columns in group_features(table).items():
+        row = {"first": first.name, "second": second.name, "group": group, "features": len(columns)}
+        row |= {"first_films": len(first.features), "second_films": len(second.features)}
+        if _has_enough_films(truth, subjects):
+            value = cross_validate(table[columns], truth, subjects, seed)
+            drawn = bootstrap_auc(truth, value, subjects, replicates=replicates, seed=seed)
+            row |= _auc_with_interval(truth, value, drawn)
+            row["leading"] = "; ".join(
+                f"{name} {one:.2f}" for name, one in find_leading_features(table[columns], truth)
+            )
+        rows.append(row)
+    return rows
+
+
+def measure_transfer(
+    real: FilmFeatures, simulated: FilmFeatures, *, low: int, high: Sequence[int], replicates: int, seed: int
+) -> list[Row]:
+    """Predict grades on patient radiographs with models trained on simulated and on patient radiographs.
+
+    Parameters
+    ----------
+    real : FilmFeatures
+        Features of patient radiographs.
+    simulated : FilmFeatures
+        Features of simulated radiographs. If they contain no grade of `high`, their highest grade replaces it.
+    low : int
+        Grade of the negative class.
+    high : sequence of int
+        Grades of the positive class.
+    replicates : int
+        Number of bootstrap replicates.
+    seed : int
+        Seed of models, folds and bootstrap.
+
+    Returns
+    -------
+    list of dict
+        One row per feature group: AUC and 95 % interval after training on simulated radiographs, and with the prefix
+        ``real_`` after training on patient radiographs. ``way`` is the fraction of the gain over chance that training
+        on simulated radiographs reaches. Its interval uses the same subjects for both trainings. It is empty if the
+        gain from patient radiographs is uncertain.
+    """
+    highest = [grade for grade in high if grade in simulated.grades] or [int(simulated.grades.max())]
+    here, there = real.select_grades([low, *high]), simulated.select_grades([low, *highest])
+    truth, known = here.grades != low, there.grades != low
+    rows = []
+    for group, columns in group_features(real.features).items():
+        row = {
+            "source": real.name, "task": f"{low} v {'+'.join(map(str, high))}", "group": group,
+            "trained_on": f"{low} v {'+'.join(map(str, highest))}", "real": len(truth), "simulated": len(known),
+        }  # fmt: skip
+        if _has_enough_films(truth, here.subjects) and min(np.bincount(known, minlength=2)) >= _MIN_FILMS:
+            carried = make_classifier(seed).fit(there.features[columns].to_numpy(), known)
+            value = carried.predict_proba(here.features[columns].to_numpy())[:, 1]
+            own = cross_validate(here.features[columns], truth, here.subjects, seed)
+            drawn, drawn_own = (
+                bootstrap_auc(truth, one, here.subjects, replicates=replicates, seed=seed) for one in (value, own)
+            )
+            by_simulated, by_real = _auc_with_interval(truth, value, drawn), _auc_with_interval(truth, own, drawn_own)
+            row |= by_simulated | {f"real_{name}": one for name, one in by_real.items()}
+            row |= (
+                _compute_gain_fraction(truth, (value, own), (drawn, drawn_own))
+                if by_real["low"] > 0.5
+                else _NO_GAIN_FRACTION
+            )
+        rows.append(row)
+    return rows
+
+
+def _has_enough_films(truth: NDArray[np.bool_], subjects: NDArray[Any]) -> bool:
+    """Report whether both classes have enough radiographs, and enough subjects for every fold."""
+    kinds = [subjects[truth == kind] for kind in (False, True)]
+    return all(len(of) >= _MIN_FILMS and len(set(of.tolist())) >= FOLDS for of in kinds)
+
+
+def group_features(features: pd.DataFrame) -> dict[str, list[Any]]:
+    """Group feature columns by feature group.
+
+    Parameters
+    ----------
+    features : pandas.DataFrame
+        Table whose columns are (group, feature).
+
+    Returns
+    -------
+    dict of str to list
+        Columns of each group, and last of all groups together (``"all"``).
+    """
+    names = dict.fromkeys(group for group, _ in features.columns)
+    groups = {group: [column for column in features.columns if column[0] == group] for group in names}
+    return {**groups, ALL_FEATURES: list(features.columns)}
+
+
+def make_classifier(seed: int) -> Pipeline:
+    """Make a logistic regression (L2) on standardised features.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the solver.
+
+    Returns
+    -------
+    sklearn.pipeline.Pipeline
+        Imputation, standardisation and logistic regression.
+    """
+    return make_pipeline(
+        SimpleImputer(strategy="median", keep_empty_features=True),
+        StandardScaler(),
+        LogisticRegression(C=_INVERSE_PENALTY, max_iter=5000, random_state=seed, class_weight="balanced"),
+    )
+
+
+def cross_validate(features: pd.DataFrame, truth: NDArray[np.bool_], subjects: NDArray[Any], seed: int) -> Array:
+    """Predict each radiograph by a model that was trained without its subject.
+
+    Parameters
+    ----------
+    features : pandas.DataFrame
+        Features of (films,) radiographs.
+    truth : (films,) bool array
+        True class of each radiograph.
+    subjects : (films,) array of str
+        Subject of each radiograph.
+    seed : int
+        Seed of folds and models.
+
+    Returns
+    -------
+    (films,) array
+        Predicted probability of the positive class.
+    """
+    values, probability = features.to_numpy(), np.empty(len(truth))
+    folds = StratifiedGroupKFold(FOLDS, shuffle=True, random_state=seed)
+    for training, testing in folds.split(values, truth, subjects):
+        probability[testing] = (
+            make_classifier(seed).fit(values[training], truth[training]).predict_proba(values[testing])[:, 1]
+        )
+    return probability
+
+
+def find_leading_features(features: pd.DataFrame, truth: NDArray[np.bool_]) -> list[tuple[str, float]]:
+    """Find the features with the highest AUC of their own.
+
+    Parameters
+    ----------
+    features : pandas.DataFrame
+        Features of (films,) radiographs.
+    truth : (films,) bool array
+        True class of each radiograph.
+
+    Returns
+    -------
+    list of tuple of (str, float)
+        Name and AUC of each feature; an AUC below 0.5 is replaced by 1 minus AUC.
+    """
+    alone = {}
+    for column in features:
+        values = features[column].to_numpy()
+        value = auc(truth, np.nan_to_num(values, nan=np.nanmedian(values)))
+        alone[" ".join(column)] = max(value, 1 - value)
+    return sorted(alone.items(), key=lambda item: (-item[1], item[0]))[:_LEADING_COUNT]
+
+
+def _auc_with_interval(truth: NDArray[np.bool_], value: Array, resampled: Array) -> dict[str, float]:
+    """Compute an AUC, and its interval from the AUCs of bootstrap samples."""
+    low, high = percentile_interval(resampled)
+    return {"auc": round(auc(truth, value), 4), "low": round(low, 4), "high": round(high, 4)}
+
+
+def _compute_gain_fraction(
+    truth: NDArray[np.bool_], values: tuple[Array, Array], resampled: tuple[Array, Array]
+) -> Mapping[str, float]:
+    """Divide the gain of the first AUC over chance by that of the second, with an interval from the same subjects."""
+    whole = [auc(truth, value) - 0.5 for value in values]
+    beyond = resampled[1] - 0.5
+    low, high = percentile_interval((resampled[0] - 0.5) / np.where(beyond > 0, beyond, np.nan))
+    return {"way": round(whole[0] / whole[1], 3), "way_low": round(low, 3), "way_high": round(high, 3)}
+
+
+def bootstrap_auc(
+    truth: NDArray[np.bool_], value: Array, subjects: NDArray[Any], *, replicates: int, seed: int
+) -> Array:
+    """Compute the AUC of bootstrap samples of subjects; samples without one of the classes are left out.
+
+    Parameters
+    ----------
+    truth : (films,) bool array
+        True class of each radiograph.
+    value : (films,) array, any unit
+        Predicted value of each radiograph.
+    subjects : (films,) array of str
+        Subject of each radiograph.
+    replicates : int
+        Number of bootstrap samples.
+    seed : int
+        Seed of the bootstrap.
+
+    Returns
+    -------
+    (replicates,) array
+        AUC of each sample.
+    """
+    rng = np.random.default_rng(seed)
+    _, of_film = np.unique(subjects, return_inverse=True)
+    times = np.column_stack([sample_bootstrap_counts(of_film, rng) for _ in range(replicates)])
+    both = (times[truth].sum(axis=0) > 0) & (times[~truth].sum(axis=0) > 0)
+    return weighted_auc(truth, value, times[:, both].astype(np.float64))
+
+
+def sample_bootstrap_counts(subject_index: NDArray[np.int64], rng: np.random.Generator) -> NDArray[np.int64]:
+    """Sample subjects with replacement and count how often each radiograph is sampled.
+
+    Parameters
+    ----------
+    subject_index : (films,) int64 array
+        Number of the subject of each radiograph, from 0.
+    rng : numpy.random.Generator
+        Source of random numbers.
+
+    Returns
+    -------
+    (films,) int64 array
+        Count of each radiograph; all radiographs of a subject have the same count.
+    """
+    people = subject_index.max() + 1
+    return np.bincount(rng.integers(0, people, people), minlength=people)[subject_index]

@@ -1,0 +1,216 @@
+"""Normalisation of radiographs for comparison: a right knee about its joint, at one size, field and grey range.
+
+Notes
+-----
+Magnification of patient radiographs is seldom known, and crops are resampled. Millimetres in this package are
+therefore those of a knee with a plateau PLATEAU_MM wide from edge to edge.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter, map_coordinates
+
+from ...core.checks import (
+    Array,
+    InputError,
+    require_choice,
+    require_in_range,
+)
+from ...core.resample import downsample_by_area
+
+# Width of the plateau, in mm: mean on patient radiographs (Tiulpin et al. 2019, see `data/landmarks.toml`).
+PLATEAU_MM = 78.0
+# Pixel pitch, in mm. Fixed-flexion crops of 224 x 224 pixels cover this pitch and field; most radiographs resolve more.
+PITCH_MM = 0.46
+# Height of the field above the joint centre, in mm.
+ABOVE_MM = 43.0
+# Depth of the field below the joint centre, in mm.
+BELOW_MM = 34.0
+# Half width of the field, in mm.
+HALF_MM = 46.0
+# Percentiles that the contrast stretch maps to 0 and 255; brighter or darker pixels are markers or air.
+_STRETCH_PERCENTILES = (1.0, 99.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointPosition:
+    """Position of the joint centre on a radiograph: on the joint line, half way between the plateau edges.
+
+    Parameters
+    ----------
+    row : float
+        Row of the joint centre, in px.
+    col : float
+        Column of the joint centre, in px.
+    side : {"right", "left"}
+        Side of the knee as displayed.
+    pitch_mm : float
+        Pixel pitch at the normalised size, 0.005 to 10 mm.
+
+    Raises
+    ------
+    InputError
+        `side` is unknown or `pitch_mm` is out of range.
+    """
+
+    row: float
+    col: float
+    side: str
+    pitch_mm: float
+
+    def __post_init__(self) -> None:
+        require_choice("side", self.side, ("right", "left"))
+        require_in_range("pitch_mm", self.pitch_mm, 0.005, 10, "mm")
+
+    def to_pixels(self, below_mm: Array, medial_mm: Array) -> tuple[Array, Array]:
+        """Convert positions relative to the joint centre to pixels.
+
+        Parameters
+        ----------
+        below_mm : (n,) array
+            Distance distal to the joint centre, in mm.
+        medial_mm : (n,) array
+            Distance medial to the joint centre, in mm.
+
+        Returns
+        -------
+        rows : (n,) array
+            Rows in px.
+        cols : (n,) array
+            Columns in px.
+        """
+        across = medial_mm if self.side == "right" else -medial_mm
+        return self.row + below_mm / self.pitch_mm, self.col + across / self.pitch_mm
+
+    def rebin(self, pixels: float) -> "JointPosition":
+        """Express the position in pixels of another size.
+
+        Parameters
+        ----------
+        pixels : float
+            Width of a new pixel in present pixels; 1 / n is the inverse of n.
+
+        Returns
+        -------
+        JointPosition
+            The same position in new pixels.
+        """
+        row, col = ((at + 0.5) / pixels - 0.5 for at in (self.row, self.col))
+        return JointPosition(row=row, col=col, side=self.side, pitch_mm=self.pitch_mm * pixels)
+
+    def shift_by_pixels(self, rows: float, cols: float) -> "JointPosition":
+        """Move the position by pixels of the normalised radiograph.
+
+        Parameters
+        ----------
+        rows : float
+            Shift in distal direction, in normalised px.
+        cols : float
+            Shift in medial direction, in normalised px.
+
+        Returns
+        -------
+        JointPosition
+            Moved position.
+        """
+        row, col = self.to_pixels(np.array(rows * PITCH_MM), np.array(cols * PITCH_MM))
+        return JointPosition(row=float(row), col=float(col), side=self.side, pitch_mm=self.pitch_mm)
+
+
+def bin_film(film: Array, place: JointPosition, binning: float) -> tuple[Array, JointPosition]:
+    """Average pixels of a radiograph and express a position in the new pixels.
+
+    Parameters
+    ----------
+    film : (rows, cols) array, grey
+        Radiograph in display values.
+    place : JointPosition
+        Position of the joint centre.
+    binning : float
+        Width of a new pixel in present pixels, 1 or more; it may be fractional.
+
+    Returns
+    -------
+    film : (rows, cols) array
+        Radiograph with larger pixels.
+    place : JointPosition
+        Position on it.
+    """
+    return (film, place) if binning == 1 else (downsample_by_area(film, binning), place.rebin(binning))
+
+
+def resample_joint_field(film: Array, place: JointPosition) -> Array:
+    """Resample the field about the joint centre as a right knee, with columns from lateral to medial.
+
+    Beyond the image its edge is repeated.
+
+    Parameters
+    ----------
+    film : (rows, cols) array, grey
+        Radiograph in display values, bone bright.
+    place : JointPosition
+        Position of the joint centre.
+
+    Returns
+    -------
+    (168, 201) array
+        Field in display values.
+    """
+    below: Array = np.arange(round(-ABOVE_MM / PITCH_MM), round(BELOW_MM / PITCH_MM) + 1, dtype=np.float64) * PITCH_MM
+    half = round(HALF_MM / PITCH_MM)
+    across: Array = np.arange(-half, half + 1, dtype=np.float64) * PITCH_MM
+    rows, cols = place.to_pixels(below, across)
+    # A coarser pixel holds the mean over its area, as in reduced crops. The blur has the variance of the coarser pixel
+    # minus that of the present pixel.
+    coarser = PITCH_MM / place.pitch_mm
+    blur = np.sqrt(max(coarser**2 - 1, 0.0) / 12)
+    near, top, left = _crop_with_margin(film, rows, cols, round(5 * blur) + 1)
+    smooth = gaussian_filter(near, blur, mode="nearest") if blur else near
+    return np.asarray(
+        map_coordinates(smooth, np.meshgrid(rows - top, cols - left, indexing="ij"), order=1, mode="nearest")
+    )
+
+
+def _crop_with_margin(film: Array, rows: Array, cols: Array, margin: int) -> tuple[Array, int, int]:
+    """Crop an image to given rows and columns with a margin; return it with its first row and column."""
+    starts, ends = [], []
+    for places, length in ((rows, film.shape[0]), (cols, film.shape[1])):
+        starts.append(int(np.clip(np.floor(places.min()) - margin, 0, length - 1)))
+        ends.append(int(np.clip(np.ceil(places.max()) + margin + 1, starts[-1] + 1, length)))
+    return film[starts[0] : ends[0], starts[1] : ends[1]], starts[0], starts[1]
+
+
+def stretch_contrast(field: Array) -> Array:
+    """Stretch the grey values between the 1st and 99th percentile to whole numbers from 0 to 255.
+
+    Parameters
+    ----------
+    field : (rows, cols) array, grey
+        Radiograph in display values.
+
+    Returns
+    -------
+    (rows, cols) array
+        Grey values from 0 to 255.
+
+    Raises
+    ------
+    InputError
+        The image has no contrast.
+    """
+    low, high = np.percentile(field, _STRETCH_PERCENTILES)
+    if not high > low:
+        raise InputError(f"radiograph must have contrast, got 98 % of its values between {low:g} and {high:g}")
+    return np.asarray(np.round(np.clip((field - low) / (high - low), 0, 1) * 255))
+
+
+def joint_centre_px() -> tuple[int, int]:
+    """Return the joint centre of a normalised radiograph.
+
+    Returns
+    -------
+    tuple of int
+        Row and column, in px.
+    """
+    return round(ABOVE_MM / PITCH_MM), round(HALF_MM / PITCH_MM)

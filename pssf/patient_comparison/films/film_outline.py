@@ -1,0 +1,236 @@
+"""Outlines of femur and tibia on a normalised radiograph, traced along steep grey edges by dynamic programming."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, median_filter
+
+from ...core.checks import Array
+from ...core.numba_kernel import kernel
+from .film_normalisation import PITCH_MM, PLATEAU_MM, joint_centre_px
+
+# Standard deviation of the Gaussian derivative that gives gradients, in px.
+_BLUR_PX = 1.2
+# Grey value varies from bone to bone, so contrast is measured relative to its surroundings of some 4 to 6 mm.
+# Standard deviation of the Gaussian that separates detail from its surroundings, in px.
+_COARSE_PX = 8.0
+# Standard deviation of the Gaussian over which local contrast is averaged, in px.
+_LOCAL_PX = 12.0
+# Steeper gradients count no more than this, dimensionless.
+_MAX_STEEPNESS = 3.0
+# Cost of a step of one row per column; it increases with the power 1.5 of the step.
+_BEND_COST = 0.02
+# Maximum step of a joint contour, in rows per column.
+_JOINT_STEPS = 4
+# Maximum step of a side contour, in columns per row.
+_SIDE_STEPS = 2
+# Where femur and tibia overlap, no edge shows the end of the femur, and an edge inside the bone could be chosen.
+# Each row of the joint space therefore adds a cost that depends on its brightness.
+_ROW = 0.1
+# The cost of a row is proportional to its grey detail plus this offset, dimensionless.
+_NOT_DARK = 0.6
+# This cost is 0 within this distance of the midline, in mm, where the notch is.
+_NOTCH_MM = 10.0
+# Distance over which the cost increases to its full value, in mm.
+_FADING_MM = 6.0
+# The outline of a spine is faint, but edges inside it are strong. Each row that is brighter than the notch above it
+# therefore adds a cost.
+_ROW_PASSED = 0.03
+# Rows count if they are brighter than the darkest row above by more than this, dimensionless.
+_BRIGHTER = 0.1
+# Largest brightness difference that counts, dimensionless.
+_BRIGHTEST = 2.0
+# This cost vanishes at this distance from the midline, in mm, at the end of the eminence.
+_SPINES_MM = 21.0
+# Distance over which the cost decreases to 0, in mm.
+_SPINES_FADING_MM = 14.0
+# Cost of a contour on the wrong side of the other contour.
+_FORBIDDEN_COST = 10.0
+# Fibula, fat and skin have edges too, so the sides of the bones are searched near the plateau edges only.
+# Half width of the search for the tibia, as a fraction of half the plateau width.
+_TIBIA_WITHIN = 1.08
+# Half width of the search for the femur, as a fraction of half the plateau width.
+_FEMUR_WITHIN = 1.15
+# Distance beyond these limits, in mm, at which the cost is `_BEYOND`.
+_BEYOND_MM = 8.0
+# Cost at this distance; it increases with the square of the distance.
+_BEYOND = 0.3
+# Half length of the joint contours, in mm.
+_CONTOUR_REACH_MM = 36.0
+# Heights below (tibia) and above (femur) the joint line at which the sides of the bones are searched, in mm.
+_SIDE_HEIGHTS_MM = (3.0, 24.0)
+# Distance from the joint line over which the cost of a joint contour increases, in mm.
+_SEARCH_SCALE_MM = 16.0
+# The eminence is not higher than this above the joint centre, in mm. Medial spines are 0.143 (SD 0.016) of the plateau
+# width above its edges (Tiulpin et al. 2019), which are some 3 mm below the joint centre.
+_TALLEST_MM = 12.0
+# Cost per mm above this height.
+_TOO_TALL = 0.6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Outline:
+    """Bone contours of a knee, in pixels of the normalised radiograph; lateral is left.
+
+    Attributes
+    ----------
+    columns : (n,) array
+        Columns of the two joint contours, in px.
+    femur : (n,) array
+        Rows of the distal femoral contour, in px.
+    tibia : (n,) array
+        Rows of the proximal tibial contour, in px.
+    tibia_rows : (m,) array
+        Rows at which the sides of the tibia are known, from the joint downwards, in px.
+    tibia_sides : (m, 2) array
+        Columns of the lateral and medial side of the tibia, in px.
+    femur_rows : (m,) array
+        Rows at which the sides of the femur are known, from the joint upwards, in px.
+    femur_sides : (m, 2) array
+        Columns of the lateral and medial side of the femur, in px.
+    """
+
+    columns: Array
+    femur: Array
+    tibia: Array
+    tibia_rows: Array
+    tibia_sides: Array
+    femur_rows: Array
+    femur_sides: Array
+
+
+def trace_outline(film: Array, plateau_mm: float = PLATEAU_MM) -> Outline:
+    """Trace the bone contours of a normalised radiograph.
+
+    Parameters
+    ----------
+    film : (rows, cols) array, grey
+        Normalised radiograph.
+    plateau_mm : float, default PLATEAU_MM
+        Approximate width of the plateau on it, in mm.
+
+    Returns
+    -------
+    Outline
+        Contours of femur and tibia.
+    """
+    row, col = joint_centre_px()
+    rise, across, tone, grey = _compute_gradients(film)
+    reach = round(_CONTOUR_REACH_MM / PITCH_MM)
+    columns = np.arange(col - reach, col + reach + 1)
+    rows, x_mm = np.arange(len(film))[:, None], np.abs(columns - col) * PITCH_MM
+    # From top to bottom, grey falls at the end of the femur and rises at the tibia, both near the joint line.
+    away = (rows - row) * PITCH_MM / _SEARCH_SCALE_MM
+    too_tall = _TOO_TALL * np.maximum((row - rows) * PITCH_MM - _TALLEST_MM, 0.0)
+    brighter = -0.6 * np.clip(rise, 0, _MAX_STEEPNESS)[:, columns] + 0.15 * away**2 + too_tall
+    darker = -0.6 * np.clip(-rise, 0, _MAX_STEEPNESS)[:, columns] + 0.1 * (away + 0.5) ** 2
+    tibia = find_cheapest_path(brighter, _JOINT_STEPS - 1)
+    femur = find_cheapest_path(darker + _compute_gap_cost(tone[:, columns], tibia, x_mm), _JOINT_STEPS)
+    tibia = find_cheapest_path(brighter + _compute_passed_bone_cost(grey[:, columns], femur, x_mm), _JOINT_STEPS - 1)
+    half_mm = plateau_mm / 2
+    below, tibia_sides = _trace_sides(across, int(np.median(tibia)), +1, _TIBIA_WITHIN * half_mm)
+    above, femur_sides = _trace_sides(across, int(np.median(femur)), -1, _FEMUR_WITHIN * half_mm)
+    return Outline(
+        columns=columns.astype(float), femur=femur.astype(float), tibia=tibia.astype(float),
+        tibia_rows=below, tibia_sides=tibia_sides, femur_rows=above, femur_sides=femur_sides,
+    )  # fmt: skip
+
+
+def _compute_gap_cost(tone: Array, tibia: NDArray[np.int64], x_mm: Array) -> Array:
+    """Compute the (rows, cols) cost of the distal femoral contour: rows above the tibia that are not dark.
+
+    `tone` is the grey detail from :func:`_compute_gradients`. `tibia` holds the (cols,) rows of the tibial contour.
+    `x_mm` holds the (cols,) distance from the midline, in mm.
+    """
+    rows = np.arange(len(tone))[:, None]
+    space = np.where(rows < tibia, np.clip(tone, -1.0, 1.0) + _NOT_DARK, 0.0)
+    beside = np.clip((x_mm - _NOTCH_MM) / _FADING_MM, 0.0, 1.0)
+    return np.where(rows < tibia, _ROW * beside * np.cumsum(space[::-1], axis=0)[::-1], _FORBIDDEN_COST)
+
+
+def _compute_passed_bone_cost(grey: Array, femur: NDArray[np.int64], x_mm: Array) -> Array:
+    """Compute the (rows, cols) cost of the proximal tibial contour: bright rows between femur and contour.
+
+    Rows count if they are brighter than the darkest row above them, as a tibial spine is. `grey` is the grey value
+    over local contrast; its detail alone would be brighter in the middle of a dark notch than at its edge. `femur`
+    holds the (cols,) rows of the femoral contour, and `x_mm` the (cols,) distance from the midline, in mm.
+    """
+    rows = np.arange(len(grey))[:, None]
+    soft = gaussian_filter(grey, 1.0)
+    darkest = np.minimum.accumulate(np.where(rows > femur, soft, np.inf), axis=0)
+    passed = np.where(rows > femur + 1, np.clip(soft - darkest - _BRIGHTER, 0.0, _BRIGHTEST), 0.0)
+    about = np.clip((_SPINES_MM - x_mm) / _SPINES_FADING_MM, 0.0, 1.0)
+    return np.where(rows > femur, _ROW_PASSED * about * (np.cumsum(passed, axis=0) - passed), _FORBIDDEN_COST)
+
+
+def find_cheapest_path(cost: Array, max_step_px: int) -> NDArray[np.int64]:
+    """Find the path of least cost from the first column to the last.
+
+    Parameters
+    ----------
+    cost : (rows, cols) array, dimensionless
+        Cost of each pixel.
+    max_step_px : int
+        Maximum number of rows between neighbouring columns.
+
+    Returns
+    -------
+    (cols,) int64 array
+        Row of the path in every column.
+    """
+    return _solve_cheapest_path(
+        np.ascontiguousarray(cost, np.float64), _BEND_COST * np.arange(max_step_px + 1.0) ** 1.5
+    )
+
+
+@kernel()
+def _solve_cheapest_path(cost: Array, step_cost: Array) -> NDArray[np.int64]:
+    """Find the (cols,) rows of the cheapest path by dynamic programming; `step_cost` holds the cost of each step."""
+    rows, cols = cost.shape
+    step = len(step_cost) - 1
+    origin = np.empty((cols, rows), np.int64)
+    total = cost[:, 0].copy()
+    for at in range(1, cols):
+        before = total.copy()
+        for row in range(rows):
+            least = np.inf
+            for source in range(min(row + step, rows - 1), max(row - step, 0) - 1, -1):
+                way = before[source] + step_cost[abs(row - source)]
+                if way < least:
+                    least, origin[at, row] = way, source
+            total[row] = least + cost[row, at]
+    path = np.empty(cols, np.int64)
+    path[-1] = total.argmin()
+    for at in range(cols - 1, 0, -1):
+        path[at - 1] = origin[at, path[at]]
+    return path
+
+
+def _compute_gradients(film: Array) -> tuple[Array, Array, Array, Array]:
+    """Compute vertical and horizontal gradient, grey detail and grey value, each (rows, cols) over local contrast."""
+    detail = film - gaussian_filter(film, _COARSE_PX)
+    local = np.sqrt(gaussian_filter(detail**2, _LOCAL_PX)) + 0.25
+    # Outside the limb, contrast is low, and local contrast alone would make a fat line as strong as a bone edge.
+    steady = np.sqrt(local**2 + (detail**2).mean())
+    down = gaussian_filter(film, _BLUR_PX, order=(1, 0)) / local
+    right = gaussian_filter(film, _BLUR_PX, order=(0, 1)) / (steady * np.median(local) / np.median(steady))
+    return down, right, detail / local, film / local
+
+
+def _trace_sides(across: Array, row: int, direction: int, within_mm: float) -> tuple[Array, Array]:
+    """Trace the lateral and medial side of a bone; return rows (m,) and columns (m, 2) in px.
+
+    `direction` is +1 downwards and -1 upwards from the joint. Beyond `within_mm` from the midline the cost increases.
+    """
+    near, far = (round(length / PITCH_MM) for length in _SIDE_HEIGHTS_MM)
+    rows = np.clip(row + direction * np.arange(near, far + 1), 0, len(across) - 1)
+    _, middle = joint_centre_px()
+    inner = round(20.0 / PITCH_MM)  # The shaft is wider than this on either side of the midline.
+    beyond_mm = np.maximum(np.abs(np.arange(across.shape[1]) - middle) * PITCH_MM - within_mm, 0.0)
+    unlikely, steep = _BEYOND * (beyond_mm / _BEYOND_MM) ** 2, across[rows]
+    costs = [unlikely - np.clip(sign * steep, 0, _MAX_STEEPNESS) for sign in (1, -1)]
+    lateral = find_cheapest_path(costs[0][:, : middle - inner].T, _SIDE_STEPS)
+    medial = find_cheapest_path(costs[1][:, middle + inner :].T, _SIDE_STEPS) + middle + inner
+    sides = median_filter(np.column_stack((lateral, medial)).astype(float), size=(3, 1))
+    return rows.astype(float), sides

@@ -1,0 +1,338 @@
+"""Detector quality, measured as in a laboratory: MTF of a slanted edge, NPS of flat fields, DQE, photon transfer."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.checks import Array
+from ..detector.detector_blur import compute_transfer
+from ..detector.quantum_noise import GAUSSIAN_MIN_QUANTA
+from ..stages import LatentImage, StageContext, run_stages
+from ..xray.materials import attenuation_per_mm, parse_compound
+from ..xray.resolved_technique import Technique
+from ..xray.spectrum import compute_beam
+
+# Angle between the edge of the lead plate and the pixel columns, in degrees (IEC 62220-1: 1.5 to 3).
+_EDGE_DEG = 2.4
+# Bins of the edge spread function per pixel.
+_FINER = 8
+# Rows and columns of the image of the edge, in pixels.
+_EDGE_PX = 512
+# Side of a region of the noise power spectrum, in pixels.
+_ROI_PX = 128
+# Regions along each side of a flat field.
+_ROIS = 4
+# Number of flat fields.
+_FIELDS = 6
+
+
+@dataclass(frozen=True)
+class FrequencyCurve:
+    """Quantity as a function of spatial frequency, measured and by the model.
+
+    Attributes
+    ----------
+    frequency_per_mm : (n,) array
+        Spatial frequencies, in cycles per mm.
+    measured : (n,) array
+        Measured values.
+    model : (n,) array
+        Values that the package is designed to give.
+    """
+
+    frequency_per_mm: Array
+    measured: Array
+    model: Array
+
+
+def make_bare_technique(technique: Technique, side_px: int) -> Technique:
+    """Replace the detector by a square of pixels, with nothing between it and a point source.
+
+    Parameters
+    ----------
+    technique : Technique
+        Resolved protocol.
+    side_px : int
+        Rows and columns of the detector, in pixels.
+
+    Returns
+    -------
+    Technique
+        Technique without focal-spot blur, scatter, heel effect, dead pixels, collimator and marker.
+    """
+    return technique.replace_protocol(
+        rows=side_px,
+        cols=side_px,
+        focal_spot_mm=0.0,
+        scatter="none",
+        heel="none",
+        dead_pixels=0.0,
+        field_width_mm=0.0,
+        field_height_mm=0.0,
+        marker="none",
+    )
+
+
+def model_mtf(technique: Technique, per_mm: Array) -> Array:
+    """Compute the presampled MTF of the detector model.
+
+    Parameters
+    ----------
+    technique : Technique
+        Resolved protocol.
+    per_mm : (n,) array
+        Spatial frequencies, in cycles per mm.
+
+    Returns
+    -------
+    (n,) array
+        MTF, dimensionless; 1 without detector blur.
+    """
+    if technique.protocol.detector_blur == "none":
+        return np.ones_like(per_mm)
+    return compute_transfer(technique.detector, per_mm)
+
+
+def measure_mtf(technique: Technique) -> FrequencyCurve:
+    """Measure the presampled MTF from a slanted edge without noise (Samei 1998).
+
+    The edge spread function is differentiated to the line spread function, whose Fourier transform is the MTF. A plate
+    of lead with a straight edge lies on the detector. Pixels that the edge crosses are partly open. This adds one pixel
+    aperture, since rays end at pixel centres; its transfer function is divided out.
+
+    Parameters
+    ----------
+    technique : Technique
+        Resolved protocol.
+
+    Returns
+    -------
+    FrequencyCurve
+        Presampled MTF up to the Nyquist frequency.
+    """
+    quiet = make_bare_technique(technique, _EDGE_PX).replace_protocol(
+        noise="none", mono_kev=60.0, mas=_monoenergetic_mas(technique)
+    )
+    pixel_mm = technique.protocol.pixel_mm
+    rows, cols = np.mgrid[:_EDGE_PX, :_EDGE_PX] - (_EDGE_PX - 1) / 2
+    across = cols * np.cos(np.deg2rad(_EDGE_DEG)) + rows * np.sin(np.deg2rad(_EDGE_DEG))
+    # Path length in lead that transmits the same fraction as the open part of the pixel.
+    per_mm = float(attenuation_per_mm(parse_compound("Pb@11.35"), np.array([60.0]))[0])
+    path = -np.log(np.clip(0.5 - across, 1e-6, 1.0)) / per_mm
+    pixels = _require_pixels(_expose_paths({"Pb@11.35": path.astype(np.float32)}, quiet))
+    middle = slice(_EDGE_PX // 8, -_EDGE_PX // 8)
+    frequency, measured = _compute_edge_mtf(pixels[middle, middle].astype(np.float64), across[middle, middle], pixel_mm)
+    measured /= np.sinc(frequency * pixel_mm)
+    return FrequencyCurve(frequency, measured, model_mtf(technique, frequency))
+
+
+def _monoenergetic_mas(technique: Technique) -> float:
+    """Compute the mAs at one energy that gives about the middle of the 16-bit range."""
+    trial = make_bare_technique(technique, 8).replace_protocol(noise="none", mono_kev=60.0, mas=1.0)
+    return 30000.0 / max(float(_require_pixels(_expose_paths({}, trial)).mean()) - technique.detector.offset_dn, 1.0)
+
+
+def _compute_edge_mtf(pixels: Array, distance_px: Array, pixel_mm: float) -> tuple[Array, Array]:
+    """Compute frequencies and MTF from the signal at distances (in pixels) across an edge."""
+    reach = 96
+    place = np.floor((distance_px + reach) * _FINER).astype(int)
+    inside = (place >= 0) & (place < 2 * reach * _FINER)
+    count = np.bincount(place[inside], minlength=2 * reach * _FINER)
+    spread = np.bincount(place[inside], pixels[inside], 2 * reach * _FINER) / np.maximum(count, 1)
+    line = np.diff(spread)
+    transform = np.abs(np.fft.rfft(line))
+    frequency = np.fft.rfftfreq(len(line), pixel_mm / _FINER)
+    # The differences and the bins each act as an aperture, whose transfer is divided out.
+    transform /= np.sinc(frequency * pixel_mm / _FINER) ** 2
+    wanted = frequency < 0.5 / pixel_mm
+    return np.asarray(frequency[wanted], np.float64), np.asarray(transform[wanted] / transform[0], np.float64)
+
+
+def simulate_flat_fields(technique: Technique, count: int = _FIELDS) -> Array:
+    """Simulate exposures of the open beam.
+
+    Parameters
+    ----------
+    technique : Technique
+        Resolved protocol.
+    count : int, default 6
+        Number of exposures, each with its own noise.
+
+    Returns
+    -------
+    (count, rows, cols) array
+        Linear pixel values minus their offset, in DN.
+    """
+    side = _ROI_PX * _ROIS
+    flat = make_bare_technique(technique, side)
+    images = [_require_pixels(_expose_paths({}, flat, seed=number)) for number in range(count)]
+    return np.array(images, np.float64) - technique.detector.offset_dn
+
+
+def measure_nnps(technique: Technique) -> FrequencyCurve:
+    """Measure the normalised noise power spectrum of flat fields, averaged over directions (IEC 62220-1).
+
+    Parameters
+    ----------
+    technique : Technique
+        Resolved protocol.
+
+    Returns
+    -------
+    FrequencyCurve
+        Normalised noise power spectrum, in mm2.
+    """
+    fields, pixel_mm = simulate_flat_fields(technique), technique.protocol.pixel_mm
+    # The mean of the fields is subtracted, since the inverse-square fall-off of the beam is no noise. The factor
+    # restores the part of the noise that the mean contains.
+    residual = (fields - fields.mean(axis=0)) * np.sqrt(len(fields) / (len(fields) - 1))
+    regions = residual.reshape(len(fields), _ROIS, _ROI_PX, _ROIS, _ROI_PX).swapaxes(2, 3)
+    # Without a Hann window, power leaks from low to high frequencies, where the power is thirty times smaller.
+    window = np.outer(np.hanning(_ROI_PX), np.hanning(_ROI_PX))
+    power = (np.abs(np.fft.fft2(regions * window)) ** 2).mean(axis=(0, 1, 2)) * pixel_mm**2 / (window**2).sum()
+    f = np.fft.fftfreq(_ROI_PX, pixel_mm)
+    radius = np.hypot(*np.meshgrid(f, f))
+    frequency, measured = _average_over_rings(radius, power / fields.mean() ** 2, pixel_mm)
+    meant = model_nnps(technique, radius, float(fields.mean()))
+    return FrequencyCurve(frequency, measured, _average_over_rings(radius, meant, pixel_mm)[1])
+
+
+def model_nnps(technique: Technique, per_mm: Array, mean_dn: float) -> Array:
+    """Compute the normalised noise power spectrum of the detector model.
+
+    It is the sum of the quantum noise, filtered by its own transfer function, and of readout and rounding noise.
+
+    Parameters
+    ----------
+    technique : Technique
+        Resolved protocol.
+    per_mm : (...) array
+        Spatial frequencies, in cycles per mm.
+    mean_dn : float
+        Mean signal above the offset, in DN.
+
+    Returns
+    -------
+    (...) array
+        Normalised noise power spectrum, in mm2.
+    """
+    protocol, detector, beam = technique.protocol, technique.detector, compute_beam(technique)
+    per_dn = detector.electrons_per_dn_mm2 * protocol.pixel_mm**2
+    weights = beam.photons_per_mm2 * beam.signal_kev
+    quantum_kev = (beam.photons_per_mm2 * beam.square_kev2).sum() / weights.sum() / detector.swank
+    quanta = mean_dn * per_dn / detector.electrons_per_kev / quantum_kev
+    readout = (detector.readout_electrons / per_dn) ** 2 + 1 / 12
+    blurred = protocol.detector_blur != "none"
+    passed = compute_transfer(detector, per_mm, "ntf") ** 2 if blurred else np.ones_like(per_mm)
+    noise = passed / quanta + readout / mean_dn**2
+    return np.asarray(noise * protocol.pixel_mm**2)
+
+
+def measure_dqe(technique: Technique) -> FrequencyCurve:
+    """Measure the detective quantum efficiency, MTF^2 / (NNPS q), in the open beam of a protocol.
+
+    Parameters
+    ----------
+    technique : Technique
+        Resolved protocol.
+
+    Returns
+    -------
+    FrequencyCurve
+        DQE, dimensionless; q is the number of photons per mm2 at the detector.
+    """
+    noise, sharp = measure_nnps(technique), measure_mtf(technique)
+    q = compute_beam(technique).photons_per_mm2.sum() * (1000.0 / technique.protocol.sdd_mm) ** 2
+    at = np.interp(noise.frequency_per_mm, sharp.frequency_per_mm, sharp.measured)
+    meant = model_mtf(technique, noise.frequency_per_mm) ** 2
+    return FrequencyCurve(noise.frequency_per_mm, at**2 / (noise.measured * q), meant / (noise.model * q))
+
+
+def measure_photon_transfer(technique: Technique, steps: int = 6) -> list[tuple[float, float, float]]:
+    """Measure the variance of flat fields without detector blur at rising mAs.
+
+    Parameters
+    ----------
+    technique : Technique
+        Resolved protocol; its mAs is the highest one.
+    steps : int, default 6
+        Number of mAs values, from 1/64 of the protocol's mAs to all of it.
+
+    Returns
+    -------
+    list of (mean, measured, model) tuple of float
+        Mean in DN, and measured and model variance in DN2.
+    """
+    rows = []
+    for mas in technique.protocol.mas * np.geomspace(1 / 64, 1.0, steps):
+        sharp = technique.replace_protocol(mas=float(mas), detector_blur="none")
+        one, other = simulate_flat_fields(sharp, 2)
+        mean = float((one.mean() + other.mean()) / 2)
+        meant = float(model_nnps(sharp, np.zeros(1), mean)[0]) / technique.protocol.pixel_mm**2 * mean**2
+        rows.append((mean, float((one - other).var() / 2), meant))
+    return rows
+
+
+def measure_noise_moments(technique: Technique) -> dict[str, tuple[float, float, float]]:
+    """Measure the moments of the noise of a flat field without detector blur.
+
+    Mean and variance are in units of the model's standard deviation and variance.
+
+    Parameters
+    ----------
+    technique : Technique
+        Resolved protocol.
+
+    Returns
+    -------
+    dict of str to (value, low, high) tuple of float
+        Moment, and its expected range: four standard errors for this number of pixels.
+    """
+    flat = make_bare_technique(technique, _ROI_PX * _ROIS).replace_protocol(detector_blur="none")
+    image, offset = _expose_paths({}, flat, seed=9, keep=frozenset({"noise_free"})), flat.detector.offset_dn
+    pixels, mean = _require_pixels(image), image.kept["noise_free"].astype(np.float64) - offset
+    variance = model_nnps(flat, np.zeros(1), mean) / flat.protocol.pixel_mm**2 * mean**2
+    off, n = (pixels - offset - mean) / np.sqrt(variance), pixels.size
+    # Skewness of Poisson counts; 0 where the counts are large and sampled from a normal distribution.
+    quanta = float(np.mean(mean**2 / variance))
+    skewness = 1 / np.sqrt(quanta) if quanta < GAUSSIAN_MIN_QUANTA else 0.0
+    shape = (off - off.mean()) / off.std()
+    moments = {
+        "mean": (off.mean(), 0.0, 1),
+        "variance": (off.var(), 1.0, 2),
+        "skewness": (np.mean(shape**3), skewness, 6),
+        "kurtosis": (np.mean(shape**4), 3.0, 24),
+    }
+    return {
+        f"noise_{name}": (float(value), about - 4 * np.sqrt(var / n), about + 4 * np.sqrt(var / n))
+        for name, (value, about, var) in moments.items()
+    }
+
+
+def _expose_paths(
+    path_mm: Mapping[str, NDArray[np.float32]], technique: Technique, seed: int = 0, keep: frozenset[str] = frozenset()
+) -> LatentImage:
+    """Run the imaging stages behind path lengths (rows, cols), in mm, in a beam without scatter."""
+    image = LatentImage(path_mm=path_mm)
+    run_stages(image, StageContext(technique=technique, seed=seed, keep=keep))
+    return image
+
+
+def _require_pixels(image: LatentImage) -> NDArray[np.uint16]:
+    """Return the pixels of an image that has passed all stages."""
+    assert image.pixels is not None
+    return image.pixels
+
+
+def _average_over_rings(radius: Array, power: Array, pixel_mm: float) -> tuple[Array, Array]:
+    """Average over rings of frequency up to the Nyquist frequency, without the axes and the zero frequency."""
+    step = radius[0, 1] * 2
+    used = (np.arange(len(radius))[:, None] > 0) & (np.arange(len(radius)) > 0) & (radius < 0.5 / pixel_mm)
+    ring = np.rint(radius[used] / step).astype(int)
+    count = np.bincount(ring)
+    kept = count > 0
+    return (np.bincount(ring, radius[used]) / np.maximum(count, 1))[kept], (
+        np.bincount(ring, power[used]) / np.maximum(count, 1)
+    )[kept]

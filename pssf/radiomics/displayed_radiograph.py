@@ -1,0 +1,401 @@
+"""Measurement of displayed radiographs: localisation, resampling to one pixel size, histogram matching, features.
+
+The image is resampled before its histogram is matched. A tone curve then only affects what interpolation and blur
+make of neighbouring pixels.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from time import perf_counter
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from skimage.exposure import match_histograms
+
+from ..core.checks import (
+    Array,
+    InputError,
+    require_in_range,
+    require_integer,
+)
+from ..core.resample import downsample_by_blocks
+from ..data.analysis.localisation_table import LocalisationSettings
+from ..data.code_hash import require_same_code
+from .features.feature_backends import default_backend
+from .features.feature_extraction import extract_features
+from .features.feature_families import FAMILIES
+from .features.feature_table import (
+    FILM_COLUMNS,
+    SCORE_COLUMNS,
+    ExtractionSettings,
+    Measurement,
+    MeasurementJob,
+    Record,
+    measure_radiograph,
+)
+from .localisation.joint_localisation import (
+    JointLocation,
+    locate_joint,
+    locate_joint_in_radiograph,
+    scale_to_full_resolution,
+)
+from .localisation.pixel_aspect import locate_joint_in_film, resample_to_square_pixels
+from .localisation.second_knee import has_second_knee
+from .localisation.templates import MAX_SEARCH_PIXEL_MM, Template, compute_density
+from .radiomics_tables import RadiomicsTables
+
+# Families that histogram matching leaves meaningful; see `match_template_histogram`.
+TONE_INVARIANT_FAMILIES = tuple(family for family in FAMILIES if family != "firstorder")
+UNREADABLE = "unreadable"
+
+
+class DisplayedImage(Protocol):
+    """A displayed radiograph, such as `io.patients.patient_radiographs.FilmImage`."""
+
+    @property
+    def pixels(self) -> Array:
+        """Grey values (rows, cols), 0 to 1."""
+
+    @property
+    def pixel_mm(self) -> float | None:
+        """Pixel size in mm; None if the file gives none."""
+
+    @property
+    def side(self) -> str | None:
+        """ "right" or "left"; None if the file gives no side."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DisplayExtractionSettings:
+    """Settings for the measurement of displayed radiographs: everything, except pixels, that a record depends on.
+
+    Parameters
+    ----------
+    pixel_mm : float
+        Pixel size to which radiographs are resampled, 0.02 to 20 mm.
+    region_px : int
+        Side of the region in pixels of that size, 16 to 4096.
+    bins : int
+        Number of grey-level bins.
+    families : tuple of str
+        Families of features. The default leaves out first-order features, which depend on the tone curve.
+    backend : str
+        "pyradiomics" or "mirp"; by default the first that is installed.
+
+    Raises
+    ------
+    InputError
+        A value is out of range, or no backend is installed.
+    """
+
+    pixel_mm: float
+    region_px: int
+    bins: int = 64
+    families: tuple[str, ...] = TONE_INVARIANT_FAMILIES
+    backend: str = field(default_factory=default_backend)
+
+    def __post_init__(self) -> None:
+        """Check the ranges of pixel size and region."""
+        require_in_range("pixel_mm of films", self.pixel_mm, 0.02, 20, "mm")
+        require_integer("region_px at pixel_mm of films", self.region_px, 16, 4096, "pixels")
+
+
+def require_plateau_width(templates: Sequence[Template]) -> None:
+    """Require templates with a known plateau width, from which the pixel size of a radiograph can be estimated.
+
+    Parameters
+    ----------
+    templates : sequence of Template
+        Template radiographs; the first one is checked.
+
+    Raises
+    ------
+    InputError
+        There is no template, or the first has no plateau width.
+    """
+    if not templates or templates[0].plateau_mm is None:
+        raise InputError(
+            "template plateau_mm must be its width in mm, got plateau_mm = None: it is needed to estimate pixel sizes"
+        )
+
+
+def measure_display(
+    job: MeasurementJob,
+    *,
+    load_pixels: Callable[[str], DisplayedImage],
+    templates: Sequence[Template],
+    settings: DisplayExtractionSettings,
+    tables: RadiomicsTables,
+    code: Mapping[str, str],
+) -> Measurement:
+    """Measure one displayed radiograph.
+
+    Side and pixel size are those of the job, else those of the file, else they are estimated. A radiograph that cannot
+    be read, or in which no knee is found, has no features.
+
+    Parameters
+    ----------
+    job : MeasurementJob
+        Radiograph to measure.
+    load_pixels : callable
+        Function of the file name that returns the displayed image.
+    templates : sequence of Template
+        Template radiographs; the first one also gives the histogram and the plateau width.
+    settings : DisplayExtractionSettings
+        Settings of the measurement.
+    tables : RadiomicsTables
+        Settings of the localisation, and feature tags.
+    code : dict of str to str
+        Hashes of the code where the run started, from `compute_code_hashes`.
+
+    Returns
+    -------
+    record : dict of str to object
+        Location, scores and features by column name.
+    seconds : dict of str to float
+        Run time of the steps "localisation" and "features".
+
+    Raises
+    ------
+    InputError
+        The code on this machine is another.
+    """
+    require_same_code(code)
+    began = perf_counter()
+    refused = UNREADABLE
+    try:
+        film = load_pixels(job.file)
+        refused = "no knee"  # The image may be too small for a search.
+        side, pixel_mm = job.side or film.side, job.pixel_mm or film.pixel_mm
+        joint = locate_joint_in_display(film.pixels, templates, tables.localisation, side, pixel_mm)
+    except InputError:
+        nothing: Record = {"radiograph": job.radiograph, "sha256": job.sha256, "status": refused}
+        return nothing | dict.fromkeys(FILM_COLUMNS, ""), {"localisation": perf_counter() - began, "features": 0.0}
+    located = perf_counter()
+    region = (
+        cut_resampled_region(film.pixels, joint, settings.pixel_mm, settings.region_px)
+        if joint.status == "found"
+        else None
+    )
+    record = _make_record(job, joint, region)
+    square = resample_to_square_pixels(film.pixels, joint.pixel_height)
+    record["film_knees"] = _count_knees(square, record, joint.pixel_mm, templates, tables.localisation)
+    if region is not None:
+        bright = region if joint.polarity == "bone bright" else -region
+        signal = match_template_histogram(bright, templates[0], settings.pixel_mm)
+        record |= extract_features(
+            signal, settings.pixel_mm, tables.tags, settings.bins, settings.families, settings.backend
+        )
+    return record, {"localisation": located - began, "features": perf_counter() - located}
+
+
+def measure_linear(
+    job: MeasurementJob,
+    *,
+    load_pixels: Callable[[str], NDArray[np.uint16]],
+    templates: Sequence[Template],
+    settings: DisplayExtractionSettings,
+    tables: RadiomicsTables,
+    code: Mapping[str, str],
+) -> Measurement:
+    """Measure one radiograph with linear pixels of any pixel size.
+
+    A radiograph of the requested pixel size is measured without resampling; see `measure_radiograph`.
+
+    Parameters
+    ----------
+    job : MeasurementJob
+        Radiograph to measure, with known side and pixel size.
+    load_pixels : callable
+        Function of the file name that returns linear pixels (rows, cols), DN.
+    templates : sequence of Template
+        Template radiographs.
+    settings : DisplayExtractionSettings
+        Settings of the measurement.
+    tables : RadiomicsTables
+        Settings of the localisation, and feature tags.
+    code : dict of str to str
+        Hashes of the code where the run started, from `compute_code_hashes`.
+
+    Returns
+    -------
+    record : dict of str to object
+        Location, scores and features by column name.
+    seconds : dict of str to float
+        Run time of the steps "localisation" and "features".
+
+    Raises
+    ------
+    InputError
+        The code on this machine is another.
+    """
+    require_same_code(code)
+    assert job.side is not None
+    assert job.pixel_mm is not None
+    if np.isclose(job.pixel_mm, settings.pixel_mm, rtol=1e-6):
+        plain = ExtractionSettings(
+            region_px=settings.region_px, bins=settings.bins, families=settings.families, backend=settings.backend
+        )
+        record, seconds = measure_radiograph(
+            job, load_pixels=load_pixels, templates=templates, settings=plain, tables=tables, code=code
+        )
+        record |= _make_given_columns(job)
+        density = compute_density(load_pixels(job.file))
+        return record | {
+            "film_knees": _count_knees(density, record, job.pixel_mm, templates, tables.localisation)
+        }, seconds
+    began = perf_counter()
+    pixels = load_pixels(job.file)
+    joint = locate_joint_in_radiograph(
+        pixels, templates, tables.localisation, side=job.side, pixel_mm=job.pixel_mm, region_px=1
+    )
+    located = perf_counter()
+    region = (
+        cut_resampled_region(pixels, joint, settings.pixel_mm, settings.region_px) if joint.status == "found" else None
+    )
+    record = _make_record(job, joint, region) | _make_given_columns(job)
+    record["film_knees"] = _count_knees(compute_density(pixels), record, job.pixel_mm, templates, tables.localisation)
+    if region is not None:
+        signal = np.clip(np.rint(region), 0, 65535).astype(np.uint16)
+        record |= extract_features(
+            signal, settings.pixel_mm, tables.tags, settings.bins, settings.families, settings.backend
+        )
+    return record, {"localisation": located - began, "features": perf_counter() - located}
+
+
+def _make_given_columns(job: MeasurementJob) -> Record:
+    """Make the columns of a radiograph with linear pixels and known side and pixel size."""
+    said = {"film_side": job.side, "film_polarity": "linear"}
+    return said | {"film_pixel_from": "given", "film_pixel_mm": job.pixel_mm}
+
+
+def _count_knees(
+    density: Array, record: Record, pixel_mm: float, templates: Sequence[Template], table: LocalisationSettings
+) -> str:
+    """Count the knees on a radiograph in which one was found; return "one" or "two", or "" if none was found.
+
+    `density` (rows, cols) has square pixels, in any unit, whose size is `pixel_mm`.
+    """
+    if record["status"] != "found":
+        return ""
+    two = has_second_knee(density, str(record["film_side"]), float(record["col_px"]), pixel_mm, templates, table)
+    return "two" if two else "one"
+
+
+def _make_record(job: MeasurementJob, joint: JointLocation, region: Array | None) -> Record:
+    """Make the columns of the localisation; the status is "leaves image" if the region does not fit."""
+    status = "leaves image" if joint.status == "found" and region is None else joint.status
+    record: Record = {"radiograph": job.radiograph, "sha256": job.sha256, "status": status}
+    record |= {"film_side": joint.side, "film_polarity": joint.polarity}
+    record |= {"film_pixel_from": joint.pixel_mm_source, "film_pixel_mm": joint.pixel_mm}
+    return record | {"row_px": joint.row, "col_px": joint.col, **{name: getattr(joint, name) for name in SCORE_COLUMNS}}
+
+
+def locate_joint_in_display(
+    pixels: Array, templates: Sequence[Template], table: LocalisationSettings, side: str | None, pixel_mm: float | None
+) -> JointLocation:
+    """Locate the joint in a displayed radiograph; see `locate_joint_in_film`.
+
+    Parameters
+    ----------
+    pixels : (rows, cols) array, grey
+        Grey values, 0 to 1, of either polarity.
+    templates : sequence of Template
+        Template radiographs.
+    table : LocalisationSettings
+        Search settings and thresholds.
+    side : {"right", "left"} or None
+        Side of the knee; None if it is not known.
+    pixel_mm : float or None
+        Pixel size, in mm; None if it is not known.
+
+    Returns
+    -------
+    JointLocation
+        Location, in the pixels of the radiograph.
+
+    Raises
+    ------
+    InputError
+        `locate_joint` raises an InputError.
+    """
+    step = 1 if pixel_mm is None else max(1, int(MAX_SEARCH_PIXEL_MM / pixel_mm))
+    if step == 1:
+        return locate_joint_in_film(pixels, templates, table, side=side, pixel_mm=pixel_mm)
+    assert pixel_mm is not None
+    joint = locate_joint(downsample_by_blocks(pixels, step), templates, table, side=side, pixel_mm=pixel_mm * step)
+    return scale_to_full_resolution(joint, step, pixel_mm)
+
+
+def cut_resampled_region(
+    pixels: NDArray[np.integer | np.floating], joint: JointLocation, pixel_mm: float, region_px: int
+) -> Array | None:
+    """Cut out the square region about the joint line at another pixel size, without aliasing.
+
+    A Gaussian removes detail that the new pixel size cannot represent. Cubic splines interpolate between pixels.
+
+    Parameters
+    ----------
+    pixels : (rows, cols) array, any unit
+        Displayed or linear pixels.
+    joint : JointLocation
+        Location of the joint line.
+    pixel_mm : float
+        Pixel size of the region, in mm.
+    region_px : int
+        Side of the region, in pixels of that size.
+
+    Returns
+    -------
+    (region_px, region_px) array or None
+        Region with the joint line at the centre of pixel region_px // 2; None if it extends beyond the image.
+    """
+    pixels, ratio = resample_to_square_pixels(pixels, joint.pixel_height), pixel_mm / joint.pixel_mm
+    offsets = (np.arange(region_px) - region_px // 2) * ratio
+    rows, cols = joint.square_pixel_row + offsets, joint.col + offsets
+    for places, length in ((rows, pixels.shape[0]), (cols, pixels.shape[1])):
+        if places[0] < -0.5 or places[-1] > length - 0.5:
+            return None
+    soft = pixels.astype(np.float64)
+    if ratio > 1.0:
+        soft = ndimage.gaussian_filter(soft, 0.5 * np.sqrt(ratio**2 - 1.0), mode="nearest")
+    return np.asarray(
+        ndimage.map_coordinates(soft, np.meshgrid(rows, cols, indexing="ij"), order=3, mode="nearest"), np.float64
+    )
+
+
+def match_template_histogram(region: Array, template: Template, pixel_mm: float) -> NDArray[np.uint16]:
+    """Give a displayed region the histogram of the same region in the template (Gonzalez and Woods 2018, 3.3).
+
+    The tone curve of a displayed radiograph is unknown: any increasing curve may relate signal and grey value.
+    Histogram matching removes it, except where it is flat. First-order features then carry no information, since they
+    are those of the template.
+
+    Parameters
+    ----------
+    region : (size, size) array, grey
+        Displayed grey values, bone bright.
+    template : Template
+        Template whose signal gives the histogram.
+    pixel_mm : float
+        Pixel size of the region, in mm.
+
+    Returns
+    -------
+    (size, size) uint16 array
+        Estimated linear signal, DN.
+    """
+    half_mm = region.shape[0] * pixel_mm / 2
+    signal = _cut_template_region(template, half_mm)
+    matched = match_histograms(-region, signal)
+    return np.clip(np.rint(matched), 0, 65535).astype(np.uint16)
+
+
+def _cut_template_region(template: Template, half_mm: float) -> Array:
+    """Cut out the linear signal (rows, cols) of a template within a distance of its joint line, in mm."""
+    reach = half_mm / template.pixel_mm
+    top, left = (max(0, round(at - reach)) for at in (template.row, template.col))
+    bottom, right = (round(at + reach) for at in (template.row, template.col))
+    return np.asarray(template.pixels[top:bottom, left:right], np.float64)

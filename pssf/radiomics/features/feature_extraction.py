@@ -1,0 +1,200 @@
+"""Feature extraction: radiomic features of one region, by one of the backends, under their pyradiomics names."""
+
+from collections.abc import Collection
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.checks import Array, InputError, require_choice
+from .bone_mask import segment_bone
+from .feature_backends import default_backend, require_backend
+from .feature_families import FAMILIES, TEXTURES
+from .ibsi_tags import IbsiTags
+
+# Shift and scale of grey values do not change these features, so those of the z-score would be duplicates. Entropy and
+# Uniformity of the z-score would also depend on its last bit, where a grey value is at the edge of a bin.
+_AFFINE_INVARIANT = ("Entropy", "Uniformity", "Skewness", "Kurtosis")
+
+
+class FeatureExtractor(Protocol):
+    """A backend that measures features."""
+
+    def first_order(
+        self,
+        values: NDArray[np.generic],
+        pixel_mm: float,
+        bins: int,
+        leave_out: Collection[str] = (),
+        mask: NDArray[np.bool_] | None = None,
+    ) -> dict[str, float]:
+        """Measure first-order features.
+
+        Parameters
+        ----------
+        values : (rows, cols) array, any unit
+            Grey values.
+        pixel_mm : float
+            Pixel size, in mm.
+        bins : int
+            Number of grey-level bins.
+        leave_out : collection of str
+            Names of features to leave out.
+        mask : (rows, cols) bool array or None
+            True for the pixels to measure; None measures all of them.
+
+        Returns
+        -------
+        dict of str to float
+            Feature name, without family, to value.
+        """
+
+    def shape(self, mask: NDArray[np.bool_], pixel_mm: float) -> dict[str, float]:
+        """Measure the shape of a mask in the image plane.
+
+        Parameters
+        ----------
+        mask : (rows, cols) bool array
+            True inside the shape.
+        pixel_mm : float
+            Pixel size, in mm.
+
+        Returns
+        -------
+        dict of str to float
+            Feature name, without family, to value; lengths in mm and areas in mm2.
+        """
+
+    def textures(
+        self,
+        values: NDArray[np.generic],
+        pixel_mm: float,
+        bins: int,
+        families: Collection[str],
+        mask: NDArray[np.bool_] | None = None,
+    ) -> dict[str, dict[str, float]]:
+        """Measure texture features.
+
+        Parameters
+        ----------
+        values : (rows, cols) array, any unit
+            Grey values, which are divided into equal bins from their minimum to their maximum.
+        pixel_mm : float
+            Pixel size, in mm.
+        bins : int
+            Number of grey-level bins.
+        families : collection of str
+            Families of texture features.
+        mask : (rows, cols) bool array or None
+            True for the pixels to measure; None measures all of them.
+
+        Returns
+        -------
+        dict of str to dict of str to float
+            Family to feature name, without family, to value.
+        """
+
+
+def extract_features(
+    region: NDArray[np.generic],
+    pixel_mm: float,
+    tags: IbsiTags,
+    bins: int = 64,
+    families: Collection[str] = FAMILIES,
+    backend: str | None = None,
+    mask: NDArray[np.bool_] | None = None,
+) -> dict[str, float]:
+    """Measure the features of a region, under names such as `glcm_Contrast`.
+
+    First-order features are measured twice: of the linear signal (`firstorder_linear_*`), and of its z-score over the
+    region (`firstorder_z_*`). Shape features are those of the bone in the region. Texture features are measured from
+    the integers in equal bins from minimum to maximum, so that gain and offset do not affect them.
+
+    Parameters
+    ----------
+    region : (size, size) integer array, DN
+        Linear signal.
+    pixel_mm : float
+        Pixel size, in mm.
+    tags : dict of str to dict of str to str
+        Family to feature to its IBSI tag, by which MIRP features are identified; see `load_ibsi_tags`.
+    bins : int
+        Number of grey-level bins. A power of two keeps the edges of the bins exact.
+    families : collection of str
+        Any of FAMILIES. Families that are left out cost no time.
+    backend : {"pyradiomics", "mirp"} or None
+        Library that measures; None for the first that is installed.
+    mask : (size, size) bool array or None
+        True for the pixels to measure, whose shape is measured too; None measures all pixels, and the shape of the
+        bone.
+
+    Returns
+    -------
+    dict of str to float
+        Feature name to value.
+
+    Raises
+    ------
+    InputError
+        The grey values are not integers, a family is unknown, or the backend is not installed.
+    """
+    if not np.issubdtype(region.dtype, np.integer):
+        raise InputError(f"region must be of integers, got {region.dtype}: bins of floats depend on their last bit")
+    for name in families:
+        require_choice("family", name, FAMILIES)
+    by = load_extractor(default_backend() if backend is None else backend, tags)
+    values: dict[str, float] = {}
+    if "firstorder" in families:
+        values |= _prefix_names("firstorder_linear", by.first_order(region, pixel_mm, bins, mask=mask))
+        values |= _prefix_names(
+            "firstorder_z", by.first_order(_compute_z_score(region, mask), pixel_mm, bins, _AFFINE_INVARIANT, mask)
+        )
+    if "shape2D" in families:
+        values |= _prefix_names("shape2D", by.shape(segment_bone(region, pixel_mm) if mask is None else mask, pixel_mm))
+    of_texture = [name for name in TEXTURES if name in families]
+    for name, of_family in by.textures(region, pixel_mm, bins, of_texture, mask).items():
+        values |= _prefix_names(name, of_family)
+    return values
+
+
+def load_extractor(backend: str, tags: IbsiTags) -> FeatureExtractor:
+    """Load the extractor of a backend.
+
+    Parameters
+    ----------
+    backend : str
+        One of BACKENDS.
+    tags : dict of str to dict of str to str
+        Family to feature to its IBSI tag; see `load_ibsi_tags`.
+
+    Returns
+    -------
+    FeatureExtractor
+        Extractor of the backend.
+
+    Raises
+    ------
+    InputError
+        The backend is unknown, or is not installed.
+    """
+    require_backend(backend)
+    if backend == "mirp":
+        from .mirp_backend import MirpExtractor
+
+        return MirpExtractor(tags)
+    from . import pyradiomics_backend
+
+    return pyradiomics_backend
+
+
+def _prefix_names(prefix: str, values: dict[str, float]) -> dict[str, float]:
+    """Add a family to the names of features."""
+    return {f"{prefix}_{name}": value for name, value in values.items()}
+
+
+def _compute_z_score(region: NDArray[np.generic], mask: NDArray[np.bool_] | None) -> Array:
+    """Scale values (size, size) to mean 0 and standard deviation 1 over the mask; zeros for a constant region."""
+    values = region.astype(np.float64)
+    measured = values if mask is None else values[mask]
+    spread = measured.std()
+    return (values - measured.mean()) / spread if spread > 0 else np.zeros(region.shape)

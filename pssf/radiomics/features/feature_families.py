@@ -1,0 +1,20 @@
+"""Feature families: their names, and the family of a feature."""
+
+FAMILIES = ("firstorder", "shape2D", "glcm", "glrlm", "glszm", "ngtdm", "gldm")
+TEXTURES = tuple(name for name in FAMILIES if name not in ("firstorder", "shape2D"))
+
+
+def feature_family(name: str) -> str:
+    """Return the family of a feature.
+
+    Parameters
+    ----------
+    name : str
+        Feature name, such as glcm_Contrast.
+
+    Returns
+    -------
+    str
+        One of FAMILIES.
+    """
+    return name.split("_", 1)[0]

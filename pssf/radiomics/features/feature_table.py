@@ -1,0 +1,275 @@
+"""Feature table: one record per radiograph, with location and features. Records of an earlier run are reused."""
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.processes.execution import Execution
+from ...core.processes.parallel_map import map_in_parallel
+from ...core.stage_timer import make_interval_check
+from ...data.code_hash import compute_code_hashes, require_same_code
+from ..localisation.joint_localisation import locate_joint_in_radiograph
+from ..localisation.region_of_interest import cut_region
+from ..localisation.templates import Template
+from ..radiomics_tables import RadiomicsTables
+from .feature_backends import BACKENDS, default_backend
+from .feature_extraction import extract_features
+from .feature_families import FAMILIES
+
+Record = dict[str, Any]
+LoadPixels = Callable[[str], NDArray[np.uint16]]
+Measurement = tuple[Record, dict[str, float]]
+# Further columns of a displayed radiograph, about what was given or estimated.
+FILM_COLUMNS = ("film_side", "film_polarity", "film_pixel_from", "film_knees")
+TEXT_COLUMNS = ("radiograph", "sha256", "settings", "checksum", "status", *FILM_COLUMNS)
+SCORE_COLUMNS = ("score", "compartment_score", "side_margin", "orientation_margin", "scale")
+NON_FEATURE_COLUMNS = (*TEXT_COLUMNS, "row_px", "col_px", "film_pixel_mm", *SCORE_COLUMNS)
+# A record also depends on the code and tables of these packages, on readers of files too.
+_CODE_PACKAGES = ("core", "data", "detector", "io", "radiomics")
+_LIBRARIES = ("numpy", "scikit-image", "scipy")
+# Interval between two calls of `save`, in seconds.
+SAVE_INTERVAL_S = 10
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasurementJob:
+    """One radiograph to measure.
+
+    Attributes
+    ----------
+    radiograph : str
+        Name of the radiograph.
+    file : str
+        File name that the loader gets.
+    sha256 : str
+        SHA-256 of the file.
+    side : {"right", "left"} or None
+        Side of the knee; None only for a patient radiograph whose side is not known.
+    pixel_mm : float or None
+        Pixel size, in mm; None only for a patient radiograph whose pixel size is not known.
+    """
+
+    radiograph: str
+    file: str
+    sha256: str
+    side: str | None
+    pixel_mm: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExtractionSettings:
+    """Settings for the measurement of linear pixels: everything, except pixels, that a record depends on.
+
+    Parameters
+    ----------
+    region_px : int
+        Side of the region, in pixels.
+    bins : int
+        Number of grey-level bins.
+    families : tuple of str
+        Families of features.
+    backend : str
+        "pyradiomics" or "mirp"; by default the first that is installed.
+    """
+
+    region_px: int = 512
+    bins: int = 64
+    families: tuple[str, ...] = FAMILIES
+    backend: str = field(default_factory=default_backend)
+
+
+def measure_radiographs(
+    jobs: Sequence[MeasurementJob],
+    *,
+    load_pixels: Callable[[str], Any],
+    templates: Sequence[Template],
+    settings: Any,
+    tables: RadiomicsTables,
+    execution: Execution | None = None,
+    known_records: Mapping[str, Record] | None = None,
+    save: Callable[[list[Record]], None] = lambda records: None,
+    measure_job: Callable[..., Measurement] | None = None,
+    stage_name: str = "regions and features",
+) -> tuple[list[Record], dict[str, float]]:
+    """Measure radiographs in parallel, and reuse records of an earlier run.
+
+    Parameters
+    ----------
+    jobs : sequence of MeasurementJob
+        Radiographs to measure.
+    load_pixels : callable
+        Function of the file name that returns the pixels (rows, cols), or another input of `measure_job`. It must be
+        picklable for several workers.
+    templates : sequence of Template
+        Template radiographs.
+    settings : ExtractionSettings or other settings of `measure_job`
+        Settings of the measurement.
+    tables : RadiomicsTables
+        Settings of the localisation, and feature tags.
+    execution : Execution or None
+        Workers and progress display; None for one process without display.
+    known_records : dict of str to dict, or None
+        SHA-256 to record of an earlier run. A record is reused if its settings are the same and its checksum is
+        correct.
+    save : callable
+        Function that gets the list of all records so far, at intervals, so that an interrupted run can continue.
+    measure_job : callable or None
+        Function that measures one radiograph; None for `measure_radiograph`.
+    stage_name : str
+        Label of the progress display.
+
+    Returns
+    -------
+    records : list of dict
+        Records in the order of the jobs, whichever worker measured them.
+    seconds : dict of str to float
+        Total run time of the steps "localisation" and "features".
+
+    Raises
+    ------
+    InputError
+        A worker has other code.
+    WorkersLostError
+        Workers are killed repeatedly.
+    """
+    execution, key = execution or Execution(), hash_settings(templates, settings)
+    known_records = {sha: record for sha, record in (known_records or {}).items() if _is_current(record, key)}
+    records: dict[int, Record] = {}
+    for index, job in enumerate(jobs):
+        if job.sha256 in known_records:
+            records[index] = {**known_records[job.sha256], "radiograph": job.radiograph}
+    missing = [index for index in range(len(jobs)) if index not in records]
+    seconds = {"localisation": 0.0, "features": 0.0}
+    due = make_interval_check(SAVE_INTERVAL_S)
+
+    def arrived(nth: int, result: tuple[Record, dict[str, float]]) -> None:
+        record = {**result[0], "settings": key}
+        records[missing[nth]] = {**record, "checksum": _checksum(record)}
+        for step, spent in result[1].items():
+            seconds[step] += spent
+        stage.advance()
+        if due():
+            save([records[index] for index in sorted(records)])
+
+    with execution.stage(stage_name, "radiographs", len(jobs)) as stage:
+        stage.add_already_done(len(records))
+        shared = {"load_pixels": load_pixels, "templates": templates, "settings": settings, "tables": tables}
+        map_in_parallel(
+            measure_job or measure_radiograph,
+            [jobs[index] for index in missing],
+            shared=shared | {"code": compute_code_hashes(_CODE_PACKAGES)},
+            workers=execution.workers,
+            scheduler=execution.scheduler,
+            on_result=arrived,
+        )
+        in_order = [records[index] for index in range(len(jobs))]
+        save(in_order)
+    return in_order, seconds
+
+
+def measure_radiograph(
+    job: MeasurementJob,
+    *,
+    load_pixels: LoadPixels,
+    templates: Sequence[Template],
+    settings: ExtractionSettings,
+    tables: RadiomicsTables,
+    code: Mapping[str, str],
+) -> Measurement:
+    """Measure one radiograph with linear pixels.
+
+    A rejected match has its position and score in the record, and no features.
+
+    Parameters
+    ----------
+    job : MeasurementJob
+        Radiograph to measure, with known side and pixel size.
+    load_pixels : callable
+        Function of the file name that returns linear pixels (rows, cols), DN.
+    templates : sequence of Template
+        Template radiographs.
+    settings : ExtractionSettings
+        Settings of the measurement.
+    tables : RadiomicsTables
+        Settings of the localisation, and feature tags.
+    code : dict of str to str
+        Hashes of the code where the run started, from `compute_code_hashes`.
+
+    Returns
+    -------
+    record : dict of str to object
+        Location, scores and features by column name.
+    seconds : dict of str to float
+        Run time of the steps "localisation" and "features".
+
+    Raises
+    ------
+    InputError
+        The code on this machine is another.
+    """
+    require_same_code(code)
+    assert job.side is not None
+    assert job.pixel_mm is not None
+    began = perf_counter()
+    pixels = load_pixels(job.file)
+    joint = locate_joint_in_radiograph(
+        pixels, templates, tables.localisation, side=job.side, pixel_mm=job.pixel_mm, region_px=settings.region_px
+    )
+    located = perf_counter()
+    record: Record = {
+        "radiograph": job.radiograph,
+        "sha256": job.sha256,
+        "status": joint.status,
+        "row_px": joint.row,
+        "col_px": joint.col,
+        **{name: getattr(joint, name) for name in SCORE_COLUMNS},
+    }
+    if joint.status == "found":
+        region = cut_region(pixels, joint.row, joint.col, settings.region_px)
+        record |= extract_features(
+            region, job.pixel_mm, tables.tags, settings.bins, settings.families, settings.backend
+        )
+    return record, {"localisation": located - began, "features": perf_counter() - located}
+
+
+def hash_settings(templates: Sequence[Template], settings: Any) -> str:
+    """Compute a hash of everything, except the pixels, that a record depends on, code and libraries included.
+
+    Parameters
+    ----------
+    templates : sequence of Template
+        Template radiographs.
+    settings : ExtractionSettings or DisplayExtractionSettings
+        Settings of the measurement.
+
+    Returns
+    -------
+    str
+        16 hexadecimal digits.
+    """
+    libraries = (*_LIBRARIES, *BACKENDS[settings.backend].libraries)
+    at = [template.scalar_values for template in templates]
+    facts = [vars(settings), at, compute_code_hashes(_CODE_PACKAGES), {name: version(name) for name in libraries}]
+    digest = hashlib.sha256(json.dumps(facts).encode())
+    for template in templates:
+        digest.update(template.pixel_bytes)
+    return digest.hexdigest()[:16]
+
+
+def _is_current(record: Mapping[str, Any], key: str) -> bool:
+    """Return whether a record has the current settings and a correct checksum."""
+    return record.get("settings") == key and record.get("checksum") == _checksum(record)
+
+
+def _checksum(record: Mapping[str, Any]) -> str:
+    """Compute the checksum of a record without its name; NaN counts as missing."""
+    texts = {name: value if name in TEXT_COLUMNS else repr(float(value)) for name, value in sorted(record.items())}
+    kept = {name: value for name, value in texts.items() if value != "nan" and name not in ("radiograph", "checksum")}
+    return hashlib.sha256(json.dumps(kept).encode()).hexdigest()[:16]

@@ -1,0 +1,1 @@
+"""Localisation of the medial joint line in radiographs, by the correlation of edges with templates."""

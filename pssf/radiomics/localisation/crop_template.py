@@ -1,0 +1,54 @@
+"""Reduced templates: only the part that localisation reads, so that a saved model can include them."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ...core.resample import downsample_by_blocks
+from ...data.analysis.localisation_table import LocalisationSettings
+from .templates import MAX_SEARCH_PIXEL_MM, Template
+
+# Margin about a patch, in tiles of its edge comparison.
+_TILES = 2.0
+# Factor of the size of a patch that blur and rotations need, dimensionless.
+_MORE = 1.15
+
+
+def crop_template(template: Template, region_mm: float, table: LocalisationSettings) -> Template:
+    """Reduce a template to the pixel size and the area that localisation uses.
+
+    Localisation with the result agrees with that of the full template, up to rounding.
+
+    Parameters
+    ----------
+    template : Template
+        Template to reduce.
+    region_mm : float
+        Side of the region about the joint line that must remain too, in mm, as far as the template covers it.
+    table : LocalisationSettings
+        Search settings, which give the area.
+
+    Returns
+    -------
+    Template
+        Reduced template.
+    """
+    laws = (table.wide, table.narrow)
+    half = region_mm / 2
+    up, down, side = (
+        max(half, *(_MORE * (extent(law) + _TILES * law.tile_mm + 2 * law.pitch_mm) for law in laws))
+        for extent in (
+            lambda law: law.up_mm,
+            lambda law: law.down_mm,
+            lambda law: max(law.lateral_mm, law.medial_mm),
+        )
+    )
+    step = max(1, int(MAX_SEARCH_PIXEL_MM / template.pixel_mm))
+    pixels = downsample_by_blocks(template.pixels, step)
+    row, col = ((at - (step - 1) / 2) / step for at in (template.row, template.col))
+    pitch = template.pixel_mm * step
+    top, left = max(0, int(row - up / pitch)), max(0, int(col - side / pitch))
+    cut = pixels[top : int(row + down / pitch) + 2, left : int(col + side / pitch) + 2]
+    return replace(
+        template, pixels=np.ascontiguousarray(cut, np.float32), row=row - top, col=col - left, pixel_mm=pitch
+    )

@@ -1,0 +1,207 @@
+"""Candidates of the joint: the best matches of the whole joint, each with the best medial compartment near it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...core.checks import Array
+from ...data.analysis.localisation_table import LocalisationSettings
+from .edge_field import Pyramid
+from .template_matching import Match, compute_score_maps, fit_peak_offset
+from .templates import Template, make_poses
+
+
+@dataclass(frozen=True, kw_only=True)
+class MatchPair:
+    """A match of the whole joint, and the best match of the medial compartment near it.
+
+    Attributes
+    ----------
+    joint_match : Match
+        Match of the whole joint.
+    compartment_match : Match
+        Match of the medial compartment.
+    """
+
+    joint_match: Match
+    compartment_match: Match
+
+    @property
+    def mean_score(self) -> float:
+        """Mean of both scores, dimensionless."""
+        return (self.joint_match.score + self.compartment_match.score) / 2
+
+    @property
+    def excess(self) -> float:
+        """Sum of both scores, each minus its score by chance, dimensionless."""
+        return self.joint_match.excess + self.compartment_match.excess
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Candidates:
+    """Matches of the whole joint in an image, of all sizes, sides and orientations.
+
+    Attributes
+    ----------
+    image : Pyramid
+        Image that is searched.
+    templates : tuple of Template
+        Template radiographs of the medial compartment.
+    matches : sequence of Match
+        Matches of the whole joint.
+    table : LocalisationSettings
+        Search settings and thresholds.
+    chance_slope : float
+        Increase of the chance score of a compartment match with the natural logarithm of the pixel size.
+    """
+
+    image: Pyramid
+    templates: tuple[Template, ...]
+    matches: Sequence[Match]
+    table: LocalisationSettings
+    chance_slope: float
+
+    def select_pair(self, way: str, side: str) -> MatchPair:
+        """Select the best of the leading whole-joint matches of a side, judged together with its medial compartment.
+
+        A knee of a wrong size can match as a whole about as well as one of the right size whose shape differs from the
+        templates. Its medial compartment does not.
+
+        Parameters
+        ----------
+        way : {"upright", "upside down"}
+            Orientation.
+        side : {"right", "left"}
+            Side.
+
+        Returns
+        -------
+        MatchPair
+            Best pair.
+        """
+        return max((self._make_pair(wide) for wide in self._select_candidates(way, side)), key=lambda pair: pair.excess)
+
+    def highest_score(self, way: str, *sides: str) -> float:
+        """Return the highest whole-joint score of an orientation and some sides.
+
+        Parameters
+        ----------
+        way : {"upright", "upside down"}
+            Orientation.
+        *sides : str
+            Sides to include.
+
+        Returns
+        -------
+        float
+            Highest score, dimensionless.
+        """
+        return max(match.score for match in self.matches if match.orientation == way and match.side in sides)
+
+    def _make_pair(self, wide: Match) -> MatchPair:
+        """Make a pair from a whole-joint match and the best medial compartment near it."""
+        narrow = _find_compartment_match(self.image, self.templates, wide, self.table)
+        return MatchPair(
+            joint_match=wide,
+            compartment_match=replace(narrow, chance_score=self.chance_slope * float(np.log(wide.template_mm_per_px))),
+        )
+
+    def _select_candidates(self, way: str, side: str) -> list[Match]:
+        """Select the best whole-joint match, and nearly as good ones at other positions or of other sizes."""
+        search, few = self.table.search, list[Match]()
+        of = sorted(
+            (m for m in self.matches if (m.orientation, m.side) == (way, side)), key=lambda match: -match.excess
+        )
+        for match in of:
+            if len(few) == search.candidates or match.excess < of[0].excess - search.max_score_deficit:
+                break
+            if not any(_is_same_place(match, one, self.table) for one in few):
+                few.append(match)
+        return [_interpolate_size(match, self.matches) for match in few]
+
+
+def relative_margin(score: float, other: float) -> float:
+    """Compute the margin of a score above another, relative to what the higher of both leaves unexplained.
+
+    Parameters
+    ----------
+    score : float
+        Score, at most 1.
+    other : float
+        Score to compare with, at most 1.
+
+    Returns
+    -------
+    float
+        Relative margin, dimensionless; negative if `other` is higher.
+    """
+    return (score - other) / max(1.0 - max(score, other), 1e-6)
+
+
+def _is_same_place(one: Match, other: Match, table: LocalisationSettings) -> bool:
+    """Return whether the compartment searches of two matches would cover about the same position and size."""
+    away_mm = np.hypot(one.row - other.row, one.col - other.col) * other.template_mm_per_px
+    sizes = abs(np.log(one.template_mm_per_px / other.template_mm_per_px))
+    same = away_mm <= table.search.reach_mm and sizes <= 2 * np.log(table.search.scale_step)
+    return bool(same) and one.polarity == other.polarity
+
+
+def _interpolate_size(best: Match, matches: Sequence[Match]) -> Match:
+    """Refine the size of a match to the vertex of the scores of its own and the two adjacent sizes."""
+    alike = [m for m in matches if (m.side, m.orientation, m.polarity) == (best.side, best.orientation, best.polarity)]
+    sizes = sorted(alike, key=lambda match: match.template_mm_per_px)
+    at = sizes.index(best)
+    offset = float(np.clip(fit_peak_offset(np.array([match.score for match in sizes]), at), -1.0, 1.0))
+    if offset == 0.0:
+        return best
+    neighbour = sizes[at + (1 if offset > 0 else -1)].template_mm_per_px
+    return replace(
+        best, template_mm_per_px=best.template_mm_per_px * (neighbour / best.template_mm_per_px) ** abs(offset)
+    )
+
+
+def _find_compartment_match(
+    image: Pyramid, templates: tuple[Template, ...], wide: Match, table: LocalisationSettings
+) -> Match:
+    """Find the best match of the medial compartment within reach of a whole-joint match."""
+    law, best = table.narrow, replace(wide, score=-1.0)
+    ours = [
+        pose for pose in make_poses(templates, law) if (pose.side, pose.orientation) == (wide.side, wide.orientation)
+    ]
+    extent_mm = max(law.up_mm, law.down_mm, law.lateral_mm, law.medial_mm) + table.search.reach_mm + 2 * law.tile_mm
+    (top, bottom), (left, right) = (
+        (max(0, int(at - extent_mm / wide.template_mm_per_px)), int(at + extent_mm / wide.template_mm_per_px) + 2)
+        for at in (wide.row, wide.col)
+    )
+    near = Pyramid(image.levels[0][top:bottom, left:right])
+    sign = 1.0 if wide.polarity == "bone bright" else -1.0
+    for scale in table.search.narrow_scales:
+        zoom = wide.template_mm_per_px / scale / law.pitch_mm
+        field = near.edges(zoom, law.tile_mm / law.pitch_mm)
+        rows, cols = (
+            (np.arange(length) + 0.5) / zoom - 0.5 + start
+            for length, start in zip(field.shape[1:], (top, left), strict=True)
+        )
+        reach = table.search.reach_mm / wide.template_mm_per_px
+        within = (_slice_within_reach(rows, wide.row, reach), _slice_within_reach(cols, wide.col, reach))
+        rows, cols = rows[within[0]], cols[within[1]]
+        away = np.hypot(rows[:, None] - wide.row, cols - wide.col)
+        for _, maps in compute_score_maps(field, ours, within):
+            allowed = np.where(away <= reach, sign * maps, -1.0)
+            patch, row, col = (int(at) for at in np.unravel_index(np.argmax(allowed), allowed.shape))
+            peak = allowed[patch]
+            if peak[row, col] > best.score:
+                best = replace(
+                    wide,
+                    score=float(peak[row, col]),
+                    row=float(rows[row] + fit_peak_offset(peak[:, col], row) / zoom),
+                    col=float(cols[col] + fit_peak_offset(peak[row], col) / zoom),
+                )
+    return best
+
+
+def _slice_within_reach(positions: Array, centre: float, reach: float) -> slice:
+    """Return the slice of ascending positions within a reach, with one more position at each end."""
+    first, last = np.searchsorted(positions, (centre - reach, centre + reach))
+    return slice(max(0, int(first) - 1), min(len(positions), int(last) + 1))

@@ -1,0 +1,66 @@
+"""Region of interest: a square about the medial joint line."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.checks import InputError
+
+
+def cut_region(pixels: NDArray[np.generic], row: float, col: float, size: int = 512) -> NDArray[np.generic]:
+    """Cut out a square region about a position, rounded to whole pixels.
+
+    Parameters
+    ----------
+    pixels : (rows, cols) array, any unit
+        Image.
+    row : float
+        Row of the centre, in pixels.
+    col : float
+        Column of the centre, in pixels.
+    size : int
+        Side of the region, in pixels.
+
+    Returns
+    -------
+    (size, size) array
+        View of the image.
+
+    Raises
+    ------
+    InputError
+        The region extends beyond the image.
+    """
+    if not region_fits(pixels.shape, row, col, size):
+        raise InputError(
+            f"region of {size} px must fit into the image of {pixels.shape} px, got centre ({row:.0f}, {col:.0f})"
+        )
+    top, left = _top_left_corner(row, col, size)
+    return pixels[top : top + size, left : left + size]
+
+
+def region_fits(shape: tuple[int, ...], row: float, col: float, size: int) -> bool:
+    """Return whether a region is inside an image; see `cut_region`.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Rows and columns of the image.
+    row : float
+        Row of the centre, in pixels.
+    col : float
+        Column of the centre, in pixels.
+    size : int
+        Side of the region, in pixels.
+
+    Returns
+    -------
+    bool
+        True if the whole region is inside.
+    """
+    top, left = _top_left_corner(row, col, size)
+    return 0 <= top <= shape[0] - size and 0 <= left <= shape[1] - size
+
+
+def _top_left_corner(row: float, col: float, size: int) -> tuple[int, int]:
+    """Return row and column of the first pixel of a region."""
+    return round(row) - size // 2, round(col) - size // 2

@@ -1,0 +1,240 @@
+"""Crossings of rays with surfaces, in order along each ray; lengths and density integrals between them."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.checks import Array
+from ...core.numba_kernel import kernel
+from ...geometry.density import Density, integrate_along_segments
+from .projected_surface import RayFrame
+
+
+class Window(NamedTuple):
+    """Rectangle of pixels in an image.
+
+    Attributes
+    ----------
+    row, col : int
+        First row and first column.
+    rows, cols : int
+        Number of rows and columns.
+    """
+
+    row: int
+    col: int
+    rows: int
+    cols: int
+
+
+class Crossings(NamedTuple):
+    """Crossings of the rays to a window of pixels with one surface.
+
+    Attributes
+    ----------
+    window : Window
+        Pixels of the rays.
+    starts : (rows x cols + 1,) int64 array
+        Index of the first crossing of each pixel; the last entry is the number of crossings.
+    depth : (n,) float64 array, dimensionless
+        Fraction of the way from the source to the pixel, in ascending order along each ray.
+    sign : (n,) int8 array
+        +1 where the ray leaves the surface, -1 where it enters.
+    """
+
+    window: Window
+    starts: NDArray[np.int64]
+    depth: Array
+    sign: NDArray[np.int8]
+
+
+class _Segments(NamedTuple):
+    """Segments of rays inside a surface: end points (n, 3) in mm, pixels (n,) and weights (n,).
+
+    A weight is the number of times that the surface encloses the segment, over the length of the ray in mm.
+    """
+
+    starts_mm: Array
+    ends_mm: Array
+    pixels: NDArray[np.int64]
+    weights: Array
+
+
+def allocate_crossings(window: Window, crossing_counts: NDArray[np.integer]) -> Crossings:
+    """Allocate crossings whose numbers are known and whose depths and signs are not.
+
+    Parameters
+    ----------
+    window : Window
+        Pixels of the rays.
+    crossing_counts : (rows, cols) integer array
+        Number of crossings of each ray.
+
+    Returns
+    -------
+    Crossings
+        Crossings with final `starts` and uninitialised `depth` and `sign`.
+    """
+    starts = np.zeros(crossing_counts.size + 1, np.int64)
+    np.cumsum(crossing_counts, out=starts[1:])
+    return Crossings(window, starts, np.empty(starts[-1]), np.empty(starts[-1], np.int8))
+
+
+def merge_crossings(parts: Sequence[tuple[Crossings, int]]) -> Crossings:
+    """Merge the crossings of several surfaces into those of one.
+
+    The merged surface encloses what the parts with factor +1 enclose, without what the parts with factor -1 enclose.
+
+    Parameters
+    ----------
+    parts : sequence of (Crossings, int)
+        Crossings of each surface, with the factor +1 or -1.
+
+    Returns
+    -------
+    Crossings
+        Crossings in the smallest window that holds all parts, sorted by depth along each ray.
+    """
+    if len(parts) == 1 and parts[0][1] == 1:
+        return parts[0][0]
+    windows = np.array([part.window for part, _ in parts])
+    low, high = windows[:, :2].min(axis=0), (windows[:, :2] + windows[:, 2:]).max(axis=0)
+    number = np.zeros(high - low, np.int64)
+    for (part, _), (row, col, rows, cols) in zip(parts, windows - [*low, 0, 0], strict=True):
+        number[row : row + rows, col : col + cols] += np.diff(part.starts).reshape(rows, cols)
+    whole = allocate_crossings(Window(*low.tolist(), *number.shape), number)
+    free = whole.starts[:-1].copy()
+    for part, factor in parts:
+        _append_crossings(part, factor, free, whole)
+    sort_crossings(whole.starts, whole.depth, whole.sign)
+    return whole
+
+
+def chord_fractions(crossings: Crossings) -> Array:
+    """Sum the lengths of each ray inside a surface.
+
+    Parameters
+    ----------
+    crossings : Crossings
+        Crossings with the surface.
+
+    Returns
+    -------
+    (rows, cols) float64 array
+        Lengths inside, as fractions of the way from the source to the pixel.
+    """
+    out = np.empty((crossings.window.rows, crossings.window.cols))
+    _sum_depths(crossings.starts, crossings.depth, crossings.sign, out.reshape(-1))
+    return out
+
+
+def integrate_along_rays(crossings: Crossings, frame: RayFrame, density: Density) -> Array:
+    """Integrate a density along the parts of each ray inside a surface.
+
+    Parameters
+    ----------
+    crossings : Crossings
+        Crossings with the surface.
+    frame : RayFrame
+        Source and pixels of the rays.
+    density : Density
+        Relative density to integrate.
+
+    Returns
+    -------
+    (rows, cols) float64 array
+        Integrals, as fractions of the way from the source to the pixel.
+
+    Raises
+    ------
+    InputError
+        If the density does not return one finite number per segment.
+    """
+    window = crossings.window
+    most = len(crossings.depth) + len(crossings.starts) - 1
+    segments = _Segments(np.empty((most, 3)), np.empty((most, 3)), np.empty(most, np.int64), np.empty(most))
+    count = _find_segments(crossings, frame, segments)
+    lengths = integrate_along_segments(density, segments.starts_mm[:count], segments.ends_mm[:count])
+    pixels, weights = segments.pixels[:count], segments.weights[:count]
+    total = np.bincount(pixels, weights=weights * lengths, minlength=window.rows * window.cols)
+    return np.asarray(total, dtype=np.float64).reshape(window.rows, window.cols)
+
+
+@kernel()
+def sort_crossings(starts: NDArray[np.int64], depth: Array, sign: NDArray[np.int8]) -> None:
+    """Sort the crossings of each ray by depth, in place (insertion sort, since rays have few crossings).
+
+    Parameters
+    ----------
+    starts : (pixels + 1,) int64 array
+        Index of the first crossing of each pixel, as in `Crossings`.
+    depth : (n,) float64 array, dimensionless
+        Fraction of the way from the source to the pixel; sorted in place.
+    sign : (n,) int8 array
+        +1 on exit, -1 on entry; sorted together with `depth`.
+    """
+    for pixel in range(len(starts) - 1):
+        for k in range(starts[pixel] + 1, starts[pixel + 1]):
+            d, s, n = depth[k], sign[k], k
+            while n > starts[pixel] and depth[n - 1] > d:
+                depth[n], sign[n] = depth[n - 1], sign[n - 1]
+                n -= 1
+            depth[n], sign[n] = d, s
+
+
+@kernel()
+def _append_crossings(part: Crossings, factor: int, next_slot: NDArray[np.int64], whole: Crossings) -> None:
+    """Append the crossings of a part, with signs times a factor, to those of the whole.
+
+    `next_slot` (pixels,) holds the next free index of each pixel of the whole, and is advanced.
+    """
+    cols = part.window.cols
+    for pixel in range(len(part.starts) - 1):
+        row = part.window.row - whole.window.row + pixel // cols
+        place = row * whole.window.cols + part.window.col - whole.window.col + pixel % cols
+        for k in range(part.starts[pixel], part.starts[pixel + 1]):
+            n = next_slot[place]
+            whole.depth[n], whole.sign[n] = part.depth[k], factor * part.sign[k]
+            next_slot[place] = n + 1
+
+
+@kernel()
+def _sum_depths(starts: NDArray[np.int64], depth: Array, sign: NDArray[np.int8], out: Array) -> None:
+    """Sum sign x depth over the crossings of each pixel into `out` (pixels,); depths behind the detector count as 1."""
+    for pixel in range(len(out)):
+        total = 0.0
+        for k in range(starts[pixel], starts[pixel + 1]):
+            total += sign[k] * min(depth[k], 1.0)
+        out[pixel] = total
+
+
+@kernel()
+def _find_segments(crossings: Crossings, frame: RayFrame, segments: _Segments) -> int:
+    """Fill `segments` with the parts of rays inside the surface; returns their number."""
+    count, window, source, starts_mm, ends_mm = 0, crossings.window, frame.source, segments.starts_mm, segments.ends_mm
+    for pixel in range(len(crossings.starts) - 1):
+        row, col = window.row + pixel // window.cols, window.col + pixel % window.cols
+        x, y, z = (
+            frame.corner_vector.x + col * frame.pixel_mm,
+            frame.corner_vector.y,
+            frame.corner_vector.z - row * frame.pixel_mm,
+        )
+        first, stop = crossings.starts[pixel], crossings.starts[pixel + 1]
+        # A ray that leaves the surface more often than it enters started inside.
+        inside, at = 0, 0.0
+        for k in range(first, stop):
+            inside += crossings.sign[k]
+        for k in range(first, stop):
+            end = min(crossings.depth[k], 1.0)
+            if inside != 0 and end > at:
+                starts_mm[count, 0], ends_mm[count, 0] = source.x + at * x, source.x + end * x
+                starts_mm[count, 1], ends_mm[count, 1] = source.y + at * y, source.y + end * y
+                starts_mm[count, 2], ends_mm[count, 2] = source.z + at * z, source.z + end * z
+                segments.pixels[count], segments.weights[count] = pixel, inside / math.sqrt(x * x + y * y + z * z)
+                count += 1
+            inside -= crossings.sign[k]
+            at = max(end, at)
+    return count

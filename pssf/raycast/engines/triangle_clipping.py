@@ -1,0 +1,73 @@
+"""Clipping of triangles in front of the source, since no ray meets what is behind it."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.checks import Array
+
+# Smallest depth of a mesh, as a fraction of the way from the source to the detector. Projections are at most 1e7 times
+# the distance of the detector, where float64 still resolves 1e-5 pixels.
+MIN_DEPTH_FRACTION = 1e-7
+
+
+def clip_mesh_at_source(
+    points: Array, faces: NDArray[np.int32], depth: Array
+) -> tuple[Array, NDArray[np.int32], Array, NDArray[np.int64]]:
+    """Cut off the part of a mesh that is less than `MIN_DEPTH_FRACTION` deep.
+
+    Parameters
+    ----------
+    points : (n, 3) float64 array, mm
+        Vertices.
+    faces : (m, 3) int32 array
+        Vertex numbers of the faces.
+    depth : (n,) float64 array, dimensionless
+        Depth of each vertex, as a fraction of the way from the source to the detector.
+
+    Returns
+    -------
+    points : (p, 3) float64 array
+        Vertices that are left, and those on the cut, in mm.
+    faces : (q, 3) int32 array
+        Faces that are left.
+    depth : (p,) float64 array
+        Depths of these vertices.
+    origin : (q,) int64 array
+        For each face, the number of the original face that it is a part of.
+    """
+    ahead = depth >= MIN_DEPTH_FRACTION
+    count = ahead[faces].sum(axis=1)
+    whole = np.flatnonzero(count == 3)
+    # The corners of a cut face are rotated: the odd one, alone ahead of the plane or alone behind it, comes first.
+    one, two = np.flatnonzero(count == 1), np.flatnonzero(count == 2)
+    odd_one, odd_two = (
+        _rotate_odd_corner_first(faces[one], ahead[faces[one]]),
+        _rotate_odd_corner_first(faces[two], ~ahead[faces[two]]),
+    )
+    cut = np.concatenate((odd_one[:, [0, 1]], odd_one[:, [2, 0]], odd_two[:, [0, 1]], odd_two[:, [2, 0]]))
+    # The two faces of an edge share the new vertex, so that the cut adds no gaps to the mesh.
+    edges, number = np.unique(np.sort(cut, axis=1), axis=0, return_inverse=True)
+    along = (MIN_DEPTH_FRACTION - depth[edges[:, 0]]) / (depth[edges[:, 1]] - depth[edges[:, 0]])
+    cuts = points[edges[:, 0]] + along[:, None] * (points[edges[:, 1]] - points[edges[:, 0]])
+    number = (number.ravel() + len(points)).astype(np.int32)
+    a, b, c, d = np.split(number, np.cumsum([len(one), len(one), len(two)]))
+    parts = (
+        faces[whole],
+        np.column_stack((odd_one[:, 0], a, b)),
+        np.column_stack((c, odd_two[:, 1], odd_two[:, 2])),
+        np.column_stack((c, odd_two[:, 2], d)),
+    )
+    kept = np.concatenate((ahead, np.ones(len(cuts), np.bool_)))
+    renumber = (np.cumsum(kept) - 1).astype(np.int32)
+    return (
+        np.concatenate((points, cuts))[kept],
+        np.ascontiguousarray(renumber[np.concatenate(parts)]),
+        np.concatenate((depth, np.full(len(cuts), MIN_DEPTH_FRACTION)))[kept],
+        np.concatenate((whole, one, two, two)),
+    )
+
+
+def _rotate_odd_corner_first(faces: NDArray[np.int32], odd: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Rotate the corners of faces (m, 3) so that the one marked in `odd` (m, 3) comes first."""
+    turn = (odd.argmax(axis=1)[:, None] + np.arange(3)) % 3
+    return np.take_along_axis(faces, turn, axis=1)

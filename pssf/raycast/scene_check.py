@@ -1,0 +1,235 @@
+"""Check a scene for faults before an image is made of it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..core.checks import Array
+from ..core.keyword_arguments import check_keywords
+from ..data.anatomy.tissue_table import DENSEST_GAS_G_PER_CM3, Tissue, load_tissues
+from ..geometry.mesh_repair import Fault
+from ..geometry.scene import (
+    HasScene,
+    Scene,
+    Surface,
+    resolve_scene,
+)
+from ..geometry.view import View, depth_fraction, resolve_view
+from ..model.protocol import Protocol
+from .density_mismatch import find_density_faults
+from .engines.projected_surface import project_surface
+from .engines.triangle_clipping import MIN_DEPTH_FRACTION
+from .negative_paths import explain_negative_path, find_shortest_paths
+from .path_lengths import OVERLAP_TOLERANCE_MM
+from .surface_overlaps import find_contradictions, find_self_overlaps
+
+# Number of sample rays along each side of the box around a scene.
+_SAMPLE_RAYS_PER_SIDE = 128
+# Distance from the source of the sample rays to the centre of the scene, in sizes of the scene.
+_SOURCE_DISTANCE_FACTOR = 7.3
+# Problem of a surface outside the field of view; the command line looks for this text.
+COVERS_NO_PIXEL = "covers no pixel"
+# Last words of a problem that is counted in sample rays.
+_SAMPLE_RAYS_LABEL = "number of sample rays affected"
+
+
+@dataclass(frozen=True)
+class Report:
+    """Faults that `check` found.
+
+    ``str(report)`` has one line per fault, or says that there are none.
+
+    Attributes
+    ----------
+    faults : tuple of Fault
+        Faults of the meshes first, in the order of `Scene.faults`, then warnings.
+    """
+
+    faults: tuple[Fault, ...]
+
+    @property
+    def ok(self) -> bool:
+        """True if `trace` accepts the scene."""
+        return not any(fault.outcome == "refused" for fault in self.faults)
+
+    def __str__(self) -> str:
+        return "\n".join(f"{fault.outcome}: {fault}" for fault in self.faults) or "no faults"
+
+
+@check_keywords()
+def check(scene: Scene | HasScene, protocol: Protocol | View | None = None) -> Report:
+    """Check a scene for faults, surface by surface.
+
+    Parameters
+    ----------
+    scene : Scene or object with a scene
+        Closed surfaces, or an object that has them, such as the result of ``build(knee)``.
+    protocol : Protocol or View, optional
+        Source and detector. With them, path lengths of that view are checked, and parts behind the source, behind the
+        detector or outside the field are reported. Without them, paths are checked along 128 x 128 rays through the
+        scene.
+
+    Returns
+    -------
+    Report
+        All faults. ``report.ok`` is True if `trace` accepts the scene.
+
+    Raises
+    ------
+    InputError
+        If `scene` is no scene, or `protocol` is neither a Protocol nor a View.
+
+    See Also
+    --------
+    trace : Compute path lengths; it raises an error for the faults with outcome "refused".
+
+    Notes
+    -----
+    Each fault has one of three outcomes:
+
+    - "refused": `trace` raises InputError.
+    - "mended": `trace` repairs the mesh.
+    - "noted": `trace` uses the scene as it is. This covers edges with more than two faces, and slightly negative paths.
+      It also covers meshes that overlap themselves, where the path counts once per turn of the mesh. Finally, it covers
+      surfaces whose outside material differs from the one that rays find there.
+
+    Materials are only names here. `simulate` raises an error for unknown ones before rays are cast.
+
+    Examples
+    --------
+    >>> import pssf, trimesh
+    >>> ball = pssf.Surface(trimesh.creation.icosphere(radius=20.0), inside="muscle", outside="air", name="ball")
+    >>> report = pssf.check(pssf.Scene([ball]), pssf.load_protocol("reference").resample(64))
+    >>> report.ok
+    True
+    >>> print(report)
+    no faults
+    """
+    scene = resolve_scene(scene)
+    view = None if protocol is None else resolve_view(protocol)
+    faults = list(scene.faults)
+    smooth = isinstance(protocol, Protocol) and protocol.texture == "none"
+    if not smooth:
+        faults += find_density_faults(scene)
+    if scene.surfaces and not any(fault.outcome == "refused" for fault in faults):
+        sample = _make_sample_view(scene.bounds_mm)
+        for surface in scene.surfaces:
+            faults += _find_nonmanifold_edges(surface)
+        faults += [
+            *_find_dense_ambient(scene, load_tissues()),
+            *_find_overlaps(scene, sample, smooth),
+            *_find_negative_paths(scene, view or sample),
+        ]
+        if view is not None:
+            faults += [fault for surface in scene.surfaces for fault in _find_parts_out_of_view(surface, view)]
+    return Report(tuple(faults))
+
+
+def _make_warning_fault(surface: str, what: str, count: int, first: tuple[object, ...], hint: str) -> Fault:
+    """Describe a fault that does not stop a trace."""
+    return Fault(surface=surface, problem=what, count=count, first_items=first, outcome="noted", hint=hint)
+
+
+def _find_nonmanifold_edges(surface: Surface) -> list[Fault]:
+    """Find edges of a mesh that have more than two faces."""
+    faces = surface.solid.faces.astype(np.int64)
+    start, end = (faces[:, order].ravel() for order in ([0, 1, 2], [1, 2, 0]))
+    keys = np.minimum(start, end) << 32 | np.maximum(start, end)
+    edges, degree = np.unique(keys, return_counts=True)
+    crowded = edges[degree > 2]
+    if not len(crowded):
+        return []
+    number = surface.solid.source_vertices
+    first = tuple(f"{number[edge >> 32]}-{number[edge & 0xFFFFFFFF]}" for edge in crowded[:3])
+    return [
+        _make_warning_fault(
+            surface.name, "edges with more than two faces", len(crowded), first, "path lengths are still correct"
+        )
+    ]
+
+
+def _find_dense_ambient(scene: Scene, tissue_table: Mapping[str, Tissue]) -> list[Fault]:
+    """Warn of an ambient material that is denser than a gas, if its density follows from its name."""
+    tissue, _, given = tissue_table.get(scene.ambient), *scene.ambient.partition("@")[1:]
+    try:
+        # A mixture of tissues states no density of its own; it is denser than any gas.
+        density = float(given) if tissue is None else tissue.density or 1.0
+    except ValueError:
+        return []
+    if density <= DENSEST_GAS_G_PER_CM3:
+        return []
+    hint = "simulate raises an error; put the scene into a closed surface of that material in air"
+    return [_make_warning_fault("ambient", f"{scene.ambient} attenuates nothing outside all surfaces", 0, (), hint)]
+
+
+def _find_overlaps(scene: Scene, sample: View, textureless: bool) -> list[Fault]:
+    """Find meshes that overlap themselves, and surfaces that contradict each other, along sample rays.
+
+    With `textureless`, differences in density alone do not count.
+    """
+    faults = []
+    for fold in find_self_overlaps(scene, sample):
+        what = (
+            f"mesh overlaps itself or has a body inside out, over up to {fold.longest_mm:.3g} mm of a ray; "
+            f"{_SAMPLE_RAYS_LABEL}"
+        )
+        name, hint = scene.surfaces[fold.surface].name, "the path counts once per turn of the mesh"
+        faults.append(_make_warning_fault(name, what, fold.rays, (), hint))
+    contrary = [one for one in find_contradictions(scene, sample) if not (textureless and one.is_density_only)]
+    pairs = {(one.surface, one.found_surface) for one in contrary}
+    for one in contrary:
+        mutual = (one.found_surface, one.surface) in pairs
+        hint = f"it and {one.found_surface} overlap" if mutual else "its outside material or its position is wrong"
+        faults.append(_make_warning_fault(one.surface, f"{one}; {_SAMPLE_RAYS_LABEL}", one.rays, (), hint))
+    return faults
+
+
+def _find_negative_paths(scene: Scene, view: View) -> list[Fault]:
+    """Find materials with negative path lengths, both within and beyond the tolerance."""
+    faults = []
+    for material, least in find_shortest_paths(scene, view).items():
+        if least.min_path_mm < -OVERLAP_TOLERANCE_MM:
+            what = f"path length is negative, down to {least.min_path_mm:.4g} mm; number of rays affected"
+            hint = (
+                f"{explain_negative_path(scene, view, material, least.row, least.col)}; "
+                f"it must be {-OVERLAP_TOLERANCE_MM:g} mm or more"
+            )
+            faults.append(
+                replace(_make_warning_fault(material, what, least.negative_rays, (), hint), outcome="refused")
+            )
+        elif least.negative_rays:
+            what = f"path length is slightly negative, down to {least.min_path_mm:.4g} mm; number of rays affected"
+            hint = "this happens where a mesh is folded; it is traced as it is"
+            faults.append(_make_warning_fault(material, what, least.negative_rays, (), hint))
+    return faults
+
+
+def _make_sample_view(bounds_mm: Array) -> View:
+    """Make a view with nearly parallel rays through a whole box, parallel to no axis."""
+    centre, size = bounds_mm.mean(axis=0), float(np.ptp(bounds_mm, axis=0).max())
+    source = centre + size * np.array([0.0137, -_SOURCE_DISTANCE_FACTOR, 0.0173])
+    magnified = (_SOURCE_DISTANCE_FACTOR + 1) / (_SOURCE_DISTANCE_FACTOR - 0.5)
+    return View(
+        source_mm=(float(source[0]), float(source[1]), float(source[2])),
+        centre_mm=(float(centre[0]), float(centre[1] + size), float(centre[2])),
+        rows=_SAMPLE_RAYS_PER_SIDE,
+        cols=_SAMPLE_RAYS_PER_SIDE,
+        pixel_mm=1.05 * magnified * size / _SAMPLE_RAYS_PER_SIDE,
+    )
+
+
+def _find_parts_out_of_view(surface: Surface, view: View) -> list[Fault]:
+    """Find parts of a surface that no ray of a view can cross."""
+    depth = depth_fraction(surface.solid.points, view)
+    sheet = project_surface(surface.solid, view)
+    faults = []
+    for what, count in (
+        ("vertices behind the source", int((depth < MIN_DEPTH_FRACTION).sum())),
+        ("vertices behind the detector", int((depth > 1).sum())),
+    ):
+        if count:
+            faults.append(_make_warning_fault(surface.name, what, count, (), "no ray crosses that part"))
+    if sheet.rows[0] >= sheet.rows[1] or sheet.cols[0] >= sheet.cols[1]:
+        faults.append(_make_warning_fault(surface.name, COVERS_NO_PIXEL, 0, (), "it is not in the image"))
+    return faults

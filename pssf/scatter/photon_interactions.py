@@ -1,0 +1,121 @@
+"""Interaction tables for the Monte Carlo (cross sections from xraylib: independent atoms, mixed by mass)."""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+import xraylib
+
+from ..core.checks import Array
+from ..data.imaging.detector_table import Detector
+from ..xray.materials import Material, absorbed_fraction
+
+# Energy below which a photon is absorbed where it is, in keV.
+CUT_OFF_KEV = 5.0
+# Step of the tables in energy, in keV; values between the nodes are interpolated linearly.
+STEP_KEV = 0.5
+# Step of the tables in momentum transfer x = sin(angle / 2) / wavelength, in 1/angstrom.
+STEP_X = 0.02
+# Planck constant times speed of light, in keV angstrom; wavelength = HC_KEV_A / energy.
+HC_KEV_A = 12.398419843
+
+
+class InteractionTables(NamedTuple):
+    """Interaction tables by material.
+
+    Energies are in steps of 0.5 keV from the cut-off at 5 keV. The momentum transfer x is in steps of 0.02 per angstrom
+    from 0.
+
+    Attributes
+    ----------
+    photoelectric, compton, rayleigh : (materials, energies) float64 array
+        Linear attenuation by each interaction, in 1/mm.
+    incoherent_function : (materials, x) float64 array
+        Incoherent scattering function over the number of electrons, from 0 to 1.
+    x_squared : (nodes,) float64 array
+        Squares of x at which `coherent_integral` is tabulated, in 1/angstrom2.
+    coherent_integral : (materials, nodes) float64 array
+        Integral of the squared form factor over x squared, from 0.
+    scintillator_depth : (energies,) float64 array
+        Optical depth of the scintillator at normal incidence, dimensionless.
+    """
+
+    photoelectric: Array
+    compton: Array
+    rayleigh: Array
+    incoherent_function: Array
+    x_squared: Array
+    coherent_integral: Array
+    scintillator_depth: Array
+
+
+@lru_cache(maxsize=8)
+def make_interaction_tables(materials: tuple[Material, ...], max_kev: float, detector: Detector) -> InteractionTables:
+    """Make the interaction tables of materials, and of the detector that absorbs the photons.
+
+    Parameters
+    ----------
+    materials : tuple of Material
+        Materials in the order of the voxel numbers.
+    max_kev : float
+        Largest photon energy, in keV.
+    detector : Detector
+        Record of the detector.
+
+    Returns
+    -------
+    InteractionTables
+        Tables from the cut-off to the largest energy.
+
+    Notes
+    -----
+    Compton scattering is on free electrons at rest. Its angles are weighted with the incoherent scattering function,
+    without Doppler broadening. Coherent scattering is by free atoms, without interference between molecules. The energy
+    of a photoelectric absorption is deposited locally, without fluorescence.
+    """
+    steps = int(np.ceil((max_kev - CUT_OFF_KEV) / STEP_KEV)) + 1
+    energies = np.linspace(CUT_OFF_KEV, CUT_OFF_KEV + steps * STEP_KEV, steps + 1)
+    most_x = energies[-1] / HC_KEV_A
+    steps = int(np.ceil(most_x / STEP_X)) + 1
+    x = np.linspace(0.0, steps * STEP_X, steps + 1)
+    nodes = np.concatenate(([0.0], np.geomspace(1e-3, most_x, 400)))
+    photo, compton, rayleigh = (
+        np.array([0.1 * rho * _mixture_cross_sections(kind, parts, energies) for rho, parts in materials])
+        for kind in ("Photo", "Compt", "Rayl")
+    )
+    absorbed = absorbed_fraction(detector.formula, detector.mg_per_cm2, energies)
+    return InteractionTables(
+        photoelectric=photo,
+        compton=compton,
+        rayleigh=rayleigh,
+        incoherent_function=np.array([_incoherent_function(parts, x) for _, parts in materials]),
+        x_squared=nodes**2,
+        coherent_integral=np.array([_coherent_integral(parts, nodes) for _, parts in materials]),
+        # An opaque layer gets the finite optical depth 28, which makes no difference.
+        scintillator_depth=-np.log1p(-np.minimum(absorbed, 1 - 1e-12)),
+    )
+
+
+def _mixture_cross_sections(kind: str, parts: tuple[tuple[int, float], ...], energies: Array) -> Array:
+    """Compute the cross section of a mixture (energies,), in cm2/g."""
+    section = getattr(xraylib, f"CS_{kind}")
+    return np.sum([w * np.array([section(z, float(e)) for e in energies]) for z, w in parts], axis=0)
+
+
+def _incoherent_function(parts: tuple[tuple[int, float], ...], x: Array) -> Array:
+    """Compute the incoherent scattering function of a mixture at x (nodes,), per electron, from 0 to 1."""
+    electrons = sum(w * z / xraylib.AtomicWeight(z) for z, w in parts)
+    # The function is 0 at x = 0, where xraylib has no value.
+    scattering = sum(
+        w / xraylib.AtomicWeight(z) * np.array([0.0, *(xraylib.SF_Compt(z, float(v)) for v in x[1:])]) for z, w in parts
+    )
+    return np.asarray(np.clip(scattering / electrons, 0, 1))
+
+
+def _coherent_integral(parts: tuple[tuple[int, float], ...], x: Array) -> Array:
+    """Integrate the squared form factor of a mixture over x squared, from 0 to each node of x (nodes,)."""
+    squares = sum(
+        w / xraylib.AtomicWeight(z) * np.array([xraylib.FF_Rayl(z, float(v)) for v in x]) ** 2 for z, w in parts
+    )
+    pieces = np.diff(x**2) * (squares[1:] + squares[:-1]) / 2
+    return np.concatenate(([0.0], np.cumsum(pieces)))

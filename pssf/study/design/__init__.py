@@ -1,0 +1,1 @@
+"""Design of a study: settings, classification tasks, checks of manifests, and plans of designed radiographs."""

@@ -1,0 +1,416 @@
+"""Incremental value: AUC of predictor sets of true parameters, true and measured JSW, features, and both.
+
+Every predictor set is evaluated by logistic regression on the same splits, under the reference protocol, for grade 0
+against each other grade. The sets differ only in their columns. JSW columns that accompany features bypass feature
+selection, so that the result shows what the features add.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from time import process_time
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from sklearn.base import BaseEstimator, TransformerMixin
+from sklearn.pipeline import Pipeline
+from sklearn.preprocessing import StandardScaler
+
+from ...core.processes.execution import Execution
+from ...data.code_hash import require_same_code
+from ...radiomics.features.feature_families import TEXTURES, feature_family
+from ..design.study_settings import StudySettings
+from ..predictions import find_class_indices
+from ..statistics.analyses.knee_parameters import PARAMETERS
+from ..statistics.scores.metrics import auc
+from ..statistics.scores.subject_resampling import worst_grades
+from ..statistics.scores.tested_subjects import TEST_COUNT_COLUMNS, count_test_subjects
+from .each_split import map_splits
+from .models.classifiers import FittedModel, tune_classifier
+from .models.feature_selection import build_feature_pipeline
+from .protocol_scenarios import LabelledFeatures
+from .subject_split import Split, derive_split_seed, split_subjects
+
+# Predictor sets by name, with their labels.
+PREDICTOR_SETS = {
+    "parameters": "all true parameters",
+    "jsw": "true JSW",
+    "measured": "measured JSW",
+    "radiomics": "radiomics",
+    "texture": "measured JSW and texture",
+    "both": "measured JSW and radiomics",
+}
+# Standard error of a JSW measured by software on semiflexed radiographs of one unit, in mm (Mazzuca 1999, J Rheumatol
+# 26, 1359; 174 knees radiographed twice). It includes repositioning.
+JSW_MEASUREMENT_SD_MM = 0.32
+_JSW_LOCATIONS = ("medial", "lateral", "least")
+_NOMINAL_JSW_COLUMNS = ("nominal_jsw_medial_mm", "nominal_jsw_lateral_mm")
+_TRUE, _MEASURED = (tuple(f"{kind}_{name}_mm" for name in _JSW_LOCATIONS) for kind in ("true", "measured"))
+# Key of the random stream of measurement errors, below the seed of the study.
+_READING = 2**31 + 5
+# Key of the random stream of subsampling, below the seed of a split.
+_THINNING = 2
+_COLUMNS = ["grades", "rung", "repeat", "trained", *TEST_COUNT_COLUMNS, "auc"]
+
+
+@dataclass(frozen=True)
+class SplitJob:
+    """One split and the fraction of its training subjects to use.
+
+    Parameters
+    ----------
+    repeat : int
+        Number of the split.
+    training_fraction : float, default 1
+        Fraction of the training and validation subjects, above 0 to 1.
+    """
+
+    repeat: int
+    training_fraction: float = 1.0
+
+
+@dataclass(frozen=True)
+class PredictorSet:
+    """Columns of a predictor set.
+
+    Parameters
+    ----------
+    candidate_columns : tuple of str
+        Columns from which a feature selection chooses.
+    forced_columns : tuple of str
+        Columns that are always used.
+    """
+
+    candidate_columns: tuple[str, ...]
+    forced_columns: tuple[str, ...]
+
+    @property
+    def columns(self) -> list[str]:
+        """All columns, the forced ones first."""
+        return [*self.forced_columns, *self.candidate_columns]
+
+
+class SelectWithForced(TransformerMixin, BaseEstimator):
+    """Transformer that selects among some columns and adds other columns, standardised, without selection.
+
+    Parameters
+    ----------
+    selection_pipeline : Pipeline or None
+        Unfitted pipeline of `feature_selection.build_feature_pipeline`; None selects nothing.
+    forced_columns : sequence of str
+        Names of the columns that bypass selection.
+    """
+
+    def __init__(self, selection_pipeline: Pipeline | None, forced_columns: Sequence[str]) -> None:
+        self.selection_pipeline = selection_pipeline
+        self.forced_columns = forced_columns
+
+    def fit(self, X: pd.DataFrame, y: Any = None) -> "SelectWithForced":
+        """Fit the scaler of the forced columns and the selection of the others.
+
+        Parameters
+        ----------
+        X : DataFrame
+            Training rows with all columns.
+        y : (rows,) array, optional
+            Class index of each row.
+
+        Returns
+        -------
+        SelectWithForced
+            This object; ``kept_`` holds the names of the resulting columns.
+        """
+        self.scale_ = StandardScaler().fit(X[list(self.forced_columns)]) if self.forced_columns else None
+        if self.selection_pipeline is not None:
+            self.selection_pipeline.fit(X.drop(columns=list(self.forced_columns)), y)
+        chosen = [] if self.selection_pipeline is None else self.selection_pipeline.named_steps["select"].kept_
+        self.kept_ = [*self.forced_columns, *chosen]
+        return self
+
+    def transform(self, X: pd.DataFrame) -> pd.DataFrame:
+        """Return the forced columns, standardised, and the selected columns.
+
+        Parameters
+        ----------
+        X : DataFrame
+            Rows with all columns.
+
+        Returns
+        -------
+        DataFrame
+            Columns of ``kept_``.
+        """
+        parts = []
+        if self.scale_ is not None:
+            columns = list(self.forced_columns)
+            parts.append(pd.DataFrame(self.scale_.transform(X[columns]), columns=columns, index=X.index))
+        if self.selection_pipeline is not None:
+            parts.append(self.selection_pipeline.transform(X.drop(columns=list(self.forced_columns))))
+        return pd.concat(parts, axis=1)
+
+
+def build_predictor_table(
+    usable: pd.DataFrame, names: list[str], parameters: pd.DataFrame, settings: StudySettings
+) -> pd.DataFrame:
+    """Build the table of all predictors under the reference protocol.
+
+    A measured JSW is the true JSW plus a measurement error, sampled for each knee and compartment independently.
+
+    Parameters
+    ----------
+    usable : DataFrame
+        Radiographs with a located region: knee, subject, grade, protocol and features.
+    names : list of str
+        Names of the features.
+    parameters : DataFrame
+        Knee parameters, of `extract_knee_parameters`. Missing parameters and their predictor sets are left out.
+    settings : StudySettings
+        Reference protocol and seed.
+
+    Returns
+    -------
+    DataFrame
+        One row per radiograph: knee, subject, grade, features, parameters, true and measured JSW in mm.
+    """
+    part = usable[usable["protocol"] == settings.reference][["knee", "subject", "grade", *names]]
+    columns = [name for name in PARAMETERS if name in parameters]
+    known = part.merge(parameters[["knee", *columns]], on="knee", how="left")
+    if set(_NOMINAL_JSW_COLUMNS) <= set(known):
+        true = known[list(_NOMINAL_JSW_COLUMNS)].to_numpy(np.float64)
+        rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(_READING,)))
+        # Errors are sampled for all knees in order, so that a missing radiograph does not change those of other knees.
+        places = np.searchsorted(np.sort(parameters["knee"].to_numpy()), known["knee"].to_numpy())
+        read = true + JSW_MEASUREMENT_SD_MM * rng.standard_normal((len(parameters), 2))[places]
+        for columns_of, values in ((_TRUE, true), (_MEASURED, read)):
+            known[list(columns_of)] = np.column_stack([values, values.min(axis=1)])
+    return known
+
+
+def find_predictor_sets(predictor_table: pd.DataFrame, names: list[str]) -> dict[str, PredictorSet]:
+    """Find the predictor sets whose columns a table has.
+
+    Parameters
+    ----------
+    predictor_table : DataFrame
+        Table of `build_predictor_table`.
+    names : list of str
+        Names of the features.
+
+    Returns
+    -------
+    dict of str to PredictorSet
+        Columns of each predictor set, by its name in `PREDICTOR_SETS`.
+    """
+    columns = tuple(name for name in PARAMETERS if name in predictor_table)
+    textures = tuple(name for name in names if feature_family(name) in TEXTURES)
+    read = _MEASURED if set(_MEASURED) <= set(predictor_table) else ()
+    rungs = {
+        "parameters": PredictorSet((), (*columns, "true_least_mm")) if read else PredictorSet((), ()),
+        "jsw": PredictorSet((), _TRUE if read else ()),
+        "measured": PredictorSet((), read),
+        "radiomics": PredictorSet(tuple(names), ()),
+        "texture": PredictorSet(textures, read) if read and textures else PredictorSet((), ()),
+        "both": PredictorSet(tuple(names), read) if read else PredictorSet((), ()),
+    }
+    return {name: rung for name, rung in rungs.items() if rung.candidate_columns or rung.forced_columns}
+
+
+def evaluate_predictor_sets(
+    predictor_table: pd.DataFrame,
+    names: list[str],
+    settings: StudySettings,
+    execution: Execution,
+    *,
+    training_fractions: Sequence[float] = (1.0,),
+    predictor_set_names: Sequence[str] = tuple(PREDICTOR_SETS),
+    stage: str = "incremental value",
+) -> pd.DataFrame:
+    """Compute the AUC of every predictor set on every split, trained on fractions of the training subjects.
+
+    With several fractions, the stage of the timer also gets the exponent of its time in the number of training
+    subjects.
+
+    Parameters
+    ----------
+    predictor_table : DataFrame
+        Table of `build_predictor_table`.
+    names : list of str
+        Names of the features.
+    settings : StudySettings
+        Settings of models and splits.
+    execution : Execution
+        Workers, scheduler, timer and progress bar.
+    training_fractions : sequence of float, default (1.0,)
+        Fractions of the training and validation subjects of each grade, at least two subjects. Smaller fractions are
+        subsets of larger ones, and the test subjects are the same for all.
+    predictor_set_names : sequence of str
+        Names in `PREDICTOR_SETS`; sets whose columns are missing are left out.
+    stage : str
+        Name of the stage in the timer.
+
+    Returns
+    -------
+    DataFrame
+        Columns: grades (such as "0 vs 1"), rung (name of the predictor set), repeat, trained, `TEST_COUNT_COLUMNS`,
+        auc, share (training fraction).
+
+    Raises
+    ------
+    InputError
+        A grade has too few subjects, or a worker runs other code.
+    WorkersLostError
+        Worker processes are killed repeatedly.
+    """
+    jobs = [SplitJob(repeat, share) for share in training_fractions for repeat in range(settings.repeats)]
+    chosen = {
+        name: rung for name, rung in find_predictor_sets(predictor_table, names).items() if name in predictor_set_names
+    }
+    shared = {"known": predictor_table, "rungs": chosen, "settings": settings}
+    tables = map_splits(evaluate_predictor_sets_split, jobs, shared, execution, stage)
+    timed = np.array(
+        [(job.training_fraction, rows[0]["seconds"]) for job, rows in zip(jobs, tables, strict=True) if rows]
+    )
+    if len(timed) and np.ptp(timed[:, 0]) > 0:
+        learnt, seconds = np.log(timed).T
+        execution.timer.stages[stage].time_exponent = float(np.polyfit(learnt, seconds, 1)[0])
+    rows = [row | {"share": job.training_fraction} for job, of_job in zip(jobs, tables, strict=True) for row in of_job]
+    return pd.DataFrame(rows, columns=[*_COLUMNS, "share"])
+
+
+def evaluate_predictor_sets_split(
+    job: SplitJob,
+    *,
+    known: pd.DataFrame,
+    rungs: Mapping[str, PredictorSet],
+    settings: StudySettings,
+    code: Mapping[str, str],
+) -> list[dict[str, Any]]:
+    """Compute the AUC of every predictor set for one job.
+
+    Parameters
+    ----------
+    job : SplitJob
+        Split and training fraction.
+    known : DataFrame
+        Table of `build_predictor_table`.
+    rungs : mapping of str to PredictorSet
+        Predictor sets by name.
+    settings : StudySettings
+        Settings of models and splits.
+    code : mapping of str to str
+        Hashes of the code where the run started.
+
+    Returns
+    -------
+    list of dict
+        Rows of `evaluate_predictor_sets`; ``seconds`` is the CPU time of the whole job, in s.
+
+    Raises
+    ------
+    InputError
+        The code of this process differs from `code`, or a grade has too few subjects.
+    """
+    require_same_code(code)
+    began = process_time()
+    split = split_subjects(known["subject"], known["grade"], seed=settings.seed, repeat=job.repeat)
+    learnt = subsample_subjects(split, known, job, settings.seed)
+    seed = derive_split_seed(settings.seed, job.repeat)
+    first, *others = sorted({int(grade) for grade in known["grade"]})
+    rows = []
+    for grade in others:
+        part = known[known["grade"].isin((first, grade))]
+        training, validation, test = (part[part["subject"].isin(of)] for of in (*learnt, split.test))
+        label = {"grades": f"{first} vs {grade}", "repeat": job.repeat, "trained": training["subject"].nunique()}
+        label |= count_test_subjects(test["subject"], test["grade"], (first, grade))
+        if training["grade"].nunique() == test["grade"].nunique() == 2:
+            for name, value in _score_predictor_sets(training, validation, test, rungs, settings, seed, (first, grade)):
+                rows.append({**label, "rung": name, "auc": value})
+    seconds = process_time() - began
+    return [row | {"seconds": seconds} for row in rows]
+
+
+def subsample_subjects(split: Split, predictor_table: pd.DataFrame, job: SplitJob, seed: int) -> list[list[Any]]:
+    """Select a fraction of the training and validation subjects of each grade.
+
+    Parameters
+    ----------
+    split : Split
+        Subjects of the split.
+    predictor_table : DataFrame
+        Table with subject and grade.
+    job : SplitJob
+        Split and training fraction.
+    seed : int
+        Seed of the study.
+
+    Returns
+    -------
+    list of list
+        Training subjects and validation subjects: at least two per grade, the same first ones for every fraction.
+    """
+    if job.training_fraction >= 1:
+        return [split.training.tolist(), split.validation.tolist()]
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(job.repeat, _THINNING)))
+    worst = worst_grades(predictor_table["subject"], predictor_table["grade"])
+    parts = []
+    for subjects in (split.training, split.validation):
+        kept: list[Any] = []
+        for grade in sorted(set(worst)):
+            members = rng.permutation([one for one in subjects if worst[one] == grade])
+            kept += members[: max(2, round(job.training_fraction * len(members)))].tolist()
+        parts.append(kept)
+    return parts
+
+
+def _score_predictor_sets(
+    training: pd.DataFrame,
+    validation: pd.DataFrame,
+    test: pd.DataFrame,
+    predictor_sets: Mapping[str, PredictorSet],
+    settings: StudySettings,
+    seed: int,
+    grades: tuple[int, int],
+) -> Iterator[tuple[str, float]]:
+    """Yield the name and AUC of each predictor set; the AUC is NaN if a class is missing in the test part."""
+    classes = tuple((grade,) for grade in grades)
+    truths = [find_class_indices(part["grade"].to_numpy(), classes) for part in (training, validation, test)]
+    for name, rung in predictor_sets.items():
+        fitted = fit_predictor_set(rung, (training, truths[0]), (validation, truths[1]), settings, seed)
+        yield name, auc(truths[2] == 1, fitted.pipeline.predict_proba(test[rung.columns])[:, 1])
+
+
+def fit_predictor_set(
+    predictor_set: PredictorSet,
+    training: LabelledFeatures,
+    validation: LabelledFeatures,
+    settings: StudySettings,
+    seed: int,
+) -> FittedModel:
+    """Fit a logistic regression to a predictor set, with the first feature selection of the settings.
+
+    Parameters
+    ----------
+    predictor_set : PredictorSet
+        Columns of the predictor set.
+    training : tuple of DataFrame and (rows,) int64 array
+        Training rows and their class index.
+    validation : tuple of DataFrame and (rows,) int64 array
+        Validation rows and their class index.
+    settings : StudySettings
+        Settings of the selection.
+    seed : int
+        Seed of the fit.
+
+    Returns
+    -------
+    FittedModel
+        Fitted model.
+    """
+    prepare = None
+    if predictor_set.candidate_columns:
+        prepare = build_feature_pipeline(
+            settings.selections[0], rho=settings.rho, max_features=settings.most_features, seed=seed
+        )
+    prepared = Pipeline([("select", SelectWithForced(prepare, predictor_set.forced_columns))])
+    fit_on, check_on = ((table[predictor_set.columns], truth) for table, truth in (training, validation))
+    return tune_classifier(prepared.fit(*fit_on), "lr", fit_on, check_on, seed=seed)

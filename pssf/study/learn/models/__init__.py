@@ -1,0 +1,1 @@
+"""Feature selection, classifiers, baselines, a small network, and models as files."""

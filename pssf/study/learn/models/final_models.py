@@ -1,0 +1,124 @@
+"""Final models, which are fitted to all subjects of the cohort and saved."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from ...design.classification_tasks import find_tasks, lowest_grades
+from ...design.study_settings import StudySettings
+from ..protocol_scenarios import make_labelled_features
+from ..subject_split import split_subjects
+from .classifiers import FittedModel, fit_with_parameters, tune_classifier
+from .feature_selection import build_feature_pipeline
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefittedModel:
+    """A final model and its training data.
+
+    Attributes
+    ----------
+    name : str
+        Name of the model, used as file name.
+    task : str
+        Classification task.
+    grades : tuple of int
+        Lowest grade of each class, in order of the classes.
+    model : str
+        Classifier.
+    selection : str
+        Feature selection.
+    trained_on : tuple of str
+        Protocols of the training radiographs.
+    fitted : FittedModel
+        Fitted pipeline, hyperparameters and importance.
+    features : tuple of str
+        Names of the selected features.
+    subjects : int
+        Number of training subjects.
+    radiographs : int
+        Number of training radiographs.
+    """
+
+    name: str
+    task: str
+    grades: tuple[int, ...]
+    model: str
+    selection: str
+    trained_on: tuple[str, ...]
+    fitted: FittedModel
+    features: tuple[str, ...]
+    subjects: int
+    radiographs: int
+
+
+def refit_models(
+    table: pd.DataFrame, names: list[str], settings: StudySettings, trained_on: Mapping[str, Sequence[str]]
+) -> Iterator[RefittedModel]:
+    """Fit every task, selection and classifier to all subjects, on each set of protocols.
+
+    The hyperparameters are those chosen on the validation subjects of the first split. Features are selected and models
+    fitted anew on all subjects. No subject is left for testing; the splits estimate the performance.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Radiographs with a located region: subject, grade, protocol and features.
+    names : list of str
+        Names of the features.
+    settings : StudySettings
+        Settings of models and splits.
+    trained_on : mapping of str to sequence of str
+        Protocols of each set, by the label of the set.
+
+    Yields
+    ------
+    RefittedModel
+        Final model of each task, selection, classifier and set of protocols.
+
+    Raises
+    ------
+    InputError
+        A grade has too few subjects.
+    """
+    split = split_subjects(table["subject"], table["grade"], seed=settings.seed)
+    seed = int(np.random.SeedSequence(settings.seed, spawn_key=(0, 2)).generate_state(1)[0] >> 1)
+    for label, protocols in trained_on.items():
+        of_protocols = table[table["protocol"].isin(list(protocols))]
+        for task, classes in find_tasks(of_protocols["grade"]).items():
+            rows = of_protocols[of_protocols["grade"].isin(sum(classes, ()))]
+            first = rows[rows["subject"].isin(split.training)]
+            fit_on = make_labelled_features(first, names, classes)
+            if len(set(fit_on[1])) < len(classes):
+                continue  # No region of a class was located under these protocols.
+            check_on = make_labelled_features(rows[rows["subject"].isin(split.validation)], names, classes)
+            whole = make_labelled_features(rows, names, classes)
+            for selection in settings.selections:
+                on_first, on_whole = (
+                    build_feature_pipeline(
+                        selection, rho=settings.rho, max_features=settings.most_features, seed=seed
+                    ).fit(*part)
+                    for part in (fit_on, whole)
+                )
+                for model in settings.models:
+                    chosen = tune_classifier(on_first, model, fit_on, check_on, seed=seed).parameters
+                    fitted = fit_with_parameters(on_whole, model, chosen, whole, seed=seed)
+                    yield RefittedModel(
+                        name=f"{model}_{selection}_{_task_slug(task)}_{label}",
+                        task=task,
+                        grades=lowest_grades(task),
+                        model=model,
+                        selection=selection,
+                        trained_on=tuple(protocols),
+                        fitted=fitted,
+                        features=tuple(fitted.pipeline.named_steps["select"].kept_),
+                        subjects=rows["subject"].nunique(),
+                        radiographs=len(rows),
+                    )
+
+
+def _task_slug(task: str) -> str:
+    """Convert the name of a task to a part of a file name."""
+    return task.replace(" vs ", "v").replace("/", "").replace("+", "")

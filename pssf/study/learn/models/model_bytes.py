@@ -1,0 +1,144 @@
+"""Fitted models as bytes without pickle (skops); the same model gives the same bytes."""
+
+import io
+import re
+import zipfile
+from typing import Any
+
+import pandas as pd
+from sklearn.impute import SimpleImputer
+from sklearn.pipeline import Pipeline
+from sklearn.preprocessing import StandardScaler
+
+# Types that may be loaded besides those that skops trusts by default.
+_TRUSTED_TYPES = ["numpy.dtype", "sklearn.tree._tree.Tree", "xgboost.core.Booster", "xgboost.sklearn.XGBClassifier"]
+# Largest unpacked size of a model file, in bytes.
+_MAX_BYTES = 2**30
+# Earliest date that a ZIP file can store; a fixed date keeps the bytes reproducible.
+_ZIP_DATE = (1980, 1, 1, 0, 0, 0)
+
+
+def build_portable_pipeline(fitted: Pipeline) -> Pipeline:
+    """Convert a fitted pipeline to steps of scikit-learn only: impute, scale and model, on the selected features.
+
+    The result can be loaded without this package. Its input is a table of the features in ``feature_names_in_``.
+
+    Parameters
+    ----------
+    fitted : Pipeline
+        Pipeline of `classifiers.FittedModel`.
+
+    Returns
+    -------
+    Pipeline
+        Equivalent pipeline on the selected features.
+    """
+    kept = fitted.named_steps["select"].kept_
+    drop, scale = fitted.named_steps["drop"], fitted.named_steps["scale"]
+    places = [drop.kept_.index(name) for name in kept]
+    # A fit on one row gives each step its form; then the fitted values are copied.
+    row = pd.DataFrame([drop.median_[kept].to_numpy()], columns=kept)
+    impute, scaler = SimpleImputer(strategy="median").fit(row), StandardScaler().fit(row.to_numpy())
+    for name in ("mean_", "var_", "scale_"):
+        setattr(scaler, name, getattr(scale, name)[places])
+    scaler.n_samples_seen_ = scale.n_samples_seen_
+    return Pipeline([("impute", impute), ("scale", scaler), ("model", fitted.named_steps["model"])])
+
+
+def dumps(fitted: Pipeline) -> bytes:
+    """Convert a fitted pipeline to a skops file in its portable form.
+
+    Parameters
+    ----------
+    fitted : Pipeline
+        Pipeline of `classifiers.FittedModel`.
+
+    Returns
+    -------
+    bytes
+        Content of the file.
+    """
+    import skops.io  # Imported here, because the import takes one or two seconds and most commands save nothing.
+
+    return _normalise_archive(skops.io.dumps(build_portable_pipeline(fitted)))
+
+
+def loads(content: bytes) -> Any:
+    """Load the pipeline of a skops file.
+
+    Parameters
+    ----------
+    content : bytes
+        Content of the file, of `dumps`.
+
+    Returns
+    -------
+    Pipeline
+        Loaded pipeline. skops raises an error for types that such a pipeline does not hold.
+    """
+    import skops.io
+
+    return skops.io.loads(content, trusted=_TRUSTED_TYPES)
+
+
+def _normalise_archive(content: bytes) -> bytes:
+    """Number the objects and parts of a skops file in order and remove the time.
+
+    skops uses memory addresses and random names instead.
+    """
+    files = unzip_files(content)
+    schema = files.pop("schema.json").decode()
+    for pattern in (r'(?<="__id__": )\d+', r'(?<="file": ")[^".]+'):
+        numbers: dict[str, str] = {}
+        for given in re.findall(pattern, schema):
+            numbers.setdefault(given, str(len(numbers)))
+        schema = re.sub(pattern, lambda hit, to=numbers: to[hit[0]], schema)
+    renamed = {f"{numbers[name.split('.')[0]]}.{name.split('.')[1]}": data for name, data in files.items()}
+    return zip_files({**{name: renamed[name] for name in sorted(renamed)}, "schema.json": schema.encode()})
+
+
+def zip_files(files: dict[str, bytes]) -> bytes:
+    """Pack files in a ZIP archive in the given order and with a fixed time.
+
+    Parameters
+    ----------
+    files : dict of str to bytes
+        Content of each file, by name. skops ignores files that it does not know.
+
+    Returns
+    -------
+    bytes
+        Content of the archive.
+    """
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as made:
+        for name, content in files.items():
+            made.writestr(zipfile.ZipInfo(name, _ZIP_DATE), content, zipfile.ZIP_DEFLATED)
+    return buffer.getvalue()
+
+
+def unzip_files(content: bytes) -> dict[str, bytes]:
+    """Unpack the files of a ZIP archive.
+
+    Parameters
+    ----------
+    content : bytes
+        Content of the archive.
+
+    Returns
+    -------
+    dict of str to bytes
+        Content of each file, by name.
+
+    Raises
+    ------
+    zipfile.BadZipFile
+        The content is no ZIP archive.
+    ValueError
+        The unpacked files are larger than 1 GiB.
+    """
+    with zipfile.ZipFile(io.BytesIO(content)) as packed:
+        size = sum(part.file_size for part in packed.infolist())
+        if size > _MAX_BYTES:
+            raise ValueError(f"content must have at most {_MAX_BYTES} bytes, got {size}")
+        return {name: packed.read(name) for name in packed.namelist()}

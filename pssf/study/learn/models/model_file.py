@@ -1,0 +1,405 @@
+"""A model as one skops file that also holds a model card and the templates.
+
+Any skops installation can load the pipeline. The card holds everything needed to read a radiograph: how regions are
+located and measured, the names of the classes, the training data, and the versions of code and libraries.
+"""
+
+import json
+import lzma
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.metadata import version
+from typing import Any
+
+import msgspec
+import numpy as np
+import pandas as pd
+from sklearn.pipeline import Pipeline
+
+from ....core.checks import Array, InputError
+from ....data.code_hash import compute_code_hashes, format_differing_parts
+from ....data.table_records import Record
+from ....radiomics.features.feature_backends import BACKENDS, select_backend
+from ....radiomics.localisation.templates import Template
+from ...libraries import XGBOOST
+from .final_models import RefittedModel
+from .model_bytes import (
+    dumps,
+    loads,
+    unzip_files,
+    zip_files,
+)
+
+# Suffix of model files.
+MODEL_SUFFIX = ".skops"
+# Format version that the card states.
+_FORMAT = "pssf model 1"
+# Name of the card inside the file.
+_CARD_FILE = "pssf/model.json"
+# Parts of the package that the probabilities of a radiograph depend on.
+_CODE_PACKAGES = ("core", "data", "detector", "io", "radiomics", "study")
+# Distributions whose versions the card states.
+_LIBRARIES = ("pssf", "numpy", "scikit-image", "scikit-learn", "scipy", "skops", XGBOOST)
+
+
+class TrainingProtocol(Record, frozen=True):
+    """A protocol that a model was trained on.
+
+    Attributes
+    ----------
+    protocol : str
+        Name of the protocol.
+    pixel_mm : float
+        Pixel pitch of the detector, in mm.
+    sdd_mm : float
+        Source-detector distance, in mm.
+    sod_mm : float
+        Source-object distance, in mm.
+    """
+
+    protocol: str
+    pixel_mm: float
+    sdd_mm: float
+    sod_mm: float
+
+
+class TemplateRecord(Record, frozen=True):
+    """A template without its pixels; see `radiomics.localisation.templates.Template`.
+
+    Attributes
+    ----------
+    shape : tuple of int
+        Rows and columns of the pixels.
+    row : float
+        Row of the medial joint line, in px.
+    col : float
+        Column of the medial joint line, in px.
+    pixel_mm : float
+        Pixel pitch of the detector, in mm.
+    plateau_mm : float or None
+        Width of the tibial plateau at the detector, in mm; None if unknown.
+    severe : bool
+        True for a template of a severe knee, which is used only if no other template matches clearly.
+    """
+
+    shape: tuple[int, int]
+    row: float
+    col: float
+    pixel_mm: float
+    plateau_mm: float | None
+    severe: bool = False
+
+
+class SoftwareVersions(Record, frozen=True):
+    """Software with which a model was made.
+
+    Attributes
+    ----------
+    versions : dict of str to str
+        Version of each library.
+    code : dict of str to str
+        Hash of each part of the package.
+    """
+
+    versions: dict[str, str]
+    code: dict[str, str]
+
+
+class ModelCard(Record, frozen=True):
+    """Description of a model in its file.
+
+    Attributes
+    ----------
+    format : str
+        Format version.
+    name : str
+        Name of the model.
+    reads : str
+        "linear" if the model was trained on linear pixels, "display" if on radiographs as displayed.
+    task : str
+        Classification task.
+    grades : tuple of int
+        Lowest grade of each class, in order of the classes.
+    grade_names : tuple of str
+        Name of each class, in the same order.
+    model : str
+        Classifier.
+    selection : str
+        Feature selection.
+    parameters : dict of str to float
+        Hyperparameters of the classifier.
+    features : tuple of str
+        Names of the features that the model uses, in its order.
+    families : tuple of str
+        Feature families to measure.
+    bins : int
+        Number of grey-level bins of the texture features.
+    pixel_mm : float
+        Pixel pitch at which regions are measured, in mm.
+    region_px : int
+        Side of the region at that pitch, in px.
+    trained_on : tuple of TrainingProtocol
+        Protocols of the training radiographs.
+    subjects : int
+        Number of training subjects.
+    radiographs : int
+        Number of training radiographs.
+    seed : int
+        Seed of the study.
+    templates : tuple of TemplateRecord
+        Templates without their pixels.
+    made_by : SoftwareVersions
+        Software with which the model was made.
+    backend : str
+        Radiomics backend that measured the features. Older files do not state it and used pyradiomics.
+    """
+
+    format: str
+    name: str
+    reads: str
+    task: str
+    grades: tuple[int, ...]
+    grade_names: tuple[str, ...]
+    model: str
+    selection: str
+    parameters: dict[str, float]
+    features: tuple[str, ...]
+    families: tuple[str, ...]
+    bins: int
+    pixel_mm: float
+    region_px: int
+    trained_on: tuple[TrainingProtocol, ...]
+    subjects: int
+    radiographs: int
+    seed: int
+    templates: tuple[TemplateRecord, ...]
+    made_by: SoftwareVersions
+    backend: str = "pyradiomics"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SavedModel:
+    """A model loaded from its file.
+
+    Attributes
+    ----------
+    card : ModelCard
+        Description of the model.
+    pipeline : Pipeline
+        Fitted pipeline from features to class probabilities.
+    templates : tuple of Template
+        Templates that locate the joint.
+    """
+
+    card: ModelCard
+    pipeline: Pipeline
+    templates: tuple[Template, ...]
+
+    def predict_probabilities(self, features: pd.DataFrame) -> Array:
+        """Predict the class probabilities of measured radiographs.
+
+        Parameters
+        ----------
+        features : DataFrame
+            One row per radiograph, with the features of the card.
+
+        Returns
+        -------
+        (rows, classes) float64 array
+            Probability of each class of the card.
+        """
+        return np.asarray(self.pipeline.predict_proba(features[list(self.card.features)]), np.float64)
+
+
+def collect_software_versions(backend: str) -> SoftwareVersions:
+    """Collect the versions of libraries and code of this process.
+
+    Parameters
+    ----------
+    backend : str
+        Radiomics backend, whose libraries are included.
+
+    Returns
+    -------
+    SoftwareVersions
+        Versions and code hashes.
+    """
+    libraries = sorted({*_LIBRARIES, *BACKENDS[backend].libraries})
+    return SoftwareVersions(
+        versions={name: version(name) for name in libraries}, code=dict(compute_code_hashes(_CODE_PACKAGES))
+    )
+
+
+def pack_model(kept: RefittedModel, templates: Sequence[Template], **card_entries: Any) -> bytes:
+    """Pack a model, its card and the templates as one file; the same model and code give the same bytes.
+
+    Parameters
+    ----------
+    kept : RefittedModel
+        Model to pack.
+    templates : sequence of Template
+        Templates cropped by `radiomics.localisation.crop_template`.
+    **card_entries : Any
+        Entries of `ModelCard` that do not follow from the model: reads, grade_names, families, backend, bins, pixel_mm,
+        region_px, trained_on, seed.
+
+    Returns
+    -------
+    bytes
+        Content of the file.
+    """
+    card = ModelCard(
+        format=_FORMAT,
+        name=kept.name,
+        task=kept.task,
+        grades=kept.grades,
+        model=kept.model,
+        selection=kept.selection,
+        parameters=kept.fitted.parameters,
+        features=kept.features,
+        subjects=kept.subjects,
+        radiographs=kept.radiographs,
+        templates=tuple(_make_template_record(template) for template in templates),
+        made_by=collect_software_versions(card_entries["backend"]),
+        **card_entries,
+    )
+    text = json.dumps(msgspec.to_builtins(card), indent=1).encode()
+    with ThreadPoolExecutor() as pool:  # LZMA releases the global interpreter lock.
+        packed = list(
+            pool.map(_compress_pixels, [template.pixels.astype(np.float32).tobytes() for template in templates])
+        )
+    pixels = {_template_file_name(at): content for at, content in enumerate(packed)}
+    return zip_files({**unzip_files(dumps(kept.fitted.pipeline)), _CARD_FILE: text, **pixels})
+
+
+def unpack_model(content: bytes, name: str) -> SavedModel:
+    """Unpack the model of a file.
+
+    Parameters
+    ----------
+    content : bytes
+        Content of the file.
+    name : str
+        Name of the file in error messages.
+
+    Returns
+    -------
+    SavedModel
+        Card, pipeline and templates.
+
+    Raises
+    ------
+    InputError
+        The file is damaged, is no model of this package, or has another format.
+    """
+    allowed = f"a model saved by a study of pssf ({MODEL_SUFFIX})"
+    try:
+        files = unzip_files(content)
+        card = msgspec.json.decode(files[_CARD_FILE], type=ModelCard)
+        if card.format != _FORMAT:
+            raise InputError(
+                f"{name}: format must be {_FORMAT!r}, got {card.format!r}: another version of pssf wrote the file"
+            )
+        templates = tuple(
+            _load_template(place, files[_template_file_name(at)]) for at, place in enumerate(card.templates)
+        )
+        pipeline = loads(content)
+        _require_matching_card(pipeline, card, name)
+        return SavedModel(card=card, pipeline=pipeline, templates=templates)
+    except InputError:
+        raise
+    except Exception as error:  # A damaged file can fail anywhere in the readers of ZIP, LZMA and skops.
+        reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
+        raise InputError(f"{name}: content must be {allowed}, got a damaged or foreign file ({reason})") from None
+
+
+def _require_matching_card(pipeline: Any, card: ModelCard, name: str) -> None:
+    """Raise InputError for a pipeline that does not match its card."""
+    if not isinstance(pipeline, Pipeline):
+        raise InputError(
+            f"{name}: content must be a Pipeline, got {type(pipeline).__name__}: its card states a Pipeline"
+        )
+    classes, features = len(pipeline.classes_), list(getattr(pipeline[0], "feature_names_in_", ()))
+    if classes != len(card.grades) or not set(features) <= set(card.features):
+        raise InputError(
+            f"{name}: classes and features must be those of its card, got {classes} classes, {len(features)} features"
+        )
+
+
+def resolve_backend(card: ModelCard) -> str:
+    """Choose the radiomics backend for the features of a model.
+
+    Parameters
+    ----------
+    card : ModelCard
+        Description of the model.
+
+    Returns
+    -------
+    str
+        The backend of the card if it is installed, otherwise another that has the features.
+
+    Raises
+    ------
+    InputError
+        No installed backend has the features.
+    """
+    return select_backend(card.backend, card.features, f"model {card.name}")
+
+
+def describe_version_differences(card: ModelCard) -> str:
+    """Describe how the software of a model differs from this installation.
+
+    Parameters
+    ----------
+    card : ModelCard
+        Description of the model.
+
+    Returns
+    -------
+    str
+        Differing versions of libraries and parts of the code; "" if there is no difference.
+
+    Raises
+    ------
+    InputError
+        No installed backend has the features of the model.
+    """
+    here = collect_software_versions(resolve_backend(card))
+    was, now = card.made_by.versions, here.versions
+    versions = [
+        f"{name} {was.get(name, 'none')}, here {now.get(name, 'none')}"
+        for name in sorted({*was, *now})
+        if was.get(name) != now.get(name)
+    ]
+    code = format_differing_parts(card.made_by.code, here.code)
+    return "; ".join([*versions, *([f"other code of pssf ({code})"] if code else [])])
+
+
+def _make_template_record(template: Template) -> TemplateRecord:
+    """Make the record of a template without its pixels."""
+    rows, cols = template.pixels.shape
+    place = {name: float(getattr(template, name)) for name in ("row", "col", "pixel_mm")}
+    plateau_mm = None if template.plateau_mm is None else float(template.plateau_mm)
+    return TemplateRecord(shape=(rows, cols), plateau_mm=plateau_mm, severe=template.severe, **place)
+
+
+def _load_template(place: TemplateRecord, packed: bytes) -> Template:
+    """Build a template from its record and its compressed pixels."""
+    pixels = np.frombuffer(lzma.decompress(packed), np.float32).reshape(place.shape)
+    known = {name: getattr(place, name) for name in ("row", "col", "pixel_mm", "plateau_mm", "severe")}
+    return Template(pixels=pixels, **known)
+
+
+def _template_file_name(index: int) -> str:
+    """Return the name of a template inside the file."""
+    return f"pssf/template_{index}.xz"
+
+
+@lru_cache(maxsize=16)
+def _compress_pixels(pixels: bytes) -> bytes:
+    """Compress pixels with LZMA."""
+    # LZMA gives half the size of the compression of ZIP.
+    return lzma.compress(pixels)

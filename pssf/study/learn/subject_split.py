@@ -1,0 +1,129 @@
+"""Splits into training, validation and test subjects; all knees and radiographs of a subject are in one part."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from ...core.checks import InputError
+from ..statistics.scores.subject_resampling import worst_grades
+
+PARTS = ("training", "validation", "test")
+# Fraction of the subjects in each part.
+_PART_FRACTIONS = (0.70, 0.15, 0.15)
+
+
+@dataclass(frozen=True)
+class Split:
+    """Subjects of each part, sorted; no subject is in two parts.
+
+    Attributes
+    ----------
+    training : (subjects,) array
+        Subjects that models are fitted to.
+    validation : (subjects,) array
+        Subjects that choose the hyperparameters.
+    test : (subjects,) array
+        Subjects that are tested.
+    """
+
+    training: NDArray[Any]
+    validation: NDArray[Any]
+    test: NDArray[Any]
+
+    def to_table(self) -> pd.DataFrame:
+        """Convert the split to a table.
+
+        Returns
+        -------
+        DataFrame
+            Columns subject and part: one row per subject, sorted.
+        """
+        rows = [(subject, part) for part in PARTS for subject in getattr(self, part).tolist()]
+        return pd.DataFrame(sorted(rows), columns=["subject", "part"])
+
+
+def split_subjects(subjects: Sequence[Any], grades: Sequence[int], *, seed: int, repeat: int = 0) -> Split:
+    """Split the subjects into 70 % training, 15 % validation and 15 % test, with every grade in every part.
+
+    Parameters
+    ----------
+    subjects : sequence
+        Subject of each radiograph or knee, as number or text.
+    grades : sequence of int
+        Grade of each radiograph or knee; a subject has the highest grade of its knees.
+    seed : int
+        Seed of the study.
+    repeat : int, default 0
+        Number of the split; a split does not depend on the number of splits.
+
+    Returns
+    -------
+    Split
+        Subjects of the three parts.
+
+    Raises
+    ------
+    InputError
+        A grade has fewer than three subjects.
+    """
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(repeat,)))
+    worst = worst_grades(subjects, grades)
+    parts: dict[str, list[Any]] = {part: [] for part in PARTS}
+    for grade in sorted(set(worst)):
+        members = worst.index[worst == grade].to_numpy()
+        if len(members) < len(PARTS):
+            raise InputError(
+                f"grade {grade} must have at least {len(PARTS)} subjects with a located region, got {len(members)}: "
+                "each part needs one"
+            )
+        order = rng.permutation(members)
+        for part, chosen in zip(PARTS, np.split(order, _compute_cut_points(len(members))), strict=True):
+            parts[part].extend(chosen.tolist())
+    kind = worst.index.to_numpy().dtype
+    return Split(*(np.array(sorted(parts[part]), dtype=kind) for part in PARTS))
+
+
+def select_splittable_grades(table: pd.DataFrame) -> pd.DataFrame:
+    """Select the rows of subjects whose grade has enough subjects for `split_subjects`.
+
+    Parameters
+    ----------
+    table : DataFrame
+        One row per radiograph or knee: subject and grade.
+
+    Returns
+    -------
+    DataFrame
+        Selected rows.
+    """
+    worst = worst_grades(table["subject"], table["grade"])
+    counts = worst.map(worst.value_counts())
+    return table[table["subject"].isin(worst.index[counts >= len(PARTS)])]
+
+
+def derive_split_seed(seed: int, repeat: int) -> int:
+    """Derive the seed of everything fitted on a split; the split of the subjects itself does not use it.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the study.
+    repeat : int
+        Number of the split.
+
+    Returns
+    -------
+    int
+        Seed of the split.
+    """
+    return int(np.random.SeedSequence(seed, spawn_key=(repeat, 1)).generate_state(1)[0] >> 1)
+
+
+def _compute_cut_points(count: int) -> list[int]:
+    """Compute where to cut `count` members into three parts of at least one member each."""
+    validation, test = (max(1, round(share * count)) for share in _PART_FRACTIONS[1:])
+    return [count - validation - test, count - test]

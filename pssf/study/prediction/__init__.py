@@ -1,0 +1,1 @@
+"""Predictions for patient radiographs, and features of a user's own images."""

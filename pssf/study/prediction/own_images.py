@@ -1,0 +1,212 @@
+"""Radiomic features of a user's own images and masks, without a model."""
+
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.checks import (
+    InputError,
+    require_choice,
+    require_in_range,
+    require_integer,
+)
+from ...data.analysis.ibsi_table import load_ibsi_tags
+from ...io.image_kind import is_dicom
+from ...io.mask_files import load_masks
+from ...io.patients.stored_pixels import read_stored_pixels
+from ...io.radiograph_files import load
+from ...model.radiograph import Radiograph
+from ...radiomics.features.feature_backends import require_backend
+from ...radiomics.features.feature_extraction import extract_features
+from ...radiomics.features.feature_families import FAMILIES
+from .. import require_extra
+
+# Smallest mask, in pixels; pyradiomics computes no shape and no texture of a smaller one.
+_MIN_MASK_PX = 4
+# Allowed pixel pitch, in mm.
+_PITCH_RANGE_MM = (0.001, 50.0)
+
+
+def features(
+    image: NDArray[np.integer] | Radiograph | str | Path,
+    mask: NDArray[np.generic] | str | Path | None = None,
+    pixel_mm: float | None = None,
+    *,
+    bins: int = 64,
+    families: Collection[str] = FAMILIES,
+    backend: str | None = None,
+) -> dict[str, float]:
+    """Measure radiomic features of an image inside a mask.
+
+    No joint is located, and grey values are used as they are. The names are those of a study's ``features.csv``: the
+    names of pyradiomics without ``original_``. First-order features are measured twice: of the grey values
+    (``firstorder_linear_Mean``) and of their z-score inside the mask (``firstorder_z_Mean``).
+
+    Parameters
+    ----------
+    image : (rows, cols) integer array, Radiograph, str or Path
+        Grey values, in any unit; a float array must hold whole numbers. A file may be a PNG, JPEG, TIFF or DICOM of 8
+        to 16 bit. Its stored values are measured, for DICOM after the rescale.
+    mask : (rows, cols) array of any unit, str or Path, optional
+        Pixels to measure: those that are not zero. A file may be a picture, or the mask of one bone written by
+        `save_masks`. None measures the whole image. Shape features are then those of its rectangle, as in pyradiomics
+        with a mask of ones.
+    pixel_mm : float, optional
+        Pixel pitch, 0.001 to 50 mm. It is needed if the image does not store it. A `Radiograph`, files of this package
+        and most DICOM files do.
+    bins : int, default 64
+        Number of grey-level bins of the texture features, 8 to 256. The bins are equal and span the grey values inside
+        the mask.
+    families : collection of str
+        Feature families: firstorder, shape2D, glcm, glrlm, glszm, ngtdm, gldm; all by default.
+    backend : str, optional
+        "pyradiomics" or "mirp"; None uses the first that is installed.
+
+    Returns
+    -------
+    dict of str to float
+        Value of each feature by its name; lengths in mm, areas in mm2.
+
+    Raises
+    ------
+    InputError
+        The image or mask cannot be read or used, the mask has another shape or fewer than four pixels, the pixel pitch
+        is unknown, or a family, backend or number of bins is not allowed.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pssf
+    >>> image = np.arange(400).reshape(20, 20)
+    >>> mask = np.zeros((20, 20))
+    >>> mask[5:15, 5:15] = 1
+    >>> measured = pssf.features(image, mask, pixel_mm=0.2, families=["firstorder", "shape2D"])
+    >>> round(measured["firstorder_linear_Mean"], 1), round(measured["shape2D_PixelSurface"], 2)
+    (199.5, 4.0)
+    """
+    require_extra()
+    require_integer("bins", bins, 8, 256, "grey values")
+    if isinstance(families, str):
+        families = (families,)
+    for name in families:
+        require_choice("family", name, FAMILIES)
+    if backend is not None:
+        require_backend(backend)
+    values, known_mm = _read_grey_values(image)
+    pitch_mm = known_mm if pixel_mm is None else pixel_mm
+    if pitch_mm is None:
+        raise InputError(f"pixel_mm must be the pixel pitch in mm, got {pixel_mm}: this image does not store it")
+    require_in_range("pixel_mm", pitch_mm, *_PITCH_RANGE_MM, "mm")
+    inside = np.ones(values.shape, np.bool_) if mask is None else _read_mask(mask, values.shape)
+    return extract_features(values, float(pitch_mm), load_ibsi_tags(), bins, tuple(families), backend, inside)
+
+
+def read_image(path: Path) -> tuple[NDArray[Any], float | None]:
+    """Read the grey values of a file and its pixel pitch.
+
+    Parameters
+    ----------
+    path : Path
+        PNG, JPEG, TIFF or DICOM file.
+
+    Returns
+    -------
+    pixels : (rows, cols) integer array
+        Grey values.
+    pixel_mm : float or None
+        Pixel pitch in mm; None if the file does not store it.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read.
+    """
+    try:
+        radiograph = load(path)
+        return radiograph.pixels, radiograph.protocol.pixel_mm
+    except InputError:
+        stored = read_stored_pixels(path)
+        return stored.pixels, stored.pixel_mm
+
+
+def read_masks(path: Path) -> dict[str, NDArray[np.bool_]]:
+    """Read the masks of a file.
+
+    Parameters
+    ----------
+    path : Path
+        File written by `save_masks`, or one picture.
+
+    Returns
+    -------
+    dict of str to (rows, cols) bool array
+        Masks by name; the mask of a picture is called "mask".
+
+    Raises
+    ------
+    InputError
+        The file cannot be read.
+    """
+    try:
+        return load_masks(path)
+    except InputError:
+        if is_dicom(path):
+            raise
+        return {"mask": read_stored_pixels(path).pixels != 0}
+
+
+def _read_grey_values(image: Any) -> tuple[NDArray[Any], float | None]:
+    """Read whole-number grey values (rows, cols), and the pixel pitch in mm if it is known."""
+    known_mm = None
+    if isinstance(image, Radiograph):
+        image, known_mm = image.pixels, image.protocol.pixel_mm
+    elif isinstance(image, str | Path):
+        image, known_mm = read_image(Path(image))
+    values = np.asarray(image)
+    if values.ndim != 2 or not values.size or values.dtype.kind not in "iuf":
+        raise InputError(
+            f"image must be a (rows, cols) array of numbers, a Radiograph or a path, got {_describe_array(values)}"
+        )
+    if values.dtype.kind == "f":
+        if not np.isfinite(values).all() or not (values == np.rint(values)).all():
+            raise InputError(
+                f"image must hold whole numbers, got {_find_fraction(values)}: round the values, because rounding "
+                "errors would change the bins"
+            )
+        values = values.astype(np.int64)
+    return values, known_mm
+
+
+def _read_mask(mask: Any, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Read a mask as a boolean array with the shape of the image."""
+    if isinstance(mask, str | Path):
+        masks = read_masks(Path(mask))
+        if len(masks) != 1:
+            raise InputError(
+                f"mask must be one mask, got {len(masks)} ({', '.join(masks)}) in {mask}: pass one mask of load_masks"
+            )
+        (mask,) = masks.values()
+    values = np.asarray(mask)
+    if (
+        values.shape != shape
+        or values.dtype.kind not in "biuf"
+        or (values.dtype.kind == "f" and np.isnan(values).any())
+    ):
+        raise InputError(f"mask must be an array of numbers of shape {shape}, got {_describe_array(values)}")
+    inside = values != 0
+    if inside.sum() < _MIN_MASK_PX:
+        raise InputError(f"mask must have at least {_MIN_MASK_PX} nonzero pixels, got {int(inside.sum())}")
+    return np.asarray(inside)
+
+
+def _find_fraction(values: NDArray[Any]) -> float:
+    """Find the first value that is not a whole number."""
+    return float(values[~np.isfinite(values) | (values != np.rint(values))][0])
+
+
+def _describe_array(values: NDArray[Any]) -> str:
+    """Describe the shape and type of an array in words."""
+    return f"{values.shape} of {values.dtype}"

@@ -1,0 +1,144 @@
+"""Incremental value: AUC of each predictor set with its interval, and paired differences between sets."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+
+from ..scores.claims import UNDECIDED
+from ..scores.confidence_intervals import apply_holm_within, estimate_mean, estimate_proportion
+from ..scores.tested_subjects import TEST_COUNT_COLUMNS, has_enough_test_subjects
+
+# Name of the upper limit in the table of predictor sets.
+BEST_POSSIBLE = "best possible"
+# Questions and the two predictor sets whose difference answers them: the first minus the second.
+QUESTIONS = {
+    "do features predict better than measured JSW?": ("radiomics", "measured"),
+    "do features add to measured JSW?": ("both", "measured"),
+    "does texture add to measured JSW?": ("texture", "measured"),
+    "does the measurement error of JSW matter?": ("jsw", "measured"),
+    "do features predict better than true JSW?": ("radiomics", "jsw"),
+    "do all true parameters predict better than features and measured JSW?": ("parameters", "both"),
+}
+# Significance level of p after Holm's correction.
+_SIGNIFICANCE_LEVEL = 0.05
+
+
+def summarise_predictor_sets(splits: pd.DataFrame) -> pd.DataFrame:
+    """Average the AUC of every predictor set over the splits, with its interval.
+
+    Parameters
+    ----------
+    splits : DataFrame
+        Results of `learn.incremental_value.evaluate_predictor_sets`.
+
+    Returns
+    -------
+    DataFrame
+        One row per pair of grades, predictor set and training fraction: grades, rung, share, trained,
+        `TEST_COUNT_COLUMNS`, splits, auc, low, high.
+    """
+    rows = []
+    for (grades, rung, share), part in splits.groupby(["grades", "rung", "share"], sort=False):
+        of_splits = estimate_proportion(part["auc"].to_numpy(np.float64), average_test_train_ratio(part))
+        counts = {name: int(part[name].median()) for name in ("trained", *TEST_COUNT_COLUMNS)}
+        row = {"grades": grades, "rung": rung, "share": share, **counts, "splits": int(part["auc"].notna().sum())}
+        rows.append(row | {"auc": of_splits.value, "low": of_splits.low, "high": of_splits.high})
+    return pd.DataFrame(
+        rows, columns=["grades", "rung", "share", "trained", *TEST_COUNT_COLUMNS, "splits", "auc", "low", "high"]
+    )
+
+
+def average_test_train_ratio(part: pd.DataFrame) -> float:
+    """Average the ratio of test to training subjects over the splits.
+
+    Parameters
+    ----------
+    part : DataFrame
+        One row per split: test_subjects and trained.
+
+    Returns
+    -------
+    float
+        Ratio, dimensionless; see `confidence_intervals.compute_test_train_ratio`.
+    """
+    return float((part["test_subjects"] / part["trained"]).mean())
+
+
+def pair_auc_differences(splits: pd.DataFrame, predictor_set: str, reference_set: str) -> pd.DataFrame:
+    """Compute the differences of AUC between two predictor sets on the same splits.
+
+    Parameters
+    ----------
+    splits : DataFrame
+        Results of one pair of grades and one training fraction.
+    predictor_set : str
+        First predictor set.
+    reference_set : str
+        Predictor set that is subtracted.
+
+    Returns
+    -------
+    DataFrame
+        One row per split: repeat, trained, `TEST_COUNT_COLUMNS`, auc and difference.
+    """
+    first, second = (splits[splits["rung"] == rung].set_index("repeat") for rung in (predictor_set, reference_set))
+    table = first.loc[first.index.intersection(second.index)]
+    return table.assign(difference=table["auc"] - second["auc"]).reset_index()
+
+
+def compare_predictor_sets(splits: pd.DataFrame) -> pd.DataFrame:
+    """Answer each question of `QUESTIONS` for each pair of grades by a paired difference of AUC.
+
+    Parameters
+    ----------
+    splits : DataFrame
+        Results of `learn.incremental_value.evaluate_predictor_sets`, trained on all training subjects.
+
+    Returns
+    -------
+    DataFrame
+        Columns: question, grades, rung, minus, `TEST_COUNT_COLUMNS`, splits, difference, low, high, p, p_holm
+        (corrected within a question over the grades), answer ("yes", "no" or "not decidable"). "no" means that the
+        first set is worse.
+    """
+    rows = []
+    for question, (one, other) in QUESTIONS.items():
+        for grades, part in splits.groupby("grades", sort=False):
+            table = pair_auc_differences(part, one, other)
+            if table.empty:
+                continue
+            of_splits = estimate_mean(table["difference"].to_numpy(np.float64), average_test_train_ratio(table))
+            label = {"question": question, "grades": grades, "rung": one, "minus": other}
+            label |= {name: int(table[name].median()) for name in TEST_COUNT_COLUMNS} | {"splits": len(table)}
+            values = {"difference": of_splits.value, "low": of_splits.low, "high": of_splits.high, "p": of_splits.p}
+            rows.append({**label, **values})
+    columns = ["question", "grades", "rung", "minus", *TEST_COUNT_COLUMNS, "splits", "difference", "low", "high", "p"]
+    table = pd.DataFrame(rows, columns=columns)
+    table = table.assign(p_holm=apply_holm_within(table, ["question"]))
+    return table.assign(answer=[_decide_answer(row) for row in table.to_dict("records")])
+
+
+def _decide_answer(row: Mapping[str, float]) -> str:
+    """Decide the answer from the corrected p and the number of test subjects."""
+    if not has_enough_test_subjects(row) or not row["high"] > row["low"] or not row["p_holm"] < _SIGNIFICANCE_LEVEL:
+        return UNDECIDED
+    return "yes" if row["difference"] > 0 else "no"
+
+
+def select_best_possible(separability: pd.DataFrame) -> pd.DataFrame:
+    """Select the better fit to all parameters of sampled knees as lower bound of the best possible AUC.
+
+    Parameters
+    ----------
+    separability : DataFrame
+        Table of `learn.grade_separability.estimate_separability`.
+
+    Returns
+    -------
+    DataFrame
+        One row per pair of grades: grades, rung, knees, auc, low, high.
+    """
+    part = separability[separability["known"] == "all parameters"].sort_values("auc", ascending=False, kind="stable")
+    best = part.drop_duplicates("grades").sort_values("grades")
+    return best.assign(rung=BEST_POSSIBLE)[["grades", "rung", "knees", "auc", "low", "high"]].reset_index(drop=True)

@@ -1,0 +1,178 @@
+"""Checks of a manifest for leakage: ways in which a model could know the grade without the knee.
+
+A contradiction raises InputError. An association is reported with its size. A radiograph listed under two subjects
+would be in training and test. If grade and protocol are associated, the protocol predicts the grade, and harmonising
+the protocols also removes the grade.
+
+An association is warned of if p < 0.05. At the sizes of such studies, an association that gives an AUC of 0.7 on
+random labels has p of about 0.01. A false warning in one of twenty cohorts, which states this rate, costs less than
+a missed one.
+"""
+
+import re
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.stats import chi2_contingency, norm, spearmanr
+
+from ....core.checks import InputError
+
+# Columns that must have one value within each value of an identifier.
+_UNIQUE_WITHIN = {"sha256": ("subject", "knee"), "knee": ("subject", "grade", "side")}
+# Names of the identifiers in error messages.
+_KEY_LABELS = {"sha256": "file with sha256", "knee": "knee"}
+# Probability of a warning of either kind in a manifest without any association.
+_ALPHA = 0.05
+_FALSE_ALARM_NOTE = "One in twenty cohorts without such an association gets this warning by chance"
+
+
+def require_consistent_identifiers(manifest: pd.DataFrame, table_name: str = "manifest") -> None:
+    """Check that a file belongs to one subject and knee, and a knee to one subject, grade and side.
+
+    Parameters
+    ----------
+    manifest : DataFrame
+        One row per radiograph: radiograph, subject, knee, side, grade, sha256.
+    table_name : str
+        Name of the table in error messages.
+
+    Raises
+    ------
+    InputError
+        An identifier has two values of such a column.
+    """
+    for column, others in _UNIQUE_WITHIN.items():
+        for other in others:
+            counts = manifest.groupby(column, sort=False)[other].nunique()
+            if (counts > 1).any():
+                first = counts.index[counts > 1][0]
+                rows = manifest[manifest[column] == first].drop_duplicates(other).head(2)
+                given = " and ".join(f"{value}" for value in rows[other])
+                of = f"{first[:12]}..." if column == "sha256" else first
+                raise InputError(
+                    f"{table_name}: {_KEY_LABELS[column]} {of} must have one {other}, got {given} "
+                    f"({int((counts > 1).sum())} such)"
+                )
+
+
+def find_leakage_warnings(manifest: pd.DataFrame) -> list[str]:
+    """Warn of an association of the grade with the protocol or with the order of the subjects, with its size and p.
+
+    Parameters
+    ----------
+    manifest : DataFrame
+        One row per radiograph: subject, grade, protocol.
+
+    Returns
+    -------
+    list of str
+        One text per warning.
+    """
+    sentence, p = _assess_grade_by_protocol(manifest)
+    by_protocol = (
+        f"{sentence} A model of all protocols may predict the grade from the protocol, and harmonisation also removes "
+        f"differences between grades. {_FALSE_ALARM_NOTE}."
+    )
+    return [*([by_protocol] if p < _ALPHA else []), *_find_order_warnings(manifest)]
+
+
+def find_leakage_notes(manifest: pd.DataFrame) -> list[str]:
+    """Note that grades differ between the protocols, if the difference is too small for a warning.
+
+    Parameters
+    ----------
+    manifest : DataFrame
+        One row per radiograph: subject, grade, protocol.
+
+    Returns
+    -------
+    list of str
+        One note, or none if the protocols have the same grades.
+    """
+    sentence, p = _assess_grade_by_protocol(manifest)
+    return [f"{sentence} The difference is compatible with chance."] if _ALPHA <= p < 1 else []
+
+
+def _assess_grade_by_protocol(manifest: pd.DataFrame) -> tuple[str, float]:
+    """Describe the association of grade and protocol, and return its p; p is 1 if there is none to describe.
+
+    A subject counts once under each protocol with each grade, because two knees of one subject are not independent. A
+    subject under every protocol makes the test more conservative, because it makes the protocols alike.
+    """
+    witnesses = manifest[["subject", "protocol", "grade"]].drop_duplicates(ignore_index=True)
+    counts = pd.crosstab(witnesses["protocol"], witnesses["grade"])
+    if min(counts.shape) < 2:
+        return "", 1.0
+    p = float(chi2_contingency(counts)[1])
+    shares = counts.div(counts.sum(axis=1), axis=0)
+    grade = (shares.max() - shares.min()).idxmax()
+    of = 100 * shares[grade]
+    sentence = (
+        f"Grades are distributed unequally over the protocols (Cramér's V {_cramers_v(counts.to_numpy()):.2f}, "
+        f"{_format_p(p)}): grade {grade} is {of.min():.0f} % of those under {of.idxmin()} "
+        f"and {of.max():.0f} % of those under {of.idxmax()}."
+    )
+    return sentence, p
+
+
+def _cramers_v(counts: NDArray[np.int64]) -> float:
+    """Compute Cramér's V of counts (protocols, grades), corrected for chance.
+
+    The correction is that of Bergsma 2013 (J Korean Stat Soc 42, 323).
+    """
+    whole = counts.sum()
+    free = np.array(counts.shape) - 1
+    excess = chi2_contingency(counts, correction=False)[0] / whole - free.prod() / (whole - 1)
+    levels = free - free**2 / (whole - 1)
+    return float(np.sqrt(max(0.0, excess) / levels.min())) if levels.min() > 0 else 0.0
+
+
+def _find_order_warnings(manifest: pd.DataFrame) -> list[str]:
+    """Warn if the order of the subjects' numbers predicts the grade."""
+    people = manifest.groupby("subject")["grade"].max()
+    grades = people.loc[sorted(people.index, key=_natural_sort_key)].to_numpy()
+    if len(grades) < 3 or len(set(grades)) < 2:
+        return []
+    rho, by_rank = spearmanr(np.arange(len(grades)), grades)
+    share, chance, by_neighbour = _assess_neighbours(grades)
+    p = min(1.0, 2 * min(by_rank, by_neighbour))  # Bonferroni's correction for two tests.
+    if not p < _ALPHA:
+        return []
+    return [
+        f"Subjects are numbered by their grade (Spearman's rho {rho:+.2f}; {100 * share:.0f} % have the same grade as "
+        f"the subject before, {100 * chance:.0f} % by chance; {_format_p(p)}). No model of this study uses the number. "
+        "Any other method that reads it, or file names that contain it, can predict the grade. Do not use them as "
+        "predictors. "
+        f"{_FALSE_ALARM_NOTE}."
+    ]
+
+
+def _natural_sort_key(subject: Any) -> list[Any]:
+    """Make a sort key that puts P2 before P10."""
+    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", str(subject))]
+
+
+def _assess_neighbours(grades: NDArray[Any]) -> tuple[float, float, float]:
+    """Test whether neighbouring subjects have the same grade more or less often than by chance.
+
+    Return the observed fraction, the fraction expected by chance, and the two-sided p. Blocks of a grade have more such
+    neighbours and alternating grades fewer. Their number is the number of subjects minus that of runs (Wald and
+    Wolfowitz; for several kinds Barton and David 1957, Biometrika 44, 168). `grades` is (subjects,), in the order of
+    their numbers.
+    """
+    n, counts = len(grades), np.unique(grades, return_counts=True)[1].astype(np.float64)
+    squares, cubes = (counts**2).sum(), (counts**3).sum()
+    expected = (squares - n) / n
+    variance = (squares * (squares + n * (n + 1)) - 2 * n * cubes - n**3) / (n**2 * (n - 1))
+    pairs = int((grades[1:] == grades[:-1]).sum())
+    # Continuity correction by half a pair, because pairs are whole numbers.
+    off = max(0.0, abs(pairs - expected) - 0.5)
+    p = 2 * float(norm.sf(off / np.sqrt(variance))) if variance > 0 else 1.0
+    return pairs / (n - 1), expected / (n - 1), p
+
+
+def _format_p(p: float) -> str:
+    """Format a p-value as text."""
+    return "p < 0.001" if p < 0.001 else f"p {p:.3f}"

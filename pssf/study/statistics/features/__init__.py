@@ -1,0 +1,1 @@
+"""Statistics of features: degenerate features, reliability, localisation error, importance and dimensions."""

@@ -1,0 +1,1 @@
+"""Scores of predictions: metrics, 95 % intervals, calibration, subgroups and claims."""

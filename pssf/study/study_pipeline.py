@@ -1,0 +1,283 @@
+"""Run all stages of a study in order; the only module of the study that writes files, through `pssf.io`."""
+
+import platform
+from dataclasses import asdict, replace
+from importlib.metadata import version
+
+import pandas as pd
+
+from ..core.checks import InputError
+from ..io import study_results
+from ..radiomics.features.feature_backends import BACKENDS
+from ..radiomics.features.image_processing import describe_processing
+from ..radiomics.localisation.crop_template import crop_template
+from .design.classification_tasks import class_names
+from .design.manifest_checks import require_designed
+from .design.patient_sets import FilmSet
+from .design.response_curve_design import DesignedManifests
+from .design.study_settings import StudySettings
+from .design.study_tables import resolve_sampling_laws
+from .learn.models.final_models import refit_models
+from .learn.models.model_file import MODEL_SUFFIX, pack_model
+from .learn.training import train_all_splits
+from .libraries import XGBOOST
+from .measurement import StudyContext, check_manifest, measure_features
+from .prediction.patient_test import (
+    MeasurementContext,
+    check_films,
+    evaluate_on_films,
+    list_training_protocols,
+)
+from .predictions import SplitOutcome, concatenate_tables
+from .report.figure_gallery import make_gallery
+from .report.patient_figures import make_film_pictures
+from .report.report_page import Findings, Picture, render_page
+from .report.report_sections import make_segmentation_section
+from .report.reporting_checklist import fill_checklist
+from .report.run_cost import summarise_cost
+from .report.software_environment import describe_environment
+from .segmentation_accuracy import evaluate_segmentation
+from .simulator_analyses import run_simulator_analyses
+from .statistics.analyses.knee_parameters import (
+    add_sex_indicator,
+    extract_knee_parameters,
+    summarise_composition,
+    summarise_morphology,
+)
+from .statistics.analyses.leakage_checks import find_leakage_notes, find_leakage_warnings
+from .statistics.features import localisation_error
+from .statistics.features.degenerate_features import is_degenerate
+from .statistics.features.dimensions import count_dimensions, count_tuned_values
+from .statistics.features.feature_importance import sum_by_family
+from .statistics.features.reliability import count_stable_features, list_protocols
+from .statistics.result_tables import (
+    Tables,
+    build_feature_tables,
+    build_model_tables,
+    build_truth_tables,
+)
+from .statistics.scores.claims import evaluate_claims
+from .study_result import StudyResult
+
+_PACKAGES = (
+    *("pssf", "scikit-learn", XGBOOST, "feature-engine", "scikit-image", "skops"),
+    *("scipy", "numpy", "pandas"),
+)
+_COUNTED_COLUMNS = {"subjects": "subject", "knees": "knee", "protocols": "protocol", "radiographs": "radiograph"}
+
+
+def run_study(
+    run: StudyContext,
+    manifest: pd.DataFrame,
+    retest: pd.DataFrame | None,
+    films: FilmSet | None = None,
+    designed: DesignedManifests | None = None,
+) -> StudyResult:
+    """Run all stages of a study; see `pssf.study.run`.
+
+    Parameters
+    ----------
+    run : StudyContext
+        Inputs, settings, output folder and execution.
+    manifest : DataFrame
+        One row per radiograph.
+    retest : DataFrame or None
+        Repeat radiographs of some knees.
+    films : FilmSet, optional
+        Patient radiographs used as an external test set.
+    designed : DesignedManifests, optional
+        Manifests of radiographs acquired by design.
+
+    Returns
+    -------
+    StudyResult
+        Paths of all files and the main tables.
+
+    Raises
+    ------
+    InputError
+        An input cannot be used, or no split has grades 0 and 2 in training.
+    WorkersLostError
+        Worker processes are killed repeatedly.
+    """
+    settings, timer, designed = run.settings, run.execution.timer, require_designed(designed or DesignedManifests())
+    laws = resolve_sampling_laws(manifest := check_manifest(manifest, settings))
+    if films is not None:
+        check_films(films, manifest, settings, run.templates)
+    table, names, work = measure_features(run, manifest, retest)
+    located = localisation_error.add_localisation_errors(add_sex_indicator(table[table["kind"] == ""]))
+    repeated = table[(table["kind"] != "") & (table["status"] == "found")]
+    usable = located[located["status"] == "found"]
+    _require_grades(usable, settings)
+    outcomes = train_all_splits(usable, names, settings, run.execution)
+    predictions = concatenate_tables(outcome.predictions for outcome in outcomes)
+    if predictions.empty:
+        located_in = f"the joint was located in {len(usable)} radiographs"
+        raise InputError(f"at least one split must have grades 0 and 2 in training, got none: {located_in}")
+    with timer.stage("intervals and differences"):
+        tables = build_model_tables(outcomes, settings)
+    with timer.stage("reliability and figures"):
+        tables = build_feature_tables(located, repeated, names, run.tables.radiomics.tags, settings) | tables
+        sampled_from = None if laws is None else laws.grades
+        tables["morphology"] = summarise_morphology(extract_knee_parameters(manifest), sampled_from)
+        tables |= build_truth_tables(manifest, usable, names, predictions, tables["subjects"], settings)
+        pictures = make_gallery(located, run.load_pixels, settings, predictions, tables)
+    with timer.stage("claims"):
+        tables |= _build_claim_tables(outcomes, usable, names, predictions, tables, settings)
+    tables["segmentation"] = evaluate_segmentation(repeated, retest, run)
+    with timer.stage("models refitted"):
+        models = _pack_models(run, usable, names, manifest)
+    answers, external = run_simulator_analyses(run, manifest, usable, names, tables, designed, laws), None
+    tables, pictures = tables | answers.tables, pictures | answers.pictures()
+    if films is not None:
+        bench = MeasurementContext(run.templates, settings, run.out, run.execution, run.tables.radiomics)
+        external = evaluate_on_films(bench, films, manifest)
+        tables |= external.tables
+        models |= external.models
+        pictures |= make_film_pictures(external, settings)
+    findings = _collect_findings(run, located, names, tables, outcomes, pictures, work)
+    sections = [*make_segmentation_section(tables["segmentation"]), *answers.sections]
+    findings = replace(findings, models=sorted(models), external=external, sections=sections)
+    return _write_results(run, findings, tables | {"predictions": predictions}, models)
+
+
+def _build_claim_tables(
+    outcomes: list[SplitOutcome],
+    usable: pd.DataFrame,
+    names: list[str],
+    predictions: pd.DataFrame,
+    tables: Tables,
+    settings: StudySettings,
+) -> Tables:
+    """Build the tables claims, dimensions and tuning."""
+    importances = concatenate_tables(outcome.importances for outcome in outcomes)
+    offered = concatenate_tables(outcome.selection_candidates for outcome in outcomes)
+    return {
+        "claims": evaluate_claims(usable, predictions, importances, offered, tables, settings),
+        "dimensions": count_dimensions(importances, offered, tables["subjects"], usable, len(names)),
+        "tuning": count_tuned_values(concatenate_tables(outcome.tuning for outcome in outcomes)),
+    }
+
+
+def _pack_models(run: StudyContext, usable: pd.DataFrame, names: list[str], manifest: pd.DataFrame) -> dict[str, bytes]:
+    """Fit each model to all subjects and pack it as a file.
+
+    Train under the reference protocol and, if there are several, under all protocols. Return bytes by model name.
+    """
+    settings, law = run.settings, run.tables.radiomics.localisation
+    protocols = list_protocols(usable, settings.reference)
+    sets = {settings.reference: protocols[:1]} | ({"all": protocols} if len(protocols) > 1 else {})
+    learnt = {protocol.protocol: protocol for protocol in list_training_protocols(manifest)}
+    pixel_mm = learnt[settings.reference].pixel_mm
+    templates = [crop_template(template, settings.region_px * pixel_mm, law) for template in run.templates]
+    return {
+        kept.name: pack_model(
+            kept,
+            templates,
+            reads="linear",
+            grade_names=class_names(kept.task),
+            families=settings.families,
+            backend=settings.backend,
+            bins=settings.bins,
+            pixel_mm=pixel_mm,
+            region_px=settings.region_px,
+            trained_on=tuple(learnt[protocol] for protocol in kept.trained_on),
+            seed=settings.seed,
+        )
+        for kept in refit_models(usable, names, settings, sets)
+    }
+
+
+def _require_grades(usable: pd.DataFrame, settings: StudySettings) -> None:
+    """Raise InputError unless grades 0 and 2 have located regions under the reference protocol."""
+    of_reference = usable[usable["protocol"] == settings.reference]
+    grades = sorted({int(grade) for grade in of_reference["grade"]})
+    if not {0, 2} <= set(grades):
+        raise InputError(
+            f"grades with a located region under {settings.reference} must include 0 and 2, each with three subjects "
+            f"or more, got {grades}"
+        )
+
+
+def _collect_findings(
+    run: StudyContext,
+    located: pd.DataFrame,
+    names: list[str],
+    tables: Tables,
+    outcomes: list[SplitOutcome],
+    pictures: dict[str, Picture],
+    work_seconds: dict[str, float],
+) -> Findings:
+    """Collect everything that the report shows."""
+    usable, settings = located[located["status"] == "found"], run.settings
+    keys = ["model", "selection", "feature"]
+    importance = tables["importance"].merge(tables["permutation"][[*keys, "drop"]], on=keys, how="left")
+    shown = importance[importance["selection"] == settings.selections[0]]
+    counts = {name: int(located[column].nunique()) for name, column in _COUNTED_COLUMNS.items()}
+    within = tables["splits"][tables["splits"]["scenario"] == "within"]
+    tested = within["test_subjects"]
+    packages = (*_PACKAGES, *BACKENDS[settings.backend].libraries)
+    return Findings(
+        counts=counts | {"regions refused": len(located) - len(usable)},
+        composition=summarise_composition(located),
+        warnings=find_leakage_warnings(located),
+        notes=find_leakage_notes(located),
+        localisation=tables["localisation"],
+        morphology=tables["morphology"],
+        subgroups=tables["subgroups"],
+        scores=tables["scores"],
+        differences=tables["differences"],
+        claims=tables["claims"],
+        calibration=tables["calibration"],
+        families=sum_by_family(shown).join(sum_by_family(shown, "drop").add_suffix(" drop")),
+        stable_counts_by_split=[
+            outcome.stable_feature_count for outcome in outcomes if outcome.stable_feature_count is not None
+        ],
+        stable_counts=count_stable_features(tables["reliability"]),
+        leading=shown.groupby("model", sort=False).head(5),
+        degenerate=[name for name in names if is_degenerate(usable[name].to_numpy())],
+        pictures=pictures,
+        settings=asdict(settings),
+        processing=describe_processing(settings.region_px, settings.bins, settings.families),
+        versions={"python": platform.python_version()} | {name: version(name) for name in packages},
+        cost=summarise_cost(run.execution.timer),
+        work_seconds=work_seconds,
+        workers=run.execution.workers,
+        features=len(names),
+        test_subjects=(int(tested.min()), int(tested.max())),
+        test_rarest=int(within["test_rarest"].min()),
+    )
+
+
+def _write_results(run: StudyContext, findings: Findings, tables: Tables, files: dict[str, bytes]) -> StudyResult:
+    """Write tables, figures, models, JSON files and the report.
+
+    Two runs with the same cohort and settings differ only in their times.
+    """
+    out, pictures = run.out, {}
+    for name, picture in findings.pictures.items():
+        pictures[name] = out / "pictures" / f"{name}.png"
+        study_results.save_bytes(pictures[name], picture.png)
+    written = {name: out / f"{name}.csv" for name in tables}
+    for name, table in tables.items():
+        study_results.save_table(written[name], table)
+    models = {name: out / "models" / f"{name}{MODEL_SUFFIX}" for name in sorted(files)}
+    for name, path in models.items():
+        study_results.save_bytes(path, files[name])
+    facts = ["counts", "warnings", "notes", "features", "degenerate"]
+    facts += ["settings", "processing", "versions", "cost", "workers"]
+    study_results.save_json(out / "study.json", {name: getattr(findings, name) for name in facts})
+    study_results.save_json(out / "environment.json", describe_environment())
+    study_results.save_text(out / "report.html", render_page(findings))
+    study_results.save_json(out / "checklist.json", fill_checklist(out, run.tables.guidelines))
+    return StudyResult(
+        report=out / "report.html",
+        pictures=pictures,
+        tables={"features": out / "features.csv", **written},
+        models=models,
+        scores=tables["scores"],
+        differences=tables["differences"],
+        reliability=tables["reliability"],
+        localisation=tables["localisation"],
+        seconds={row["stage"]: row["seconds"] for row in findings.cost},
+    )

@@ -1,0 +1,203 @@
+"""Validation: numerical error and run time measured on this machine, and comparisons with references.
+
+:func:`run_validation` measures the tables that are named and writes one CSV file per table.
+
+Ray casting
+    - ``engines``: run time, memory and error by engine, number of triangles, number of pixels and precision.
+    - ``growth``: growth of the run time with pixels and with triangles, computed from ``engines``.
+    - ``nested``: run time and memory for five nested spheroids.
+    - ``agreement``: difference between both engines on random knees from random directions.
+    - ``tessellation``: error of the bone outlines by number of triangles.
+    - ``gvxr``: path lengths and run time compared with gVirtualXray.
+Imaging
+    - ``stages``: run time of each stage of ``simulate``, from the first run after installation to a warm run.
+    - ``chain``: run time, fraction of the total and error of each stage of ``simulate``.
+    - ``spectrum``: error and run time by number of energies of the reduced spectrum.
+    - ``focal_spot``: focal-spot blur compared with rays from many points of the spot.
+    - ``physics``: spectrum, attenuation, primary and scattered signal compared with reference values.
+    - ``monte_carlo``: scatter Monte Carlo compared with an independent Monte Carlo.
+    - ``scatter``: scatter kernel compared with the Monte Carlo.
+    - ``view_scatter``: scatter kernel compared with the Monte Carlo in each view.
+    - ``views``: effects of beam angle and leg rotation compared with published values.
+    - ``criteria``: criteria of positioning guides measured on simulated knees.
+Knees
+    - ``builds``: number of random knees that can be built, and the errors of their joint space width.
+    - ``knees``: bone sizes compared with published sizes, and errors of the labels.
+    - ``texture_steps``: error of the trabecular density integral by step length.
+    - ``texture_trace``: run time of the trabecular density integral within a ray trace.
+    - ``texture``: trabecular texture of radiographs compared with published values of patients.
+Study methods
+    - ``localisation``: rate at which the joint is localised on valid and on deliberately faulty radiographs.
+    - ``localisation_limits``: localisation limits that follow from these simulations.
+    - ``coverage``: coverage of the confidence intervals of the study.
+    - ``refutation``: claims of the study on cohorts with random labels.
+    - ``ablation``: run time of the study without each of its parts.
+    - ``backends``: features of MIRP compared with features of PyRadiomics.
+Page
+    - ``latency``: delay between a slider of ``pssf explore`` and its picture.
+
+Notes
+-----
+``DEFAULT_TABLES`` are measured by default. ``OPTIONAL_TABLES`` are measured only when they are named.
+``coverage``, ``refutation``, ``ablation`` and ``backends`` need the extra ``study``, as does the figure of
+``engines``; ``latency`` needs the extra ``explore``. ``backends`` and ``gvxr`` need the dependency group ``peers``.
+"""
+
+import os
+import platform
+from collections.abc import Callable, Collection
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from ..core.checks import require_choice
+from ..explore.page_latency import measure_latency
+from ..io.atomic_write import make_folder, write_bytes
+from ..io.cohort_records import write_csv, write_json
+from ..io.readme_tables import open_checkout
+from ..simulation import collect_versions
+from .imaging.focal_spot_error import measure_focal_spot_models
+from .imaging.monte_carlo_reference import compare_monte_carlo_with_reference
+from .imaging.physics_reference import compare_physics_with_references
+from .imaging.positioning_criteria import measure_positioning_criteria
+from .imaging.scatter_phantoms import compare_kernel_with_monte_carlo
+from .imaging.stage_errors import measure_imaging_chain
+from .imaging.stage_times import measure_cold_and_warm_runs, measure_spectrum_nodes
+from .imaging.view_effects import compare_views_with_literature
+from .imaging.view_scatter import compare_scatter_by_view
+from .knees.build_success import measure_knee_builds
+from .knees.morphometry import compare_sizes_with_literature
+from .knees.trabecular_error import compare_texture_with_patients, measure_integration_steps, measure_texture_cost
+from .raycasting.engine_agreement import compare_engines
+from .raycasting.gvxr_comparison import compare_with_gvxr
+from .raycasting.raycast_engines import (
+    Row,
+    compute_growth_exponents,
+    measure_engines,
+    measure_nested_spheroids,
+)
+from .raycasting.tessellation_error import measure_tessellation_error
+from .study_methods.localisation_rates import derive_localisation_limits, measure_localisation
+
+# Tables that measure memory come first: a new process inherits the peak memory of the process that starts it.
+DEFAULT_TABLES = (
+    "engines", "growth", "nested", "stages", "chain", "agreement", "spectrum", "focal_spot", "physics",
+    "monte_carlo", "scatter", "tessellation", "texture_steps", "texture_trace", "texture", "builds", "knees", "views",
+    "view_scatter", "criteria",
+)  # fmt: skip
+# These tables are measured only when named: they take minutes and concern the study, or need another package.
+OPTIONAL_TABLES = (
+    "localisation", "localisation_limits", "coverage", "refutation", "ablation", "backends", "gvxr", "latency",
+)  # fmt: skip
+
+
+def run_validation(
+    out: Path,
+    *,
+    workers: int = 2,
+    tables: Collection[str] = DEFAULT_TABLES,
+    knees: int = 30,
+    readme: Path | None = None,
+    progress: Callable[[str], None] = lambda line: None,
+) -> list[Path]:
+    """Measure the named tables and write each as CSV, with a description of the machine and a figure.
+
+    Parameters
+    ----------
+    out : Path
+        Output folder; it is created if it does not exist.
+    workers : int, default 2
+        Number of worker processes or threads.
+    tables : collection of str, default DEFAULT_TABLES
+        Names of tables from ``DEFAULT_TABLES`` or ``OPTIONAL_TABLES``.
+    knees : int, default 30
+        Number of knees sampled for each table that measures random knees.
+    readme : Path or None, default None
+        Source checkout whose READMEs receive the tables; None leaves READMEs unchanged.
+    progress : callable
+        Called with a line of text before each measurement.
+
+    Returns
+    -------
+    list of Path
+        Paths of all files that were written.
+
+    Raises
+    ------
+    InputError
+        If a table is unknown, `readme` is not a source checkout, or a file cannot be written.
+    """
+    for name in tables:
+        require_choice("table", name, (*DEFAULT_TABLES, *OPTIONAL_TABLES))
+    checkout = open_checkout(readme, tables, knees=knees)
+    make_folder(out)
+    engines: list[Row] = []
+    if {"engines", "growth"} & set(tables):
+        progress("ray casting")
+        engines = measure_engines(workers)
+    jobs, paths = _make_table_jobs(engines, knees, workers, progress), []
+    for name in (name for name in (*DEFAULT_TABLES, *OPTIONAL_TABLES) if name in tables):
+        progress(name)
+        rows = jobs[name]()
+        paths.append(out / f"{name}.csv")
+        write_csv(paths[-1], rows)
+        paths += checkout.update_tables({name: rows})
+    paths.append(out / "machine.json")
+    write_json(paths[-1], _describe_machine())
+    if engines and find_spec("matplotlib"):
+        from .validation_figure import plot_error_against_time
+
+        paths.append(out / "engines.png")
+        write_bytes(paths[-1], plot_error_against_time(engines))
+        paths += checkout.update_tables({}, paths[-1:])
+    return paths
+
+
+def _make_table_jobs(
+    engine_results: list[Row], knees: int, workers: int, progress: Callable[[str], None]
+) -> dict[str, Callable[[], list[Row]]]:
+    """Map each table name to a function that measures its rows."""
+    return {
+        "engines": lambda: engine_results,
+        "growth": lambda: compute_growth_exponents(engine_results),
+        "nested": lambda: measure_nested_spheroids(workers),
+        "stages": lambda: measure_cold_and_warm_runs(workers),
+        "chain": lambda: measure_imaging_chain(workers),
+        "agreement": lambda: compare_engines(knees, workers),
+        "spectrum": measure_spectrum_nodes,
+        "focal_spot": lambda: measure_focal_spot_models(workers),
+        "physics": compare_physics_with_references,
+        "monte_carlo": lambda: compare_monte_carlo_with_reference(workers),
+        "scatter": lambda: compare_kernel_with_monte_carlo(workers=workers),
+        "tessellation": measure_tessellation_error,
+        "texture_steps": measure_integration_steps,
+        "texture_trace": measure_texture_cost,
+        "texture": lambda: compare_texture_with_patients(knees, workers),
+        "builds": lambda: measure_knee_builds(knees, workers, progress),
+        "knees": lambda: compare_sizes_with_literature(knees, workers),
+        "views": lambda: compare_views_with_literature(knees, workers),
+        "view_scatter": lambda: compare_scatter_by_view(workers),
+        "criteria": lambda: measure_positioning_criteria(knees, workers),
+        "localisation": lambda: measure_localisation(knees, workers),
+        "localisation_limits": lambda: derive_localisation_limits(knees, workers),
+        "coverage": lambda: _import_study_module("interval_coverage").measure_interval_coverage(workers),
+        "refutation": lambda: _import_study_module("random_label_test").count_false_claims(workers),
+        "ablation": lambda: _import_study_module("study_ablation").measure_ablations(workers),
+        "backends": lambda: _import_study_module("backend_agreement").compare_backends(),
+        "gvxr": lambda: compare_with_gvxr(workers),
+        "latency": measure_latency,
+    }
+
+
+def _describe_machine() -> dict[str, str | int | None]:
+    """Return processor, number of cores and package versions of this machine."""
+    return {"machine": platform.processor() or platform.machine(), "cores": os.cpu_count(), **collect_versions()}
+
+
+def _import_study_module(name: str) -> Any:
+    """Import a module of this folder that needs the extra ``study``."""
+    from ..study import require_extra
+
+    require_extra()
+    return import_module(f".study_methods.{name}", __package__)

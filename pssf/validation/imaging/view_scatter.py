@@ -1,0 +1,98 @@
+"""Scatter kernel compared with the Monte Carlo in each view."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ...anatomy import (
+    BuiltKnee,
+    BuiltPair,
+    build,
+    build_pair,
+)
+from ...core.resample import downsample_by_blocks
+from ...geometry.view import resolve_view
+from ...model.knee import Knee
+from ...model.protocol import Protocol, load_protocol
+from ...scatter.scatter_kernel import central_air_gap_mm, compute_air_gaps_mm
+from ...simulation import simulate
+from ..raycasting.raycast_engines import Row
+
+VIEWS = ("ap_standing", "fixed_flexion", "lyon_schuss", "rosenberg", "lateral", "skyline", "bilateral")
+# Number of photons per view.
+_PHOTONS = 4_000_000
+# Pixel size of the comparison, in mm.
+_PIXEL_MM = 1.2
+# Side length of a cell, in pixels.
+_CELL = 8
+# Half height and half width of the joint region at the detector, in mm.
+_REGION_MM = (40.0, 30.0)
+# A cell belongs to the limb if its mean path in muscle exceeds this length, in mm.
+_MIN_MUSCLE_MM = 20.0
+
+
+def compare_scatter_by_view(workers: int = 2, views: tuple[str, ...] = VIEWS, photons: int = _PHOTONS) -> list[Row]:
+    """Compare the scatter kernel with the Monte Carlo for the average knee in each view.
+
+    Parameters
+    ----------
+    workers : int, default 2
+        Number of worker processes.
+    views : tuple of str
+        Names of protocols.
+    photons : int, default 4_000_000
+        Number of photons per view.
+
+    Returns
+    -------
+    list of dict
+        One row per view. ``off_percent`` is kernel minus Monte Carlo in the region of 80 x 60 mm about the joint.
+        ``off_signal_percent`` is the same difference relative to the whole signal (primary and scatter).
+        ``cell_percent`` is the largest difference in any cell of 10 mm within the limb.
+        ``exit_gap_mm`` is the mean central air gap of the kernel.
+    """
+    return [_compare_view(name, photons, workers) for name in views]
+
+
+def _compare_view(name: str, photons: int, workers: int) -> Row:
+    """Simulate one view with the kernel and with the Monte Carlo and compare their scatter."""
+    protocol = load_protocol(name)
+    factor = _PIXEL_MM / protocol.pixel_mm
+    protocol = replace(
+        protocol, rows=round(protocol.rows / factor), cols=round(protocol.cols / factor), pixel_mm=_PIXEL_MM,
+        noise="none", scatter_photons=photons, texture="none",
+    )  # fmt: skip
+    knee = Knee()
+    built = (
+        build_pair(knee, replace(knee, side="left"), protocol) if protocol.knee_distance_mm else build(knee, protocol)
+    )
+    aimed = built.aim_beam(protocol) if isinstance(built, BuiltKnee) else protocol
+    keep = ("scatter", "primary", "path_mm")
+    kernel, photon = (
+        simulate(built, replace(aimed, scatter=model), keep=keep, engine="scanline", workers=workers).kept
+        for model in ("kernel", "monte_carlo")
+    )
+    maps = kernel["scatter"], photon["scatter"], kernel["path_mm"]["muscle"]
+    one, other, muscle = (downsample_by_blocks(image, _CELL) for image in maps)
+    row, col = _locate_joint_px(built, aimed)
+    region = tuple(
+        slice(max(0, round((at - half / _PIXEL_MM) / _CELL)), round((at + half / _PIXEL_MM) / _CELL))
+        for at, half in zip((row, col), _REGION_MM, strict=True)
+    )
+    primary = downsample_by_blocks(kernel["primary"], _CELL)
+    limb = muscle > _MIN_MUSCLE_MM
+    return {
+        "view": name,
+        "exit_gap_mm": round(central_air_gap_mm(compute_air_gaps_mm(built.scene, resolve_view(aimed))), 1),
+        "scatter_over_primary": round(float(other[region].sum() / primary[region].sum()), 2),
+        "off_percent": round(100 * float(one[region].sum() / other[region].sum() - 1), 4),
+        "off_signal_percent": round(100 * float((one - other)[region].sum() / (primary + other)[region].sum()), 4),
+        "cell_percent": round(100 * float(np.abs(one[limb] / other[limb] - 1).max()), 1),
+        "photons": photons,
+    }
+
+
+def _locate_joint_px(built: BuiltKnee | BuiltPair, protocol: Protocol) -> tuple[float, float]:
+    """Return row and column of the joint that the view shows, in pixels."""
+    truth = built.truths(protocol)[0] if isinstance(built, BuiltPair) else built.truth(protocol)
+    return truth.landmarks_px["sulcus" if "sulcus" in truth.landmarks_px else "joint_centre"]

@@ -1,0 +1,1 @@
+"""Validation of simulated knees: build success, bone sizes and trabecular texture."""

@@ -1,0 +1,1 @@
+"""Validation of ray casting: exact phantoms, agreement of engines, tessellation error and gVirtualXray."""

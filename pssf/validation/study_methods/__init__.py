@@ -1,0 +1,1 @@
+"""Validation of the study methods: localisation, interval coverage, random labels, ablation and feature backends."""

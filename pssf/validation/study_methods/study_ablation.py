@@ -1,0 +1,112 @@
+"""Run time of the study without each of its parts (needs the extra ``study``)."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from ...core.processes.execution import Execution
+from ...experiment import make_experiment, measure_experiment, run_experiment
+from ...io.atomic_write import make_temporary_folder
+from ...io.study_results import save_text
+from ..raycasting.raycast_engines import Row
+
+# One knee per grade more than a split needs: without noise, texture or scatter a region may be rejected.
+_COHORT = {"knees": [4, 4, 4], "bilateral": 0}
+_PROTOCOLS = ("reference", "low_dose", "geometry_shift")
+
+
+@dataclass(frozen=True)
+class AblationCase:
+    """One ablation: the part that is left out, and the settings that leave it out.
+
+    Parameters
+    ----------
+    omitted : str
+        Description of the part that is left out.
+    cohort : dict
+        Settings of the cohort that are changed.
+    protocol_toml : str
+        TOML lines that are added to each protocol.
+    settings : dict
+        Settings of the study that are changed.
+    last_step : {"report", "features", "cohort"}, default "report"
+        Last step that is run.
+    """
+
+    omitted: str
+    cohort: dict[str, Any] = field(default_factory=dict)
+    protocol_toml: str = ""
+    settings: dict[str, Any] = field(default_factory=dict)
+    last_step: str = "report"
+
+
+ABLATION_CASES = (
+    AblationCase("nothing"),
+    AblationCase("two of three protocols", cohort={"protocols": ["reference"]}),
+    AblationCase("repeat acquisitions", cohort={"retested": 0}),
+    AblationCase("trabecular texture", protocol_toml='texture = "none"\n'),
+    AblationCase("scatter", protocol_toml='scatter = "none"\n'),
+    AblationCase("noise, scatter and blur", protocol_toml='noise = "none"\nscatter = "none"\ndetector_blur = "none"\n'),
+    AblationCase("texture families of features", settings={"families": ("firstorder", "shape2D")}),
+    AblationCase("mRMR, forest, XGBoost", settings={"selections": ("l1",), "models": ("lr",)}),
+    AblationCase("models and report (features only)", last_step="features"),
+    AblationCase("regions, features, models, report (cohort only)", last_step="cohort"),
+)
+
+
+def measure_ablations(workers: int, cases: tuple[AblationCase, ...] = ABLATION_CASES) -> list[Row]:
+    """Measure the run time of the study for each ablation, with twelve knees and an empty output folder.
+
+    Parameters
+    ----------
+    workers : int
+        Number of worker processes.
+    cases : tuple of AblationCase
+        Ablations to measure; the first is the whole study.
+
+    Returns
+    -------
+    list of dict
+        One row per ablation: part left out, number of radiographs, seconds, and fraction of the run time of the whole
+        study (``share``). The last row resumes a study that is already complete.
+
+    Notes
+    -----
+    A warm-up study is run first and not counted, so that compiled code is available to every case.
+    """
+    with make_temporary_folder() as folder:
+        _time_case(folder / "warm", AblationCase("warm", cohort={"protocols": ["reference"], "retested": 0}), workers)
+        rows: list[Row] = []
+        for index, case in enumerate(cases):
+            radiographs, seconds = _time_case(folder / str(index), case, workers)
+            rows.append({"left_out": case.omitted, "radiographs": radiographs, "seconds": seconds})
+        if cases[0] == ABLATION_CASES[0]:
+            radiographs, seconds = _time_case(folder / "0", cases[0], workers)
+            rows.append({"left_out": "everything (study resumed)", "radiographs": radiographs, "seconds": seconds})
+    whole = rows[0]["seconds"]
+    return [row | {"seconds": round(row["seconds"], 1), "share": round(row["seconds"] / whole, 3)} for row in rows]
+
+
+def _time_case(out: Path, case: AblationCase, workers: int) -> tuple[int, float]:
+    """Run one ablation; return the number of radiographs and the seconds of the run."""
+    cohort: dict[str, Any] = _COHORT | {"protocols": list(_PROTOCOLS)} | case.cohort
+    if case.protocol_toml:
+        cohort["protocols"] = [_write_protocol_variant(out, name, case.protocol_toml) for name in cohort["protocols"]]
+    execution, start = Execution(workers=workers), perf_counter()
+    made = make_experiment(
+        out, execution, preset="quick", seed=0, engine="scanline", cohort=cohort, settings=case.settings
+    )
+    if case.last_step == "features":
+        measure_experiment(made, execution)
+    elif case.last_step == "report":
+        run_experiment(made, execution)
+    retested = 0 if made.retest is None else len(made.retest)
+    return len(made.manifest) + retested, perf_counter() - start
+
+
+def _write_protocol_variant(out: Path, name: str, technique: str) -> str:
+    """Write a protocol with additional TOML lines and return its path."""
+    path = out / "protocols" / f"{name}.toml"
+    save_text(path, f'base = "{name}"\n{technique}')
+    return str(path)

@@ -1,0 +1,240 @@
+"""Primary signal of every pixel by the Beer-Lambert law, over all energies at once."""
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.checks import Array
+from ..core.numba_kernel import kernel
+from ..geometry.view import View
+from .collimator import compute_collimator_transmission, is_collimated
+from .materials import attenuation_per_mm
+from .resolved_technique import Technique
+from .spectrum import Beam, compute_reduced_beam, heel_factor
+
+# Rows per band; each band is one task of the thread pool.
+_BAND_ROWS = 128
+# Pixels of a row that are computed together, so that their exponents stay in the fastest cache.
+_BLOCK_COLS = 256
+
+
+class _EnergyNodes(NamedTuple):
+    """Attenuation per energy, and contributions of each energy to the sums of the open beam.
+
+    `mu` is (materials, nodes) in 1/mm. `signal` and `square_signal` are (beams, nodes).
+    """
+
+    mu: Array
+    signal: Array
+    square_signal: Array
+
+
+class _RayGeometry(NamedTuple):
+    """Source and centre of pixel (0, 0), (3,) in mm, and the pixel size in mm."""
+
+    source: Array
+    corner: Array
+    pixel_mm: float
+
+
+@dataclass(frozen=True)
+class Signal:
+    """Energy absorbed per pixel, before noise.
+
+    Attributes
+    ----------
+    kev : (rows, cols) float32 array
+        Mean energy absorbed, in keV per pixel.
+    photon_kev : (rows, cols) float32 array
+        Mean square over mean of the energy of an absorbed photon, in keV. This is the variance of the absorbed energy
+        over its mean.
+    """
+
+    kev: NDArray[np.float32]
+    photon_kev: NDArray[np.float32]
+
+
+def transmit(
+    path_mm: Mapping[str, Any],
+    beam: Beam,
+    technique: Technique,
+    workers: int = 2,
+    view: View | None = None,
+) -> Signal:
+    """Compute the primary signal of every pixel, without heel effect and collimator.
+
+    Parameters
+    ----------
+    path_mm : mapping of str to (rows, cols) array
+        Path length per material, in mm. A material that is absent does not attenuate.
+    beam : Beam
+        Energies, photons and detector response.
+    technique : Technique
+        Resolved protocol, whose tissues define the materials.
+    workers : int, default 2
+        Number of threads; it does not change the result.
+    view : View, optional
+        Source and detector, if the source is not the centre of the focal spot. By default that of the technique.
+
+    Returns
+    -------
+    Signal
+        Mean absorbed energy and its variance over mean, per pixel.
+    """
+    return _transmit_beams(path_mm, (beam,), technique, workers, view)[0]
+
+
+def compute_primary(
+    path_mm: Mapping[str, Any],
+    technique: Technique,
+    workers: int = 2,
+    view: View | None = None,
+) -> Signal:
+    """Compute the primary signal behind path lengths, heel effect and collimator included.
+
+    Parameters
+    ----------
+    path_mm : mapping of str to (rows, cols) array
+        Path length per material, in mm.
+    technique : Technique
+        Resolved protocol.
+    workers : int, default 2
+        Number of threads; it does not change the result.
+    view : View, optional
+        Source and detector, if the source is not the centre of the focal spot. By default that of the technique.
+
+    Returns
+    -------
+    Signal
+        Mean absorbed energy and its variance over mean, per pixel.
+    """
+    return _compute_primaries(path_mm, (_compute_beam_behind(path_mm, technique),), technique, workers, view)[0]
+
+
+def compute_primary_before_and_behind(
+    path_mm: Mapping[str, Any],
+    technique: Technique,
+    transmit_grid: Callable[[Beam], Beam],
+    workers: int = 2,
+) -> tuple[Signal, Signal]:
+    """Compute the primary signal before and behind a filter that follows the limb, such as an anti-scatter grid.
+
+    Both sums use the same exponentials, which take nearly all of the time.
+
+    Parameters
+    ----------
+    path_mm : mapping of str to (rows, cols) array
+        Path length per material, in mm.
+    technique : Technique
+        Resolved protocol.
+    transmit_grid : callable
+        Function from the beam before the filter to the beam behind it.
+    workers : int, default 2
+        Number of threads; it does not change the result.
+
+    Returns
+    -------
+    before : Signal
+        Signal without the filter.
+    behind : Signal
+        Signal behind the filter.
+    """
+    beam = _compute_beam_behind(path_mm, technique)
+    before, behind = _compute_primaries(path_mm, (beam, transmit_grid(beam)), technique, workers)
+    return before, behind
+
+
+def _compute_beam_behind(path_mm: Mapping[str, Any], technique: Technique) -> Beam:
+    """Compute the beam, reduced to the energies that path lengths (rows, cols) in mm need."""
+    return compute_reduced_beam(technique, {name: float(lengths.max()) for name, lengths in path_mm.items()})
+
+
+def _compute_primaries(
+    path_mm: Mapping[str, Any], beams: Sequence[Beam], technique: Technique, workers: int, view: View | None = None
+) -> list[Signal]:
+    """Compute the signals of beams with the same energies, heel effect and collimator included."""
+    signals = _transmit_beams(path_mm, beams, technique, workers, view)
+    for signal in signals:
+        if technique.protocol.heel != "none":
+            signal.kev[:] *= heel_factor(technique)[:, None].astype(np.float32)
+        if is_collimated(technique.protocol):
+            signal.kev[:] *= compute_collimator_transmission(technique)
+    return signals
+
+
+def _transmit_beams(
+    path_mm: Mapping[str, Any], beams: Sequence[Beam], technique: Technique, workers: int, view: View | None
+) -> list[Signal]:
+    """Compute the signals of beams with the same energies, without heel effect and collimator."""
+    view, energies_kev = view or technique.view, beams[0].energies_kev
+    mu = np.array([attenuation_per_mm(technique.material(name), energies_kev) for name in path_mm])
+    mu = mu.reshape(-1, len(energies_kev))
+    kev, photon_kev = (np.empty((len(beams), view.rows, view.cols), np.float32) for _ in range(2))
+    brought = [[beam.photons_per_mm2 * each for each in (beam.signal_kev, beam.square_kev2)] for beam in beams]
+    nodes = _EnergyNodes(mu, *(np.array(of_all) for of_all in zip(*brought, strict=True)))
+    rays = _RayGeometry(np.asarray(view.source_mm), np.asarray(view.first_pixel_mm), view.pixel_mm)
+
+    def band(start: int) -> None:
+        stop = min(start + _BAND_ROWS, view.rows)
+        # Maps are copied band by band, because a copy of all maps of a large detector would double the memory.
+        stack = np.empty((len(path_mm), stop - start, view.cols), np.float32)
+        for part, lengths in zip(stack, path_mm.values(), strict=True):
+            part[:] = lengths[start:stop]
+        _transmit_band(stack, nodes, rays, start, kev[:, start:stop], photon_kev[:, start:stop])
+
+    with ThreadPoolExecutor(workers) as pool:
+        list(pool.map(band, range(0, view.rows, _BAND_ROWS)))
+    return [Signal(*both) for both in zip(kev, photon_kev, strict=True)]
+
+
+@kernel(fastmath={"contract"})
+def _transmit_band(
+    path_stack_mm: NDArray[np.float32],
+    nodes: _EnergyNodes,
+    rays: _RayGeometry,
+    first_row: int,
+    kev: NDArray[np.float32],
+    photon_kev: NDArray[np.float32],
+) -> None:
+    """Fill the rows (beams, rows, cols) of a band that starts at row `first_row`."""
+    mu, (materials, count), beams = nodes.mu, nodes.mu.shape, len(nodes.signal)
+    passed, open_beams = np.empty(count), np.zeros((beams, 2))
+    for beam in range(beams):
+        for k in range(count):
+            open_beams[beam, 0] += nodes.signal[beam, k]
+            open_beams[beam, 1] += nodes.square_signal[beam, k]
+    depth = rays.corner[1] - rays.source[1]
+    exponents, areas = np.empty((count, _BLOCK_COLS)), np.empty(_BLOCK_COLS)
+    for row in range(kev.shape[1]):
+        dz = rays.corner[2] - (first_row + row) * rays.pixel_mm - rays.source[2]
+        for left in range(0, kev.shape[2], _BLOCK_COLS):
+            width = min(_BLOCK_COLS, kev.shape[2] - left)
+            exponents[:] = 0.0
+            for m in range(materials):
+                lengths = path_stack_mm[m, row, left : left + width]
+                for k in range(count):
+                    for n in range(width):
+                        exponents[k, n] -= mu[m, k] * lengths[n]
+            for n in range(width):
+                dx = rays.corner[0] + (left + n) * rays.pixel_mm - rays.source[0]
+                distance2 = dx * dx + depth * depth + dz * dz
+                # The photons per pixel follow the inverse-square law from 1 m and the cosine of the incidence angle.
+                areas[n] = rays.pixel_mm * rays.pixel_mm * 1e6 / distance2 * depth / np.sqrt(distance2)
+            for n in range(width):
+                limb = exponents[0, n] != 0.0
+                if limb:
+                    for k in range(count):
+                        passed[k] = np.exp(exponents[k, n])
+                for beam in range(beams):
+                    first, second = open_beams[beam]
+                    if limb:
+                        first, second = 0.0, 0.0
+                        for k in range(count):
+                            first += nodes.signal[beam, k] * passed[k]
+                            second += nodes.square_signal[beam, k] * passed[k]
+                    kev[beam, row, left + n] = first * areas[n]
+                    photon_kev[beam, row, left + n] = second / first if first > 0.0 else 0.0

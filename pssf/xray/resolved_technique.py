@@ -1,0 +1,117 @@
+"""Resolved technique: a protocol with the table records that its names stand for."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+from ..core.checks import InputError
+from ..data.anatomy.tissue_table import Tissue, load_tissues
+from ..data.imaging.detector_table import Detector, load_detectors
+from ..data.imaging.scatter_table import ScatterKernel, load_scatter_kernel
+from ..geometry.view import View, resolve_view
+from ..model.protocol import Protocol
+from .materials import Material, resolve_material
+
+
+@dataclass(frozen=True, kw_only=True)
+class Technique:
+    """Everything that the imaging stages read.
+
+    It is made once from a protocol by `resolve_technique`, and then passed through all stages.
+
+    Attributes
+    ----------
+    protocol : Protocol
+        Technique, geometry and requested stages.
+    detector : Detector
+        Record of the detector that the protocol names.
+    kernel : ScatterKernel
+        Constants of the scatter kernel.
+    tissues : mapping of str to Tissue
+        Tissues and metals that materials may be named after.
+    """
+
+    protocol: Protocol
+    detector: Detector
+    kernel: ScatterKernel
+    tissues: Mapping[str, Tissue] = field(hash=False, repr=False)
+
+    @cached_property
+    def view(self) -> View:
+        """Source and detector plane of the protocol."""
+        return resolve_view(self.protocol)
+
+    def material(self, name: str) -> Material:
+        """Resolve the name of a material in a scene.
+
+        Parameters
+        ----------
+        name : str
+            Tissue, metal, NIST compound, or formula with density.
+
+        Returns
+        -------
+        Material
+            Density and mass fractions of the elements.
+
+        Raises
+        ------
+        InputError
+            If the material is unknown.
+        """
+        return resolve_material(name, self.tissues)
+
+    def replace_protocol(self, **changes: Any) -> "Technique":
+        """Replace the values of some fields of the protocol.
+
+        Parameters
+        ----------
+        **changes
+            New values by field name of `Protocol`. The detector cannot be changed.
+
+        Returns
+        -------
+        Technique
+            A copy with the changed protocol.
+
+        Raises
+        ------
+        InputError
+            If a value is out of range, or names another detector.
+        """
+        protocol = replace(self.protocol, **changes)
+        if protocol.detector != self.protocol.detector:
+            raise InputError(
+                f"detector must be {self.protocol.detector!r}, got {protocol.detector!r}: "
+                "call resolve_technique for another detector"
+            )
+        return replace(self, protocol=protocol)
+
+
+def resolve_technique(protocol: Protocol) -> Technique:
+    """Resolve the names in a protocol into table records.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        Technique, geometry and requested stages.
+
+    Returns
+    -------
+    Technique
+        The protocol with its detector, scatter kernel and tissues.
+
+    Raises
+    ------
+    InputError
+        If `protocol` is not a Protocol.
+    """
+    if not isinstance(protocol, Protocol):
+        raise InputError(f"protocol must be a Protocol, such as load_protocol returns, got {protocol!r}")
+    return Technique(
+        protocol=protocol,
+        detector=load_detectors()[protocol.detector],
+        kernel=load_scatter_kernel(),
+        tissues=load_tissues(),
+    )
