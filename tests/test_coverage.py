@@ -1,4 +1,4 @@
-"""How often the study's intervals hold the truth, by the cohorts of `pssf.validation.study_methods.interval_coverage`.
+"""Coverage of the study's intervals, by the cohorts of `pssf.validation.study_methods.interval_coverage`.
 
 What is asked of the intervals is 95 %; misses are binomial, and bounds at four standard deviations.
 """

@@ -244,7 +244,7 @@ def test_the_python_of_the_front_page_runs(tmp_path, monkeypatch):
     exec(own, names)
     assert names["again"].pixels.shape == (512, 512)
     assert names["paths"].path_mm["cortical_bone"].max() > 1
-    assert "screw" in names["with_screw"].solids()
+    assert "screw" in names["with_screw"].part_meshes()
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ T = TypeVar("T")
 MOST_TEXT = 2**28
 # Largest file that is read, in bytes.
 MOST_BYTES = 2**32
-# What a file that the package wrote must be, and what to do if it is not.
+# Requirement on a file that the package wrote, and the remedy if it is not met.
 _DELETE_HINT = "undamaged (delete it to have it made again)"
 
 

@@ -198,7 +198,7 @@ def sample_knee_from_distributions(
         drawn[name] = _sample_uniform(rng, bounds)
     # One number serves both seeds, since they seed independent things.
     drawn["texture_seed"] = drawn["form_seed"] = int(rng.spawn(1)[0].integers(2**63))
-    # What follows uses child generators, so that it does not change the values sampled above.
+    # The following uses child generators, so that it does not change the values sampled above.
     drawn |= _sample_bone_form(rng.spawn(1)[0], law, sex, distributions.mode_count)
     if isinstance(law, SeverityGradeTable):
         drawn |= sample_severity_fields(law, int(grade), sex, drawn["bone_scale"], rng.spawn(1)[0])

@@ -42,7 +42,7 @@ _BINNING_PX = 2
 
 
 class _LocalisationCase(NamedTuple):
-    """How a simulated radiograph is modified, and the status that localisation must report.
+    """Modification of a simulated radiograph, and the status that localisation must report.
 
     Attributes
     ----------
